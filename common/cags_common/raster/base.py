@@ -1,0 +1,138 @@
+"""The rasteriser seam.
+
+A :class:`Rasteriser` loads splats into a :class:`RasterScene` that lives on the renderer's side between frames; the scene
+is updated in part and rendered from any camera. Implementations: ``reference`` (float64, readable, the definition of
+right), ``cpu`` (``cags-kernels``), ``cuda`` (gsplat).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32, Camera, Intrinsics
+from cags_common.splats import Splats
+
+DILATION_PX2 = 0.3
+"""Variance that 3DGS adds to every projected splat, in squared pixels (Kerbl et al. 2023)."""
+
+BOX_VARIANCE_PX2 = 1.0 / 12.0
+"""Variance of a pixel-wide box: the low-pass of the pixel itself (Yu et al. 2024, Mip-Splatting)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Footprint:
+    """How a splat's projected covariance S (squared pixels) is widened before it is drawn.
+
+    The drawn covariance is ``S + (dilation_px2 + filter_px2) I``; the opacity is multiplied by
+    ``sqrt(det(S + dilation_px2 I) / det(S + (dilation_px2 + filter_px2) I))``, so that the filter keeps the splat's weight.
+    """
+
+    dilation_px2: float = DILATION_PX2
+    filter_px2: float = 0.0
+
+    @classmethod
+    def classic(cls) -> Footprint:
+        """As the 3DGS papers draw: 0.3 squared pixels at the image's own pixels, uncompensated."""
+        return cls()
+
+    @classmethod
+    def antialiased(cls) -> Footprint:
+        """Opacity compensated for the whole dilation (Mip-Splatting's screen-space filter)."""
+        return cls(0.0, DILATION_PX2)
+
+    @classmethod
+    def of(cls, client: Intrinsics, reference: Intrinsics) -> Footprint:
+        """The client's picture, seen at the reference's resolution: its dilation, then the reference pixel's box.
+
+        The scale is client pixels a reference pixel in angle, at the image's centre, and so includes a widened field
+        of view. A plain low-resolution render would draw every splat fatter than the client sees it.
+        """
+        scale_squared = (client.fx_px / reference.fx_px) * (client.fy_px / reference.fy_px)
+        if scale_squared <= 1.0:
+            return cls.classic()
+        return cls(DILATION_PX2 / scale_squared, BOX_VARIANCE_PX2)
+
+
+class Exactness(StrEnum):
+    """How exact a backend must be; each backend documents what a level gives up."""
+
+    FAST = "fast"
+    BALANCED = "balanced"
+    EXACT = "exact"
+
+
+class DepthKind(StrEnum):
+    """What the depth image holds."""
+
+    NONE = "none"
+    EXPECTED = "expected"
+    """Front-to-back alpha-weighted camera-space z, divided by alpha."""
+    MEDIAN = "median"
+    """z of the splat at which transmittance falls through one half."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """What to render, and how exactly."""
+
+    footprint: Footprint = Footprint()
+    exactness: Exactness = Exactness.BALANCED
+    depth: DepthKind = DepthKind.EXPECTED
+    contribution: bool = False
+    """Whether to sum each splat's compositing weights over the image."""
+    void_alpha: float = 0.05
+    """Pixels of less alpha are void: their depth is +inf."""
+    max_sh_degree: int = 3
+    threads: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedView:
+    """One rendered view over a black background."""
+
+    rgb: F32  # [H, W, 3] in [0, inf): premultiplied, display-referred; clip to [0, 1] to show
+    alpha: F32  # [H, W] in [0, 1]
+    depth: F32 | None  # [H, W] camera-space z, world units; +inf where void. None for DepthKind.NONE
+    contribution: F32 | None  # [N] sum over pixels of the splat's compositing weight, in pixels
+
+
+@dataclass(frozen=True, eq=False)
+class BackProjection:
+    """An image residual carried back onto the splats: the adjoint of compositing."""
+
+    weighted_residual: F32  # [N, 3] sum over pixels of weight x residual
+    weight: F32  # [N] sum over pixels of weight
+
+
+class RasterScene(Protocol):
+    """Splats held by a renderer. Not thread-safe for updates; concurrent renders are allowed."""
+
+    def __len__(self) -> int: ...
+
+    def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
+        """Replace the splats at ``rows`` [M]; the cost is proportional to M."""
+        ...
+
+    def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
+        """Render one view. The result does not depend on ``options.threads``."""
+        ...
+
+    def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
+        """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
+        ...
+
+
+class Rasteriser(Protocol):
+    """A rendering backend."""
+
+    @property
+    def name(self) -> str: ...
+
+    def load(self, splats: Splats) -> RasterScene:
+        """Take a copy of ``splats`` (zero splats are legal: every view is black and void)."""
+        ...

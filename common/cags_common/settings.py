@@ -1,0 +1,132 @@
+"""Settings: one frozen dataclass gives a command its flags, its TOML keys, its checks and its help.
+
+    @dataclass(frozen=True)
+    class ServerSettings:
+        port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65535)
+
+Flags win over the file, the file over the defaults. Unknown keys are refused by name.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import tomllib
+import types
+import typing
+from dataclasses import MISSING, Field, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from cags_common.errors import ConfigError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    S = TypeVar("S", bound=DataclassInstance)
+else:
+    S = TypeVar("S")
+
+
+def setting(
+    default: Any,
+    help: str,  # noqa: A002 - argparse's own name for it
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] | None = None,
+) -> Any:
+    """A dataclass field with a one-line description (unit included) and its range ``[low, high]`` or its choices."""
+    return field(default=default, metadata={"help": help, "low": low, "high": high, "choices": choices})
+
+
+def check_settings(settings: DataclassInstance) -> None:
+    """Check every field against its type, range and choices; call it from ``__post_init__``. Raises :class:`ConfigError`."""
+    hints = typing.get_type_hints(type(settings))
+    for f in fields(settings):
+        value = getattr(settings, f.name)
+        kind, optional = _plain_type(hints[f.name])
+        if value is None and optional:
+            continue
+        _check_value(f, kind, value)
+
+
+def add_settings(parser: argparse.ArgumentParser, cls: type[DataclassInstance]) -> None:
+    """Add ``--config FILE`` and one flag a field of ``cls``."""
+    parser.add_argument(
+        "--config", metavar="FILE", help="TOML file with the same names as the flags (dashes as underscores)"
+    )
+    hints = typing.get_type_hints(cls)
+    for f in fields(cls):
+        if "help" not in f.metadata:
+            continue
+        kind, _ = _plain_type(hints[f.name])
+        text = f.metadata["help"] + ("" if f.default in (None, MISSING) else f" (default: {f.default})")
+        flag = "--" + f.name.replace("_", "-")
+        text = text.replace("%", "%%")
+        if kind is bool:
+            parser.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
+        else:
+            parser.add_argument(
+                flag, type=kind, choices=f.metadata["choices"], default=None, metavar=_metavar(f, kind), help=text
+            )
+
+
+def load_settings(cls: type[S], arguments: argparse.Namespace) -> S:
+    """Build ``cls`` from parsed flags over the TOML file over the defaults. Raises :class:`ConfigError`."""
+    values: dict[str, Any] = {}
+    names = {f.name for f in fields(cast("Any", cls)) if "help" in f.metadata}
+    if getattr(arguments, "config", None):
+        values.update(_read_toml(Path(arguments.config), names))
+    for name in names:
+        given = getattr(arguments, name, None)
+        if given is not None:
+            values[name] = given
+    return cls(**values)
+
+
+def _read_toml(path: Path, names: set[str]) -> dict[str, Any]:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give an existing TOML file") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not TOML ({error})") from error
+    unknown = sorted(set(table) - names)
+    if unknown:
+        raise ConfigError(f"{path}: unknown key {unknown[0]!r}; known: {', '.join(sorted(names))}")
+    return table
+
+
+def _plain_type(hint: Any) -> tuple[type, bool]:
+    """The type inside ``X | None``, and whether None is allowed."""
+    arms = (
+        typing.get_args(hint)
+        if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union
+        else (hint,)
+    )
+    plain = [arm for arm in arms if arm is not type(None)]
+    return cast("type", plain[0]), len(plain) < len(arms)
+
+
+def _metavar(f: Field[Any], kind: type) -> str | None:
+    if f.metadata["choices"]:
+        return None
+    return {int: "N", float: "X", str: f.name.upper()}.get(kind, f.name.upper())
+
+
+def _check_value(f: Field[Any], kind: type, value: Any) -> None:
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+        raise ConfigError(f"{f.name} = {value!r} must be of type {kind.__name__}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{f.name} = {value} must be finite")
+    low, high = f.metadata.get("low"), f.metadata.get("high")
+    if (low is not None and value < low) or (high is not None and value > high):
+        raise ConfigError(
+            f"{f.name} = {value} must lie in [{'-inf' if low is None else low}, {'inf' if high is None else high}]"
+        )
+    choices = f.metadata.get("choices")
+    if choices and value not in choices:
+        raise ConfigError(f"{f.name} = {value!r} must be one of {', '.join(choices)}")

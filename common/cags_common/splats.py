@@ -1,0 +1,103 @@
+"""3D Gaussians as a structure of arrays.
+
+Attribute names carry their activation: the drawn scale is ``exp(log_scales)``, the drawn opacity is
+``sigmoid(logit_opacities)``, the base colour is ``0.5 + SH_C0 * sh0`` (Kerbl et al. 2023).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.errors import SceneError
+from cags_common.geometry import F32
+
+SH_C0 = 0.28209479177387814
+"""Value of the constant spherical harmonic."""
+
+SH_REST_OF_DEGREE = (0, 3, 8, 15)
+"""Number of view-dependent SH coefficients a colour channel, by degree."""
+
+MAX_SPLATS = 20_000_000
+"""Bound on what a file may claim, checked before anything is allocated (a splat of degree 3 takes 236 bytes)."""
+
+Ids: TypeAlias = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """N Gaussians. All arrays are C-contiguous float32 of N rows.
+
+    Use :meth:`checked` on data from outside: it refuses wrong shapes and non-finite values by name and index.
+    """
+
+    means: F32  # [N, 3] world, metres
+    quats: F32  # [N, 4] wxyz, unit, w >= 0: rotation of the Gaussian's axes into the world
+    log_scales: F32  # [N, 3] natural logarithm of the standard deviations, metres
+    logit_opacities: F32  # [N]
+    sh0: F32  # [N, 3] RGB coefficient of the constant harmonic
+    sh_rest: F32  # [N, K, 3] RGB coefficients of the others, K in (0, 3, 8, 15)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Spherical-harmonics degree, 0 to 3."""
+        return SH_REST_OF_DEGREE.index(self.sh_rest.shape[1])
+
+    def arrays(self) -> Iterator[tuple[str, F32]]:
+        """Name and array of each attribute, in declaration order."""
+        for field in fields(self):
+            yield field.name, getattr(self, field.name)
+
+    def take(self, rows: NDArray[Any] | slice) -> Splats:
+        """The splats at ``rows`` (indices, a mask or a slice)."""
+        return Splats(*(np.ascontiguousarray(array[rows]) for _, array in self.arrays()))
+
+    def checked(self, source: str) -> Splats:
+        """These splats as contiguous float32 with unit quaternions; ``source`` names them in errors.
+
+        Raises :class:`SceneError` for wrong shapes, no splats at all, non-finite values (by attribute and index) and zero
+        quaternions. Infinite opacity logits are legal in real files (opacity exactly 0 or 1) and are clamped to +-20.
+        """
+        out = {name: np.ascontiguousarray(array, dtype=np.float32) for name, array in self.arrays()}
+        n = len(out["means"])
+        if n == 0:
+            raise SceneError(f"{source}: holds no splats; give a file with at least one")
+        shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "logit_opacities": (n,), "sh0": (n, 3)}
+        for name, shape in shapes.items():
+            if out[name].shape != shape:
+                raise SceneError(f"{source}: {name} has shape {out[name].shape}, expected {shape}")
+        rest = out["sh_rest"]
+        if rest.ndim != 3 or rest.shape[0] != n or rest.shape[2] != 3 or rest.shape[1] not in SH_REST_OF_DEGREE:
+            raise SceneError(f"{source}: sh_rest has shape {rest.shape}, expected ({n}, 0|3|8|15, 3)")
+        logits = out["logit_opacities"]
+        out["logit_opacities"] = np.where(np.isinf(logits), np.sign(logits) * np.float32(20.0), logits)
+        for name, array in out.items():
+            bad = ~np.isfinite(array.reshape(n, -1)).all(axis=1)
+            if bad.any():
+                index = int(np.argmax(bad))
+                raise SceneError(f"{source}: {name}[{index}] = {array[index].tolist()} is not finite; repair the file")
+        out["quats"] = _canonical_quats(out["quats"], source)
+        return Splats(**out)
+
+    @staticmethod
+    def concatenate(parts: list[Splats]) -> Splats:
+        """All splats of ``parts`` in order; every part must have the same SH degree."""
+        columns = zip(*([array for _, array in part.arrays()] for part in parts), strict=True)
+        return Splats(*(np.concatenate(column) for column in columns))
+
+
+def _canonical_quats(quats: F32, source: str) -> F32:
+    wide = quats.astype(np.float64)
+    norms = np.linalg.norm(wide, axis=1, keepdims=True)
+    zero = norms[:, 0] < 1e-12
+    if zero.any():
+        raise SceneError(f"{source}: quats[{int(np.argmax(zero))}] is zero and has no direction; repair the file")
+    sign = np.where(wide[:, :1] < 0, -1.0, 1.0)
+    return np.ascontiguousarray(wide * (sign / norms), dtype=np.float32)
