@@ -1,0 +1,6 @@
+"""Scenes: what can be encoded, by one spec string. See ``docs/scenes.md``."""
+
+from cags_encoder.scenes.open import open_scene
+from cags_encoder.scenes.source import Focus, FrameSource, focus_of
+
+__all__ = ["Focus", "FrameSource", "focus_of", "open_scene"]

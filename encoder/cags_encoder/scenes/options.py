@@ -1,0 +1,55 @@
+"""The text form of a scene: ``PATH[:key=value,...]``, ``procedural[:...]``, ``motion:PATH[:...]``."""
+
+from __future__ import annotations
+
+import re
+import types
+import typing
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from cags_common.errors import ConfigError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    S = TypeVar("S", bound=DataclassInstance)
+else:
+    S = TypeVar("S")
+
+_OPTIONS = re.compile(r"\A(?P<head>.*?)(?::(?P<options>\w+=[^,:=]*(?:,\w+=[^,:=]*)*))?\Z", re.DOTALL)
+
+
+def split_options(spec: str) -> tuple[str, dict[str, str]]:
+    """Split ``head:key=value,key=value`` into head and options. Raises :class:`ConfigError` for a key given twice."""
+    match = _OPTIONS.match(spec)
+    assert match is not None  # the pattern matches every string
+    options: dict[str, str] = {}
+    for pair in (match["options"] or "").split(","):
+        key, _, value = pair.partition("=")
+        if key in options:
+            raise ConfigError(f"scene {spec!r}: option {key!r} is given twice; give it once")
+        if key:
+            options[key] = value
+    return match["head"], options
+
+
+def parse_options(cls: type[S], spec: str, options: dict[str, str]) -> S:
+    """Build the settings dataclass ``cls`` from ``options``; ``spec`` names the scene in :class:`ConfigError`."""
+    hints = typing.get_type_hints(cls)
+    names = [f.name for f in fields(cast("Any", cls))]
+    values: dict[str, Any] = {}
+    for key, text in options.items():
+        if key not in names:
+            raise ConfigError(f"scene {spec!r}: unknown option {key!r}; known: {', '.join(names)}")
+        values[key] = _convert(spec, key, text, hints[key])
+    return cls(**values)
+
+
+def _convert(spec: str, key: str, text: str, hint: Any) -> Any:
+    arms = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    kind = next(arm for arm in arms if arm is not type(None))
+    try:
+        return kind(text)
+    except ValueError:
+        raise ConfigError(f"scene {spec!r}: {key} = {text!r} must be of type {kind.__name__}") from None
