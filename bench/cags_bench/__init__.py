@@ -1,1 +1,1 @@
-
+"""Virtual-time simulation, experiments, reports and the demo."""

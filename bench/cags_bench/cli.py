@@ -1,0 +1,58 @@
+"""``cags-bench``: one subcommand an experiment."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+from typing import Any
+
+from cags_common.cli import command_parser, run_command
+from cags_common.errors import ConfigError
+
+SUBCOMMANDS = {
+    "stream": "stream a scene over a trace in virtual time and score every frame",
+}
+"""Subcommand and its summary; the code is ``cags_bench.<name>.command`` and is imported only when it is asked for."""
+
+EXAMPLES = """\
+  cags-bench stream --scene procedural --frames 60 --json
+  cags-bench stream --help
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of ``cags-bench``."""
+    return run_command("cags-bench", _run, argv)
+
+
+def _run(argv: Sequence[str]) -> int:
+    listing = "subcommands:\n" + "\n".join(f"  {name:<10} {text}" for name, text in SUBCOMMANDS.items())
+    if not argv or argv[0] in ("-h", "--help"):
+        parser = command_parser("cags-bench", "Benchmarks and experiments.\n\n" + listing, EXAMPLES)
+        parser.usage = "cags-bench SUBCOMMAND [options]"
+        parser.print_help()
+        return 0 if argv else 2
+    name = argv[0]
+    if name not in SUBCOMMANDS:
+        raise ConfigError(f"unknown subcommand {name!r}; known: {', '.join(SUBCOMMANDS)}")
+    return _run_subcommand(importlib.import_module(f"cags_bench.{name}.command"), name, argv[1:])
+
+
+def _run_subcommand(module: ModuleType, name: str, argv: Sequence[str]) -> int:
+    parser = command_parser(f"cags-bench {name}", module.SUMMARY, module.EXAMPLES)
+    parser.add_argument("--json", action="store_true", help="print JSON lines: one a case, the last a summary")
+    module.add_arguments(parser)
+    arguments = parser.parse_args(argv)
+    lines: Iterator[dict[str, Any]] = module.run(arguments)
+    if arguments.json:
+        from cags_bench.jsonl import write_lines
+
+        for _ in write_lines(lines):
+            pass
+    else:
+        from cags_bench.tables import print_lines
+
+        print_lines(lines, sys.stdout)
+    return 0

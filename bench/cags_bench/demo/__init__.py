@@ -1,0 +1,1 @@
+"""``cags-demo``: three real processes, one report."""

@@ -1,0 +1,138 @@
+"""The demo itself: three processes on free local ports, then a report."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
+
+from cags_bench.bundles import cached_bundle
+from cags_bench.demo.processes import Process, ProcessGroup
+from cags_bench.demo.report import plot_stream, read_lines, write_strip
+from cags_bench.demo.settings import DemoSettings
+from cags_bench.jsonl import provenance
+from cags_common.errors import CagsError, NetworkError
+
+DEFAULT_FRAMES = 90
+STAGES_EVERY = 15
+CLIENT_GRACE_S = 240.0
+"""How long the client may take to score its frames after the last one was shown."""
+
+
+@dataclass(frozen=True)
+class DemoSize:
+    """What a machine can show in real time: picture size, and the size of the built-in scene."""
+
+    width_px: int
+    height_px: int
+    scene: str
+
+
+NATIVE = DemoSize(800, 600, "procedural:size=60000,frames=90")
+READABLE = DemoSize(320, 240, "procedural:size=3000,frames=24")
+"""Without the native kernels the float64 reference renders: correct, and a hundred times slower."""
+
+
+def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str, Any]:
+    """Run the demo and write its report to ``settings.out``; returns the summary.
+
+    Raises :class:`CagsError` when a part cannot run; the output folder is then left as it was.
+    """
+    size = machine_size(progress)
+    width, height = settings.width or size.width_px, settings.height or size.height_px
+    spec = size.scene if scene == "procedural" else scene
+    out = Path(settings.out)
+    check_replaceable(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    bundle = cached_bundle(spec, settings.cache, max_frames=settings.frames or DEFAULT_FRAMES)
+    with tempfile.TemporaryDirectory(prefix=".cags-demo-", dir=out.parent) as scratch:
+        report = Path(scratch) / "report"
+        report.mkdir()
+        client = stream_once(str(bundle), replace(settings, width=width, height=height), report, progress)
+        summary = write_report(report, settings)
+        summary["client_exit_code"] = client
+        replace_folder(report, out)
+    return summary
+
+
+def machine_size(progress: IO[str]) -> DemoSize:
+    """The demo's size on this machine; says so when the kernels are missing."""
+    from cags_kernels import native_available, why_unavailable
+
+    if native_available():
+        return NATIVE
+    print(f"cags-demo: native kernels left out ({why_unavailable()}); the demo runs small on the reference path", file=progress)
+    return READABLE
+
+
+def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[str]) -> int:
+    """Run server, shaper and client until the client ends; logs and frames go to ``report``."""
+    with ProcessGroup(report) as group:
+        server = group.start("cags_server", ["--bundle", bundle, "--port", "0", "--json"]).ready()
+        shaper = group.start(
+            "cags_shaper",
+            ["--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}", "--trace", settings.trace]
+            + ["--delay-ms", str(settings.delay_ms), "--json"],
+        ).ready()
+        print(f"cags-demo: server on port {server['port']}, shaper on port {shaper['port']}, client starts", file=progress)
+        client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report))
+        return wait_for_client(client)
+
+
+def client_arguments(bundle: str, port: int, settings: DemoSettings, report: Path) -> list[str]:
+    """The client's command line."""
+    stages = report / "stages"
+    return [
+        *("--url", f"ws://127.0.0.1:{port}/stream", "--poses", settings.poses, "--truth", bundle),
+        *("--json", str(report / "frames.jsonl"), "--stages", str(stages), "--stages-every", str(STAGES_EVERY)),
+        *("--width", str(settings.width), "--height", str(settings.height)),
+    ]
+
+
+def wait_for_client(client: Process) -> int:
+    """Wait for the client's own end. Raises :class:`NetworkError` with its last words when it fails."""
+    output, _ = client.handle.communicate(timeout=CLIENT_GRACE_S)
+    if client.handle.returncode != 0:
+        raise NetworkError(f"{client.name} failed: {client.last_words()}")
+    if output:
+        (client.log.parent / "client.out").write_text(output, encoding="utf-8")
+    return client.handle.returncode
+
+
+def write_report(report: Path, settings: DemoSettings) -> dict[str, Any]:
+    """Plot, strip and summary of the finished session."""
+    from cags_shaper.trace import open_trace
+
+    frames, summary = read_lines(report / "frames.jsonl")
+    seconds = max((frames[-1]["time_us"] - frames[0]["time_us"]) / 1e6, 0.1) if frames else 0.1
+    plot_stream(frames, capacity_series(open_trace(settings.trace), seconds), report / "timeline.png")
+    shown = [frame["frame"] for frame in frames]
+    candidates = [frame for frame in range(0, max(shown, default=0) + 1, STAGES_EVERY) if frame in shown]
+    if candidates:
+        write_strip(report / "stages", candidates[len(candidates) // 2], report / "strip.png")
+    merged = {**summary, "benchmark": "demo", "trace": settings.trace, **provenance()}
+    (report / "summary.json").write_text(json.dumps(merged, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    return merged
+
+
+def capacity_series(trace: Any, seconds: float) -> tuple[list[float], list[float]]:
+    """The link's capacity over the session, in steps of 100 ms: (times in s, Mbps)."""
+    step_us = 100_000
+    starts = range(0, int(seconds * 1e6) + step_us, step_us)
+    return [start / 1e6 for start in starts], [trace.mean_bps(start, start + step_us) / 1e6 for start in starts]
+
+
+def check_replaceable(out: Path) -> None:
+    """Refuse to replace a folder that is not an earlier report."""
+    if out.exists() and not (out.is_dir() and (not any(out.iterdir()) or (out / "summary.json").exists())):
+        raise CagsError(f"{out}: exists and is not an earlier report; name another folder with --out")
+
+
+def replace_folder(made: Path, out: Path) -> None:
+    """Put a finished folder in the place of an earlier one."""
+    if out.exists():
+        shutil.rmtree(out)
+    made.rename(out)

@@ -1,0 +1,24 @@
+"""Settings of ``cags-demo``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cags_common.settings import check_settings, setting
+
+
+@dataclass(frozen=True)
+class DemoSettings:
+    """What the demo streams, over what, and how large."""
+
+    out: str = setting("cags-demo-report", "folder for the report; replaced as a whole when the demo ends well")
+    frames: int = setting(0, "media frames to play; 0: all of the scene, at most 90", low=0, high=100_000)
+    trace: str = setting("generated:lte-driving", "network trace: a file or generated:NAME (see cags-shaper --help)")
+    delay_ms: float = setting(20.0, "one-way propagation delay in milliseconds", low=0, high=10_000)
+    poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME (see cags-client --help)")
+    width: int = setting(0, "client width in pixels; 0: 800, or 320 without the native kernels", low=0, high=8192)
+    height: int = setting(0, "client height in pixels; 0: 600, or 240 without the native kernels", low=0, high=8192)
+    cache: str = setting("", "folder of encoded bundles to reuse; empty: cags-stream/bundles in the user's cache folder")
+
+    def __post_init__(self) -> None:
+        check_settings(self)

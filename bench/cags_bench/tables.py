@@ -1,0 +1,49 @@
+"""Benchmarks for people: the same lines as ``--json`` gives, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import IO, Any
+
+from rich.console import Console
+from rich.table import Table
+
+HIDDEN = ("machine", "commit", "python", "versions", "checks", "summary", "benchmark", "settings")
+
+
+def print_lines(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
+    """Print cases as they come, then the summary and its checks."""
+    console = Console(file=stream, highlight=False)
+    for line in lines:
+        if not line.get("summary"):
+            console.print("  ".join(f"{key}={_short(value)}" for key, value in line.items() if key not in HIDDEN))
+            continue
+        console.print(summary_table(line))
+        if line.get("checks"):
+            console.print(checks_table(line["checks"]))
+        console.print(f"[dim]{line.get('machine', '')}, commit {line.get('commit', '')}[/dim]")
+
+
+def summary_table(line: dict[str, Any]) -> Table:
+    """The figures of a summary line, a row each."""
+    table = Table(title=str(line.get("benchmark", "summary")), show_header=False)
+    for key, value in line.items():
+        if key not in HIDDEN:
+            table.add_row(key, _short(value))
+    return table
+
+
+def checks_table(checks: Iterable[dict[str, Any]]) -> Table:
+    """Targets beside what was measured."""
+    table = Table("check", "target", "measured", "met", title="checks")
+    for row in checks:
+        table.add_row(str(row["name"]), str(row["target"]), _short(row["value"]), "yes" if row["ok"] else "NO")
+    return table
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {_short(item)}" for key, item in value.items())
+    return str(value)
