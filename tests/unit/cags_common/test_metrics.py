@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from cags_common.metrics import MAX_PSNR_DB, covered_mask, psnr, ssim, ssim_map
+
+
+def picture(seed: int, size: tuple[int, int] = (40, 52)) -> np.ndarray:
+    return np.random.default_rng(seed).random((*size, 3)).astype(np.float32)
+
+
+def test_psnr_of_a_known_error() -> None:
+    truth = np.full((4, 5, 3), 0.5, np.float32)
+    assert psnr(truth + np.float32(0.1), truth) == pytest.approx(20.0, abs=1e-4)
+
+
+def test_equal_pictures_reach_the_cap_and_not_infinity() -> None:
+    assert psnr(picture(0), picture(0)) == MAX_PSNR_DB
+
+
+def test_psnr_sees_what_a_display_shows() -> None:
+    truth = np.ones((3, 3, 3), np.float32)
+    assert psnr(truth * 7, truth) == MAX_PSNR_DB
+
+
+def test_mask_limits_the_error_to_its_pixels() -> None:
+    truth = np.zeros((2, 2, 3), np.float32)
+    wrong = truth.copy()
+    wrong[0, 0] = 1.0
+    mask = np.array([[False, True], [True, True]])
+    assert psnr(wrong, truth, mask) == MAX_PSNR_DB
+    assert psnr(wrong, truth, ~mask) == pytest.approx(0.0)
+    assert psnr(wrong, truth, np.zeros((2, 2), bool)) == MAX_PSNR_DB
+
+
+def test_covered_mask_is_half_opaque() -> None:
+    assert covered_mask(np.array([[0.0, 0.49, 0.5, 1.0]], np.float32)).tolist() == [[False, False, True, True]]
+
+
+def test_different_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match="of one size"):
+        psnr(picture(0), picture(1, (40, 51)))
+
+
+def test_ssim_is_the_papers_own() -> None:
+    """Against the definition: a grouped convolution with zero padding, as in the 3DGS code's loss."""
+    torch = pytest.importorskip("torch")
+    x, y = picture(1), np.clip(picture(1) * 0.8 + 0.2 * picture(2), 0, 1)
+    g = torch.exp(-((torch.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
+    g = g / g.sum()
+    window = (g[:, None] * g[None, :]).expand(3, 1, 11, 11).contiguous()
+
+    def blur(image: np.ndarray) -> np.ndarray:
+        tensor = torch.from_numpy(image).permute(2, 0, 1)[None]
+        return torch.nn.functional.conv2d(tensor, window, padding=5, groups=3)[0].permute(1, 2, 0).numpy()
+
+    mx, my = blur(x), blur(y)
+    sx, sy, sxy = blur(x * x) - mx**2, blur(y * y) - my**2, blur(x * y) - mx * my
+    expected = ((2 * mx * my + 1e-4) * (2 * sxy + 9e-4)) / ((mx**2 + my**2 + 1e-4) * (sx + sy + 9e-4))
+    np.testing.assert_allclose(ssim_map(x, y), expected, atol=2e-5)
+    assert ssim(x, y) == pytest.approx(expected.mean(), abs=2e-6)
+
+
+def test_ssim_of_equal_pictures_is_one_and_of_an_empty_mask_too() -> None:
+    x = picture(3)
+    assert ssim(x, x) == pytest.approx(1.0)
+    assert ssim(x, picture(4), np.zeros(x.shape[:2], bool)) == 1.0
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (11, 3)])
+def test_ssim_of_tiny_pictures(size: tuple[int, int]) -> None:
+    assert np.isfinite(ssim(picture(5, size), picture(6, size)))
