@@ -27,7 +27,9 @@ def _run(argv: Sequence[str]) -> int:
         "Stream a scene through server, shaper and client, three processes on this machine, and report what was seen.",
         EXAMPLES,
     )
-    parser.add_argument("scene", nargs="?", default="procedural", help="file, folder, motion:PATH or procedural[:size=N,...]")
+    parser.add_argument(
+        "scene", nargs="?", default="procedural", help="file, folder, motion:PATH or procedural[:size=N,...]"
+    )
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON line instead of a table")
     add_settings(parser, DemoSettings)
     arguments = parser.parse_args(argv)

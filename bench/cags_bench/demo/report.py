@@ -42,7 +42,11 @@ def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, 
     time_s = series(frames, "time_us") / 1e6
     time_s -= time_s[0] if len(time_s) else 0.0
     figure, (quality, detail, rate) = plt.subplots(3, 1, sharex=True, figsize=(10, 8), layout="constrained")
-    for key, colour in (("psnr_distorted_db", "tab:red"), ("psnr_aligned_db", "tab:orange"), ("psnr_restored_db", "tab:green")):
+    for key, colour in (
+        ("psnr_distorted_db", "tab:red"),
+        ("psnr_aligned_db", "tab:orange"),
+        ("psnr_restored_db", "tab:green"),
+    ):
         quality.plot(time_s, series(frames, key), color=colour, label=key.split("_")[1])
     quality.set_ylabel("PSNR [dB]")
     quality.legend(loc="lower right")
@@ -50,7 +54,13 @@ def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, 
     detail.set_ylabel("mean LoD shown")
     span_s = np.diff(time_s, append=time_s[-1:] + 1 / 30)
     for key, colour in (("bytes_tiles", "tab:blue"), ("bytes_reference", "tab:purple")):
-        rate.step(time_s, series(frames, key) * 8e-6 / np.maximum(span_s, 1e-3), where="post", color=colour, label=key.split("_")[1])
+        rate.step(
+            time_s,
+            series(frames, key) * 8e-6 / np.maximum(span_s, 1e-3),
+            where="post",
+            color=colour,
+            label=key.split("_")[1],
+        )
     if capacity is not None:
         rate.step(*capacity, where="post", color="0.6", label="link")
         rate.set_xlim(0, max(float(time_s[-1]), 0.1))
@@ -91,5 +101,14 @@ def _titled(title: str, image: Any) -> Any:
 
     scale = image.shape[0] / 600
     bar = np.full((max(16, round(36 * scale)), image.shape[1], 3), 24, np.uint8)
-    cv2.putText(bar, title, (6, bar.shape[0] - max(4, round(11 * scale))), cv2.FONT_HERSHEY_SIMPLEX, 0.8 * scale, (235, 235, 235), 1, cv2.LINE_AA)
+    cv2.putText(
+        bar,
+        title,
+        (6, bar.shape[0] - max(4, round(11 * scale))),
+        cv2.FONT_HERSHEY_SIMPLEX,
+        0.8 * scale,
+        (235, 235, 235),
+        1,
+        cv2.LINE_AA,
+    )
     return np.concatenate([bar, image], axis=0)

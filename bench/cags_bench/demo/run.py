@@ -64,7 +64,10 @@ def machine_size(progress: IO[str]) -> DemoSize:
 
     if native_available():
         return NATIVE
-    print(f"cags-demo: native kernels left out ({why_unavailable()}); the demo runs small on the reference path", file=progress)
+    print(
+        f"cags-demo: native kernels left out ({why_unavailable()}); the demo runs small on the reference path",
+        file=progress,
+    )
     return READABLE
 
 
@@ -77,7 +80,9 @@ def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[
             ["--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}", "--trace", settings.trace]
             + ["--delay-ms", str(settings.delay_ms), "--json"],
         ).ready()
-        print(f"cags-demo: server on port {server['port']}, shaper on port {shaper['port']}, client starts", file=progress)
+        print(
+            f"cags-demo: server on port {server['port']}, shaper on port {shaper['port']}, client starts", file=progress
+        )
         client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report))
         return wait_for_client(client)
 

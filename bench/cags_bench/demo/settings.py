@@ -18,7 +18,9 @@ class DemoSettings:
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME (see cags-client --help)")
     width: int = setting(0, "client width in pixels; 0: 800, or 320 without the native kernels", low=0, high=8192)
     height: int = setting(0, "client height in pixels; 0: 600, or 240 without the native kernels", low=0, high=8192)
-    cache: str = setting("", "folder of encoded bundles to reuse; empty: cags-stream/bundles in the user's cache folder")
+    cache: str = setting(
+        "", "folder of encoded bundles to reuse; empty: cags-stream/bundles in the user's cache folder"
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)
