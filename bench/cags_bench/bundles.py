@@ -18,8 +18,9 @@ def default_cache() -> Path:
 
 def cached_bundle(scene: str, cache: str = "", settings: EncodeSettings | None = None) -> Path:
     """Folder of the bundle of ``scene``, encoded now unless the same scene and settings were encoded before."""
-    from cags_encoder import EncodeSettings, content_key, encode, open_scene
     from cags_encoder.progress import terminal_progress
+
+    from cags_encoder import EncodeSettings, content_key, encode, open_scene
 
     settings = settings or EncodeSettings()
     folder = Path(cache) if cache else default_cache()

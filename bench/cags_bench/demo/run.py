@@ -77,8 +77,10 @@ def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[
         server = group.start("cags_server", ["--bundle", bundle, "--port", "0", "--json"]).ready()
         shaper = group.start(
             "cags_shaper",
-            ["--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}", "--trace", settings.trace]
-            + ["--delay-ms", str(settings.delay_ms), "--json"],
+            [
+                *("--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}", "--json"),
+                *("--trace", settings.trace, "--delay-ms", str(settings.delay_ms)),
+            ],
         ).ready()
         print(
             f"cags-demo: server on port {server['port']}, shaper on port {shaper['port']}, client starts", file=progress
