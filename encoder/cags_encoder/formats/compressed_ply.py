@@ -1,0 +1,112 @@
+"""PlayCanvas' compressed PLY: chunks of 256 splats, each splat packed into four words between its chunk's bounds.
+
+Words of a splat: position 11-10-11 bits, rotation 2-10-10-10 (index of the largest component, then the others),
+logarithmic scale 11-10-11, colour and opacity 8-8-8-8. Chunks may lack colour bounds (then 0..1); an element ``sh`` of
+bytes holds the view-dependent coefficients. Described by https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply/
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.errors import SceneError
+from cags_common.geometry import F32
+from cags_common.splats import SH_C0, Splats
+from cags_encoder.formats.files import check_count, directed, logit_of_bytes, smallest_three
+from cags_encoder.formats.ply import sh_rest_names
+from cags_encoder.formats.ply_container import PlyHeader, check_properties, columns, parse_header, read_rows
+
+CHUNK = 256
+"""Splats that share one row of bounds."""
+
+PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+SH_RANGE = 8.0
+"""SH bytes span -4..4."""
+
+
+def is_compressed_ply(header: PlyHeader) -> bool:
+    """Whether a PLY file is of this kind."""
+    vertex = header.element("vertex")
+    return vertex is not None and any(name == "packed_position" for name, _ in vertex.properties)
+
+
+def parse_compressed_ply(data: bytes, source: str) -> Splats:
+    """The splats of a compressed PLY file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    header = parse_header(data, source)
+    _check_header(header, source)
+    rows = read_rows(data, header, source)
+    vertex, chunk = rows["vertex"], rows["chunk"]
+    position, rotation, scale, colour = (vertex[name].astype(np.uint32) for name in PACKED)
+    bounds = _Bounds(chunk, np.arange(len(vertex)) // CHUNK)
+    rgba = _fields(colour, (8, 8, 8, 8))
+    splats = Splats(
+        means=bounds.lerp(_unit(_fields(position, (11, 10, 11)), (11, 10, 11)), "xyz", ""),
+        quats=_quats(rotation),
+        log_scales=bounds.lerp(_unit(_fields(scale, (11, 10, 11)), (11, 10, 11)), "xyz", "scale_"),
+        logit_opacities=logit_of_bytes(rgba[:, 3].astype(np.uint8)),
+        sh0=(bounds.lerp(_unit(rgba[:, :3], (8, 8, 8)), "rgb", "") - np.float32(0.5)) / np.float32(SH_C0),
+        sh_rest=_sh_rest(rows.get("sh"), header, len(vertex), source),
+    )
+    return splats.checked(source)
+
+
+def _check_header(header: PlyHeader, source: str) -> None:
+    vertex, chunk, sh = (header.element(name) for name in ("vertex", "chunk", "sh"))
+    if vertex is None or chunk is None:
+        raise SceneError(f"{source}: lacks PLY element 'vertex' or 'chunk'; this is no compressed PLY of splats")
+    count = check_count(vertex.count, source)
+    check_properties(vertex, PACKED, source)
+    for prefix in ("", "scale_"):
+        check_properties(chunk, [f"{end}_{prefix}{axis}" for end in ("min", "max") for axis in "xyz"], source)
+    if chunk.count < -(-count // CHUNK):
+        raise SceneError(f"{source}: has {chunk.count} chunks for {count} splats, {-(-count // CHUNK)} are needed")
+    if sh is not None and sh.count != count:
+        raise SceneError(f"{source}: has SH coefficients for {sh.count} of {count} splats; repair the file")
+
+
+class _Bounds:
+    """Chunk bounds, looked up for each splat."""
+
+    def __init__(self, chunk: NDArray[np.void], of_splat: NDArray[np.intp]) -> None:
+        self._chunk, self._of_splat = chunk, of_splat
+
+    def lerp(self, unit: F32, axes: str, prefix: str) -> F32:
+        """``unit`` [N, 3] in 0..1 placed between ``min_<prefix><axis>`` and ``max_<prefix><axis>``."""
+        names = self._chunk.dtype.names or ()
+        if f"min_{prefix}{axes[0]}" not in names:  # colour bounds came with later versions
+            return unit
+        low, high = (columns(self._chunk, [f"{end}_{prefix}{axis}" for axis in axes]) for end in ("min", "max"))
+        with np.errstate(all="ignore"):  # bounds that are not finite are named by the caller's check
+            low, span = low[self._of_splat], (high - low)[self._of_splat]
+            return low + unit * span
+
+
+def _fields(words: NDArray[np.uint32], bits: tuple[int, ...]) -> NDArray[np.uint32]:
+    """Split 32-bit words into fields, most significant first: [N, len(bits)]."""
+    shifts = [sum(bits[i + 1 :]) for i in range(len(bits))]
+    return np.stack(
+        [(words >> np.uint32(s)) & np.uint32((1 << b) - 1) for s, b in zip(shifts, bits, strict=True)], axis=1
+    )
+
+
+def _unit(values: NDArray[np.uint32], bits: tuple[int, ...]) -> F32:
+    return (values / np.array([(1 << b) - 1 for b in bits], np.float64)).astype(np.float32)
+
+
+def _quats(words: NDArray[np.uint32]) -> F32:
+    fields = _fields(words, (2, 10, 10, 10))
+    others = (_unit(fields[:, 1:], (10, 10, 10)) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
+    return directed(smallest_three(fields[:, 0].astype(np.intp), others))
+
+
+def _sh_rest(rows: NDArray[np.void] | None, header: PlyHeader, count: int, source: str) -> NDArray[Any]:
+    element = header.element("sh")
+    if rows is None or element is None:
+        return np.zeros((count, 0, 3), np.float32)
+    names = sh_rest_names(element, source)
+    values = columns(rows, names)
+    unit = np.where(values == 0, 0.0, np.where(values == 255, 1.0, (values + 0.5) / 256.0)).astype(np.float32)
+    return ((unit - 0.5) * SH_RANGE).astype(np.float32).reshape(count, 3, -1).transpose(0, 2, 1)

@@ -1,0 +1,54 @@
+"""PLY of Gaussians as the 3DGS reference implementation writes it (Kerbl et al. 2023), SH degrees 0 to 3.
+
+Properties may come in any order and of any scalar type; normals and properties of other methods are ignored.
+Frame: that of the capture, y down for COLMAP reconstructions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cags_common.errors import SceneError
+from cags_common.splats import SH_REST_OF_DEGREE, Splats
+from cags_encoder.formats.files import check_count
+from cags_encoder.formats.ply_container import PlyElement, check_properties, columns, parse_header, read_rows
+
+MEANS = ["x", "y", "z"]
+QUATS = ["rot_0", "rot_1", "rot_2", "rot_3"]  # wxyz
+SCALES = ["scale_0", "scale_1", "scale_2"]  # natural logarithm
+SH0 = ["f_dc_0", "f_dc_1", "f_dc_2"]
+OPACITY = ["opacity"]  # logit
+
+
+def parse_ply(data: bytes, source: str) -> Splats:
+    """The splats of a PLY file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    header = parse_header(data, source)
+    vertex = header.element("vertex")
+    if vertex is None:
+        raise SceneError(f"{source}: has no PLY element 'vertex'; this PLY holds no splats")
+    check_count(vertex.count, source)
+    rest_names = sh_rest_names(vertex, source)
+    check_properties(vertex, [*MEANS, *SH0, *OPACITY, *SCALES, *QUATS], source)
+    rows = read_rows(data, header, source)["vertex"]
+    rest = (
+        columns(rows, rest_names).reshape(len(rows), 3, -1) if rest_names else np.zeros((len(rows), 3, 0), np.float32)
+    )
+    splats = Splats(
+        means=columns(rows, MEANS),
+        quats=columns(rows, QUATS),
+        log_scales=columns(rows, SCALES),
+        logit_opacities=columns(rows, OPACITY)[:, 0],
+        sh0=columns(rows, SH0),
+        sh_rest=rest.transpose(0, 2, 1),  # the file keeps a colour channel's coefficients together
+    )
+    return splats.checked(source)
+
+
+def sh_rest_names(element: PlyElement, source: str) -> list[str]:
+    """``f_rest_0..`` in order. Raises :class:`SceneError` unless their number makes a whole degree."""
+    count = sum(name.startswith("f_rest_") for name, _ in element.properties)
+    if count not in {3 * k for k in SH_REST_OF_DEGREE}:
+        raise SceneError(f"{source}: has {count} f_rest properties; 0, 9, 24 or 45 make SH degree 0, 1, 2 or 3")
+    names = [f"f_rest_{i}" for i in range(count)]
+    check_properties(element, names, source)
+    return names

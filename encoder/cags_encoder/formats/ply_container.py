@@ -1,0 +1,133 @@
+"""The PLY container: its text header and its binary elements, for formats that are built on it.
+
+The layout follows Turk's PLY description. Binary files of either byte order are read; list properties and text files
+hold no splats in practice and are refused by name.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.errors import SceneError
+
+MAX_HEADER_BYTES = 1 << 16
+MAX_ELEMENTS, MAX_PROPERTIES = 16, 512
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_COUNT = re.compile(r"\A[0-9]{1,12}\Z", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class PlyElement:
+    """One element: its name, how many rows the header claims, and the record of a row."""
+
+    name: str
+    count: int
+    properties: tuple[tuple[str, str], ...]  # name and numpy type
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Packed record of one row."""
+        return np.dtype(list(self.properties))
+
+
+@dataclass(frozen=True, slots=True)
+class PlyHeader:
+    """Elements in file order, and where their rows begin."""
+
+    elements: tuple[PlyElement, ...]
+    body: int
+
+    def element(self, name: str) -> PlyElement | None:
+        """The element called ``name``, if the file has it."""
+        return next((element for element in self.elements if element.name == name), None)
+
+
+def parse_header(data: bytes, source: str) -> PlyHeader:
+    """Read the header at the start of ``data``; ``source`` names the file in errors. Raises :class:`SceneError`."""
+    if not data.startswith((b"ply\n", b"ply\r\n")):
+        raise SceneError(f"{source}: is not a PLY file (it begins with {bytes(data[:4])!r}); check the file's type")
+    end = re.search(rb"\nend_header\r?\n", data[:MAX_HEADER_BYTES])
+    if end is None:
+        raise SceneError(
+            f"{source}: its PLY header has no end_header line in {MAX_HEADER_BYTES} bytes; the file is cut"
+        )
+    order, elements = "", list[PlyElement]()
+    for line in data[: end.start()].decode("latin-1").splitlines()[1:]:
+        words = line.split()
+        match words:
+            case [] | ["comment" | "obj_info", *_]:
+                pass
+            case ["format", kind, _] if kind in _ORDERS:
+                order = _ORDERS[kind]
+            case ["format", kind, *_]:
+                raise SceneError(f"{source}: PLY format {kind!r} is not read; convert it to binary_little_endian")
+            case ["element", name, count] if _COUNT.match(count) and len(elements) < MAX_ELEMENTS:
+                elements.append(PlyElement(name, int(count), ()))
+            case ["property", kind, name] if kind in _TYPES and elements and order:
+                elements[-1] = _with_property(elements[-1], name, order + _TYPES[kind], source)
+            case _:
+                raise SceneError(f"{source}: PLY header line {line[:80]!r} is not understood; is this a splat file?")
+    return PlyHeader(tuple(elements), end.end())
+
+
+def _with_property(element: PlyElement, name: str, kind: str, source: str) -> PlyElement:
+    if any(name == known for known, _ in element.properties):
+        raise SceneError(f"{source}: property {name!r} is given twice in its PLY header; repair the file")
+    if len(element.properties) >= MAX_PROPERTIES:
+        raise SceneError(
+            f"{source}: element {element.name!r} has over {MAX_PROPERTIES} properties; is this a splat file?"
+        )
+    return PlyElement(element.name, element.count, (*element.properties, (name, kind)))
+
+
+def read_rows(data: bytes, header: PlyHeader, source: str) -> dict[str, NDArray[np.void]]:
+    """Views of each element's rows in ``data``; nothing is copied. Raises :class:`SceneError` for truncated files."""
+    rows: dict[str, NDArray[np.void]] = {}
+    offset = header.body
+    for element in header.elements:
+        size = element.count * element.dtype.itemsize
+        if offset + size > len(data):
+            raise SceneError(
+                f"{source}: is cut short: element {element.name!r} of {element.count} rows ends at byte "
+                f"{offset + size}, the file has {len(data)}"
+            )
+        rows[element.name] = np.frombuffer(data, element.dtype, element.count, offset) if size else _no_rows(element)
+        offset += size
+    return rows
+
+
+def _no_rows(element: PlyElement) -> NDArray[np.void]:
+    return np.zeros(0, element.dtype)
+
+
+def columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.float32]:
+    """The named properties as the columns of [N, len(names)] float32."""
+    out = np.empty((len(rows), len(names)), np.float32)
+    for column, name in enumerate(names):
+        with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite, which the caller's check names
+            out[:, column] = rows[name]
+    return out
+
+
+def check_properties(element: PlyElement, names: list[str], source: str) -> None:
+    """Raise :class:`SceneError` naming the first of ``names`` that ``element`` lacks."""
+    known: set[Any] = {name for name, _ in element.properties}
+    for name in names:
+        if name not in known:
+            raise SceneError(f"{source}: element {element.name!r} has no property {name!r}; this PLY holds no splats")

@@ -1,0 +1,82 @@
+"""Which format a file is of, by its name and its first bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from cags_common.errors import SceneError
+from cags_common.geometry import Vec3
+from cags_common.splats import Splats
+from cags_encoder.formats.compressed_ply import is_compressed_ply, parse_compressed_ply
+from cags_encoder.formats.files import read_file
+from cags_encoder.formats.ply import parse_ply
+from cags_encoder.formats.ply_container import parse_header
+from cags_encoder.formats.sog import parse_sog
+from cags_encoder.formats.sog_files import SogFiles
+from cags_encoder.formats.splat import parse_splat
+from cags_encoder.formats.spz import parse_spz
+
+Y_DOWN: Vec3 = (0.0, -1.0, 0.0)
+"""Up direction of captures: COLMAP's camera frame has y pointing down, and 3DGS training keeps it."""
+
+Y_UP: Vec3 = (0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One file format."""
+
+    name: str
+    suffix: str  # lower case, with its dot
+    parse: Callable[[bytes, str], Splats]  # bytes and the file's name for errors
+    up: Vec3  # usual up direction; files do not record theirs
+
+
+FORMATS: dict[str, Format] = {
+    entry.name: entry
+    for entry in (
+        Format("ply", ".ply", parse_ply, Y_DOWN),
+        Format("compressed-ply", ".compressed.ply", parse_compressed_ply, Y_DOWN),
+        Format("splat", ".splat", parse_splat, Y_DOWN),
+        Format("spz", ".spz", parse_spz, Y_UP),
+        Format("sog", ".sog", lambda data, source: parse_sog(SogFiles.from_bytes(data, source)), Y_DOWN),
+    )
+}
+SUFFIXES = tuple(sorted({f".{entry.suffix.rpartition('.')[2]}" for entry in FORMATS.values()}))
+"""Last suffixes of single-file formats."""
+
+META = "meta.json"
+"""The file that makes a folder an unbundled SOG data set."""
+
+
+def is_scene_file(path: Path) -> bool:
+    """Whether ``path`` is, by its name or by its ``meta.json``, something that :func:`read_splats` reads."""
+    return path.suffix.lower() in SUFFIXES if path.is_file() else (path / META).is_file()
+
+
+def detect_format(path: Path, data: bytes) -> Format:
+    """The format of a file from its name and content. Raises :class:`SceneError` for unknown suffixes."""
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        return FORMATS["compressed-ply" if is_compressed_ply(parse_header(data, str(path))) else "ply"]
+    for entry in FORMATS.values():
+        if entry.suffix == suffix:
+            return entry
+    raise SceneError(f"{path}: suffix {path.suffix!r} is unknown; known: {', '.join(SUFFIXES)}, a folder with {META}")
+
+
+def read_splats(path: Path) -> tuple[Splats, Format]:
+    """Read one file, or one folder that holds an unbundled SOG. Raises :class:`SceneError` in one line."""
+    if path.name == META:
+        path = path.parent
+    if path.is_dir():
+        return parse_sog(SogFiles.from_folder(path)), FORMATS["sog"]
+    if path.suffix.lower() not in SUFFIXES and path.is_file():
+        raise SceneError(
+            f"{path}: suffix {path.suffix!r} is unknown; known: {', '.join(SUFFIXES)}, a folder with {META}"
+        )
+    data = read_file(path)
+    entry = detect_format(path, data)
+    return entry.parse(data, str(path)), entry

@@ -1,0 +1,118 @@
+"""Niantic's ``.spz``, versions 1 to 3: one gzip stream of a header and a section of bytes for each attribute.
+
+Positions are 24-bit fixed point (float16 in version 1), rotations three bytes (xyz) or, in version 3, the smallest
+three in ten bits each. Frame: right, up, back (y up). Described by https://github.com/nianticlabs/spz
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.errors import SceneError
+from cags_common.geometry import F32
+from cags_common.splats import SH_REST_OF_DEGREE, Splats
+from cags_encoder.formats.files import check_count, directed, logit_of_bytes, smallest_three
+
+HEADER = struct.Struct("<IIIBBBB")
+MAGIC = 0x5053474E  # "NGSP"
+COLOUR_SCALE = 0.15
+"""Colours beyond 0..1 are kept: a byte spans more than the range of display."""
+
+GZIP_WBITS = 31
+
+
+@dataclass(frozen=True, slots=True)
+class SpzHeader:
+    """What the sixteen bytes at the start claim."""
+
+    version: int
+    count: int
+    sh_degree: int
+    fractional_bits: int
+
+    @property
+    def sections(self) -> tuple[tuple[str, int], ...]:
+        """Name and bytes a splat of each section, in file order."""
+        mean_bytes = 6 if self.version == 1 else 9
+        quat_bytes = 4 if self.version >= 3 else 3
+        sh_bytes = 3 * SH_REST_OF_DEGREE[self.sh_degree]
+        return (("mean", mean_bytes), ("alpha", 1), ("colour", 3), ("scale", 3), ("quat", quat_bytes), ("sh", sh_bytes))
+
+
+def parse_spz(data: bytes, source: str) -> Splats:
+    """The splats of an ``.spz`` file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    header, part = _inflate(data, source)
+    quats = _smallest_three(part["quat"]) if header.version >= 3 else _xyz_quats(part["quat"])
+    splats = Splats(
+        means=_means(part["mean"], header),
+        quats=directed(quats),
+        log_scales=part["scale"].astype(np.float32) / np.float32(16.0) - np.float32(10.0),
+        logit_opacities=logit_of_bytes(part["alpha"][:, 0]),
+        sh0=(part["colour"].astype(np.float32) / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOUR_SCALE),
+        sh_rest=((part["sh"].astype(np.float32) - 128.0) / np.float32(128.0)).reshape(header.count, -1, 3),
+    )
+    return splats.checked(source)
+
+
+def _inflate(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDArray[np.uint8]]]:
+    """The header and the sections [count, bytes a splat]; never inflates more than the header may claim."""
+    if data[:4] == struct.pack("<I", MAGIC):
+        raise SceneError(f"{source}: is SPZ version 4 or later (zstd); versions 1 to 3 are read, save it as version 3")
+    inflater = zlib.decompressobj(GZIP_WBITS)
+    try:
+        head = inflater.decompress(data, HEADER.size)
+        header = _header(head, source)
+        size = header.count * sum(width for _, width in header.sections)
+        body = inflater.decompress(inflater.unconsumed_tail, size)
+    except zlib.error as error:
+        raise SceneError(f"{source}: is not a gzip stream or is damaged ({error}); check the file's type") from error
+    if len(body) < size:
+        raise SceneError(f"{source}: is cut short: {header.count} splats take {size} bytes, {len(body)} are there")
+    parts, offset = {}, 0
+    for name, width in header.sections:
+        parts[name] = np.frombuffer(body, np.uint8, header.count * width, offset).reshape(header.count, width)
+        offset += header.count * width
+    return header, parts
+
+
+def _header(head: bytes, source: str) -> SpzHeader:
+    if len(head) < HEADER.size:
+        raise SceneError(f"{source}: is cut short in its header")
+    magic, version, count, sh_degree, fractional_bits, _flags, _reserved = HEADER.unpack(head)
+    if magic != MAGIC:
+        raise SceneError(f"{source}: is gzip, but no SPZ (magic 0x{magic:08x}); check the file's type")
+    if version not in (1, 2, 3):
+        raise SceneError(f"{source}: is SPZ version {version}; versions 1 to 3 are read")
+    if sh_degree > 3:
+        raise SceneError(f"{source}: claims SH degree {sh_degree}; 0 to 3 are read")
+    if fractional_bits > 24:
+        raise SceneError(f"{source}: claims {fractional_bits} fractional bits; at most 24 are read")
+    return SpzHeader(version, check_count(count, source), sh_degree, fractional_bits)
+
+
+def _means(raw: NDArray[np.uint8], header: SpzHeader) -> F32:
+    if header.version == 1:
+        return np.ascontiguousarray(raw).view("<f2").astype(np.float32)
+    low, middle, high = (raw.reshape(header.count, 3, 3)[:, :, i].astype(np.int32) for i in range(3))
+    fixed = low | (middle << 8) | ((high ^ 0x80) - 0x80) << 16  # the sign is the top bit of the highest byte
+    return (fixed / (1 << header.fractional_bits)).astype(np.float32)
+
+
+def _xyz_quats(raw: NDArray[np.uint8]) -> F32:
+    xyz = raw / np.float32(127.5) - np.float32(1.0)
+    w = np.sqrt(np.maximum(0.0, 1.0 - np.sum(np.square(xyz), axis=1, keepdims=True)))
+    return np.concatenate([w, xyz], axis=1).astype(np.float32)
+
+
+def _smallest_three(raw: NDArray[np.uint8]) -> F32:
+    """The index of the largest of xyzw in the top bits, then sign and nine bits for each of the others."""
+    words = np.ascontiguousarray(raw).view("<u4")[:, 0]
+    fields = np.stack([(words >> np.uint32(shift)) & np.uint32(1023) for shift in (20, 10, 0)], axis=1)
+    magnitude = (fields & 511).astype(np.float32) * np.float32(np.sqrt(0.5) / 511.0)
+    xyzw = smallest_three((words >> np.uint32(30)).astype(np.intp), np.where(fields & 512, -magnitude, magnitude))
+    return xyzw[:, [3, 0, 1, 2]]
