@@ -67,7 +67,7 @@ def _turn(yaw: F64, pitch: F64) -> F64:
     zero, one = np.zeros_like(yaw), np.ones_like(yaw)
     about_y = np.moveaxis(np.array([[cy, zero, sy], [zero, one, zero], [-sy, zero, cy]]), 2, 0)
     about_x = np.moveaxis(np.array([[one, zero, zero], [zero, cp, -sp], [zero, sp, cp]]), 2, 0)
-    return about_y @ about_x
+    return np.asarray(about_y @ about_x, dtype=np.float64)
 
 
 def _drift(t: F64, rng: np.random.Generator, amplitude: float, slowest_hz: float) -> F64:
