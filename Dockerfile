@@ -1,0 +1,25 @@
+# One image for every part: server, shaper, client and encoder differ by their command alone.
+# torch: the plain package brings CUDA. Pass --build-arg PIP_EXTRA_INDEX_URL=<PyTorch's CPU index> to fetch the small build.
+FROM python:3.11-slim AS build
+RUN apt-get update && apt-get install -y --no-install-recommends g++ && rm -rf /var/lib/apt/lists/*
+ARG PIP_EXTRA_INDEX_URL=""
+WORKDIR /src
+COPY constraints.txt pyproject.toml README.md LICENSE ./
+COPY kernels kernels
+COPY common common
+COPY protocol protocol
+COPY encoder encoder
+COPY server server
+COPY client client
+COPY shaper shaper
+COPY bench bench
+RUN python -m venv /opt/cags && /opt/cags/bin/pip install --no-cache-dir -c constraints.txt ./kernels .
+
+FROM python:3.11-slim
+COPY --from=build /opt/cags /opt/cags
+ENV PATH=/opt/cags/bin:$PATH
+RUN useradd --create-home --uid 10001 cags && mkdir /data && chown cags /data
+USER cags
+WORKDIR /data
+VOLUME /data
+CMD ["cags-demo", "--help"]
