@@ -1,0 +1,1 @@
+"""Trains the predictors, the field-of-view model and the restoration networks."""
