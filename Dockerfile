@@ -12,6 +12,7 @@ COPY encoder encoder
 COPY server server
 COPY client client
 COPY shaper shaper
+COPY training training
 COPY bench bench
 RUN python -m venv /opt/cags && /opt/cags/bin/pip install --no-cache-dir -c constraints.txt ./kernels .
 
