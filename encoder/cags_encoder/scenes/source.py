@@ -70,13 +70,10 @@ class FrameSource(Protocol):
 def focus_of(splats: Splats) -> Focus:
     """A robust ball around the bulk of ``splats``.
 
-    The centre is the median of the splats weighted by opacity and area, the radius holds four fifths of that weight:
-    single floaters and a far background do not move it.
+    The centre is the median of the splats weighted by opacity, the radius holds four fifths of that weight: many splats
+    are where there is detail to look at, and single floaters, plain ground or a far background do not move it.
     """
-    extents = np.sort(splats.log_scales.astype(np.float64), axis=1)
-    area = np.exp(np.clip(extents[:, 1] + extents[:, 2], -30.0, 30.0))
-    opacity = 1.0 / (1.0 + np.exp(-splats.logit_opacities.astype(np.float64)))
-    weight = opacity * np.minimum(area, np.quantile(area, 0.95)) + 1e-12
+    weight = 1.0 / (1.0 + np.exp(-splats.logit_opacities.astype(np.float64))) + 1e-12
     means = splats.means.astype(np.float64)
     centre = np.array([_weighted_quantile(means[:, axis], weight, 0.5) for axis in range(3)])
     distance = np.linalg.norm(means - centre, axis=1)

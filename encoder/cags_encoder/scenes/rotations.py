@@ -1,0 +1,74 @@
+"""Quaternions and rotation matrices of many splats at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cags_common.geometry import F32, F64
+
+
+def multiply(a: F64, b: F64) -> F64:
+    """Hamilton products [N, 4] of ``wxyz`` quaternions [N, 4] or [4]: the rotation ``b`` followed by ``a``."""
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def about(axis: F64, angles: F64) -> F64:
+    """Quaternions [..., 4] of turns by ``angles`` [...] radians about one unit ``axis`` [3] or many [..., 3]."""
+    half = np.asarray(angles)[..., None] / 2
+    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
+
+
+def matrices(quats: F64) -> F64:
+    """Rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
+    w, x, y, z = np.moveaxis(quats, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def of_frames(tangent: F64, bitangent: F64) -> F64:
+    """Quaternions [N, 4] whose x and y axes lie along ``tangent`` and (as far as it is perpendicular) ``bitangent``."""
+    x = _unit(tangent)
+    z = _unit(np.cross(x, bitangent))
+    return of_matrices(np.stack([x, np.cross(z, x), z], axis=-1))
+
+
+def of_matrices(rotations: F64) -> F64:
+    """Unit quaternions [N, 4] (w >= 0) of rotation matrices [N, 3, 3], stable at any angle.
+
+    The eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric 4x4 matrix (2000).
+    """
+    m = rotations
+    trace = np.trace(m, axis1=-2, axis2=-1)
+    k = np.empty((*m.shape[:-2], 4, 4))
+    k[..., 0, 0] = trace
+    k[..., 1:, 1:] = m + np.swapaxes(m, -1, -2) - trace[..., None, None] * np.eye(3)
+    skew = np.stack([m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1)
+    k[..., 0, 1:] = k[..., 1:, 0] = skew
+    quats: F64 = np.linalg.eigh(k)[1][..., -1]
+    canonical: F64 = np.where(quats[..., :1] < 0, -quats, quats)
+    return canonical
+
+
+def turned(quats: F32, by: F64) -> F32:
+    """Splat rotations ``quats`` [N, 4] turned by unit quaternions ``by`` [N, 4] or [4], unit with w >= 0."""
+    out = multiply(by, quats.astype(np.float64))
+    out *= np.where(out[:, :1] < 0, -1.0, 1.0) / np.linalg.norm(out, axis=1, keepdims=True)
+    return out.astype(np.float32)
+
+
+def _unit(vectors: F64) -> F64:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
