@@ -1,0 +1,20 @@
+"""The bundle: one encoded scene on a store, written once and read by ranges (``docs/bundle.md``)."""
+
+from cags_common.bundle.index import FrameEntry, TileEntry
+from cags_common.bundle.manifest import Manifest
+from cags_common.bundle.reader import BundleReader
+from cags_common.bundle.source import SourceDelta, SourceFrame
+from cags_common.bundle.writer import BundleWriter, TilePayloads
+from cags_common.lod import LodLayer
+
+__all__ = [
+    "BundleReader",
+    "BundleWriter",
+    "FrameEntry",
+    "LodLayer",
+    "Manifest",
+    "SourceDelta",
+    "SourceFrame",
+    "TileEntry",
+    "TilePayloads",
+]

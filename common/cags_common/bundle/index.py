@@ -1,0 +1,153 @@
+"""The indices at the end of a group's files: what each frame and tile holds, how large each payload is, and its CRC-32.
+
+Payloads lie in order without gaps, so sizes give offsets. Layout: ``docs/bundle.md``.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cags_common.errors import BundleError, DecodeError
+from cags_common.geometry import Vec3
+from cags_common.packing import gunzip_bounded, gzip_bytes
+from cags_common.splats import MAX_SPLATS
+from cags_common.tiles import MAX_TILE_SPLATS
+
+TILES_MAGIC = b"CAGSGF01"
+SOURCE_MAGIC = b"CAGSSR01"
+MAX_INDEX_BYTES = 512 * 2**20
+
+_HEADER = struct.Struct("<IIII")
+_FRAME = np.dtype([("tiles", "<u4"), ("removed_count", "<u4"), ("removed_bytes", "<u4"), ("removed_crc", "<u4")])
+_TILE = np.dtype([("splats", "<u4"), ("first_id", "<i4"), ("low", "<f4", 3), ("high", "<f4", 3)])
+_SOURCE = np.dtype([("bytes", "<u8"), ("crc", "<u4")])
+
+
+@dataclass(frozen=True)
+class TileEntry:
+    """One tile of one frame."""
+
+    tile: int
+    splats: int
+    first_id: int | None
+    """First id of a key-frame tile, whose ids are consecutive; None for later frames, whose payloads carry ids."""
+    bounds: tuple[Vec3, Vec3]
+    """Smallest and largest corner of the tile's means (without the splats' own extent), world, metres."""
+    lod_bytes: tuple[int, ...]
+    crcs: tuple[int, ...]
+
+    @cached_property
+    def bytes_to(self) -> tuple[int, ...]:
+        """``bytes_to[lod]``: bytes of levels 0 to ``lod`` together."""
+        return tuple(int(total) for total in np.cumsum(self.lod_bytes))
+
+
+@dataclass(frozen=True, slots=True)
+class FrameEntry:
+    """One frame: its tiles and how many ids it removes."""
+
+    frame: int
+    keyframe: bool
+    gof: int
+    tiles: tuple[TileEntry, ...]
+    removed_count: int
+    removed_bytes: int
+    removed_crc: int
+    offset: int
+    """Where the frame's payloads begin in its group's file: the removed ids first, then tile by tile, LoD by LoD."""
+
+    @property
+    def size_bytes(self) -> int:
+        """All payloads of the frame."""
+        return self.removed_bytes + sum(sum(tile.lod_bytes) for tile in self.tiles)
+
+
+def encode_tile_index(frames: Sequence[FrameEntry], lods: int) -> bytes:
+    """Pack the entries of one group of frames."""
+    tiles = [tile for frame in frames for tile in frame.tiles]
+    frame_rows = np.array([(len(f.tiles), f.removed_count, f.removed_bytes, f.removed_crc) for f in frames], _FRAME)
+    tile_rows = np.array(
+        [(t.splats, -1 if t.first_id is None else t.first_id, t.bounds[0], t.bounds[1]) for t in tiles], _TILE
+    )
+    sizes = np.array([t.lod_bytes for t in tiles], "<u4").reshape(-1, lods)
+    crcs = np.array([t.crcs for t in tiles], "<u4").reshape(-1, lods)
+    head = _HEADER.pack(frames[0].frame, len(frames), lods, len(tiles))
+    return gzip_bytes(b"".join([head, *(rows.tobytes() for rows in (frame_rows, tile_rows, sizes, crcs))]))
+
+
+def decode_tile_index(data: bytes, *, gof: int, frames: range, lods: int) -> tuple[FrameEntry, ...]:
+    """Inverse of :func:`encode_tile_index` for the group ``gof`` of ``frames``. Raises :class:`BundleError`."""
+    raw = _unpacked(data, f"index of group {gof}")
+    if len(raw) < _HEADER.size:
+        raise BundleError(f"index of group {gof}: is cut short")
+    first, count, found_lods, tiles = _HEADER.unpack_from(raw)
+    if (first, count, found_lods) != (frames.start, len(frames), lods):
+        raise BundleError(
+            f"index of group {gof}: is for {count} frames from {first} with {found_lods} LoDs, not this group"
+        )
+    expected = _HEADER.size + count * _FRAME.itemsize + tiles * (_TILE.itemsize + 8 * lods)
+    if len(raw) != expected:
+        raise BundleError(f"index of group {gof}: has {len(raw)} bytes, expected {expected}")
+    at = _HEADER.size
+    frame_rows = np.frombuffer(raw, _FRAME, count, at)
+    at += frame_rows.nbytes
+    tile_rows = np.frombuffer(raw, _TILE, tiles, at)
+    at += tile_rows.nbytes
+    sizes = np.frombuffer(raw, "<u4", tiles * lods, at).reshape(tiles, lods)
+    crcs = np.frombuffer(raw, "<u4", tiles * lods, at + sizes.nbytes).reshape(tiles, lods)
+    if int(frame_rows["tiles"].sum()) != tiles or (tiles and int(tile_rows["splats"].max()) > MAX_TILE_SPLATS):
+        raise BundleError(f"index of group {gof}: tile counts do not add up or exceed {MAX_TILE_SPLATS} splats a tile")
+    return _frame_entries(gof, first, frame_rows, tile_rows, (sizes, crcs))
+
+
+def encode_source_index(sizes: Sequence[tuple[int, int]]) -> bytes:
+    """Pack ``(bytes, crc)`` of each source frame of a group."""
+    return gzip_bytes(np.array(list(sizes), _SOURCE).tobytes())
+
+
+def decode_source_index(data: bytes, *, gof: int, frames: int) -> tuple[tuple[int, int], ...]:
+    """Inverse of :func:`encode_source_index`. Raises :class:`BundleError`."""
+    raw = _unpacked(data, f"source index of group {gof}")
+    if len(raw) != frames * _SOURCE.itemsize:
+        raise BundleError(f"source index of group {gof}: has {len(raw)} bytes, expected {frames * _SOURCE.itemsize}")
+    return tuple((int(row["bytes"]), int(row["crc"])) for row in np.frombuffer(raw, _SOURCE))
+
+
+def _unpacked(data: bytes, what: str) -> bytes:
+    try:
+        return gunzip_bounded(data, MAX_INDEX_BYTES, what)
+    except DecodeError as error:
+        raise BundleError(str(error)) from error
+
+
+def _frame_entries(
+    gof: int, first: int, frame_rows: np.ndarray, tile_rows: np.ndarray, layers: tuple[np.ndarray, np.ndarray]
+) -> tuple[FrameEntry, ...]:
+    out, offset, row = [], len(TILES_MAGIC), 0
+    for index, f in enumerate(frame_rows):
+        count = int(f["tiles"])
+        tiles = tuple(
+            _tile_entry(tile, tile_rows[row + tile], layers[0][row + tile], layers[1][row + tile])
+            for tile in range(count)
+        )
+        removed = int(f["removed_count"]), int(f["removed_bytes"]), int(f["removed_crc"])
+        entry = FrameEntry(first + index, index == 0, gof, tiles, *removed, offset)
+        out.append(entry)
+        offset, row = offset + entry.size_bytes, row + count
+    return tuple(out)
+
+
+def _tile_entry(tile: int, row: np.void, sizes: np.ndarray, crcs: np.ndarray) -> TileEntry:
+    first = int(row["first_id"])
+    if first >= MAX_SPLATS:
+        raise BundleError(f"index: first id {first} of tile {tile} is outside the bounds")
+    low, high = row["low"].tolist(), row["high"].tolist()
+    bounds = (low[0], low[1], low[2]), (high[0], high[1], high[2])
+    return TileEntry(
+        tile, int(row["splats"]), None if first < 0 else first, bounds, tuple(sizes.tolist()), tuple(crcs.tolist())
+    )

@@ -1,0 +1,226 @@
+"""The bundle's manifest: what a player must know before the first tile, as JSON with a version.
+
+The public part is what a server sends to a client in its welcome; the rest (:attr:`Manifest.gofs`) says where bytes
+lie.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
+
+from cags_common.errors import BundleError
+from cags_common.geometry import DEFAULT_NEAR, Vec3
+from cags_common.lod import LodLayer
+from cags_common.splats import MAX_SPLATS
+
+FORMAT = "cags-bundle"
+VERSION = 1
+MAX_MANIFEST_BYTES = 16 * 2**20
+MAX_FRAMES = 1_000_000
+MAX_LODS = 254
+"""LoDs travel as single bytes."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class FileEntry:
+    """One file of a group of frames: name inside the bundle, where its index begins and its CRC-32, size."""
+
+    name: str
+    index_offset: int
+    index_crc: int
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class GofFiles:
+    """Where one group of frames lies: streamed tiles, and the source frames beside them."""
+
+    tiles: FileEntry
+    source: FileEntry
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """What a bundle holds. All lengths are in the scene's units (metres), world frame."""
+
+    name: str
+    fps: float
+    frames: int
+    gof_starts: tuple[int, ...]
+    """First frame of each group of frames, ascending from 0."""
+    capacity: tuple[int, ...]
+    """For each group, one more than the largest splat id in it."""
+    sh_degree: int
+    bounds: tuple[Vec3, Vec3]
+    """Smallest and largest corner of all means over all frames."""
+    lod_order: tuple[LodLayer, ...]
+    lod_gains_db: tuple[float, ...]
+    """PSNR gained by each level of ``lod_order``, measured on renders of this content; empty when it was not measured.
+    """
+    codec: str
+    """Name of the quantiser configuration, such as ``paper-66``."""
+    up: Vec3 = (0.0, 1.0, 0.0)
+    focus_centre: Vec3 = (0.0, 0.0, 0.0)
+    """Point to look at when a walk is placed in the scene."""
+    focus_radius: float = 1.0
+    near: float = DEFAULT_NEAR
+    gofs: tuple[GofFiles, ...] = ()
+    """One entry a group, or none in the public part."""
+    version: int = VERSION
+
+    @property
+    def lods(self) -> int:
+        """Number of levels, LoD 0 included."""
+        return len(self.lod_order) + 1
+
+    def gof_of(self, frame: int) -> int:
+        """The group that ``frame`` belongs to. Raises :class:`BundleError` outside the bundle."""
+        if not 0 <= frame < self.frames:
+            raise BundleError(f"frame {frame} is outside the bundle's frames 0 to {self.frames - 1}")
+        return bisect_right(self.gof_starts, frame) - 1
+
+    def gof_frames(self, gof: int) -> range:
+        """The frames of a group."""
+        ends = (*self.gof_starts[1:], self.frames)
+        return range(self.gof_starts[gof], ends[gof])
+
+    def to_json(self) -> bytes:
+        """UTF-8 JSON; equal manifests give equal bytes."""
+        table = {"format": FORMAT, **asdict(self)}
+        table["lod_order"] = [[item.attribute, item.layer] for item in self.lod_order]
+        return json.dumps(table, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
+
+    def public_json(self) -> bytes:
+        """The part that clients need: everything but where bytes lie in the store."""
+        return replace(self, gofs=()).to_json()
+
+    @staticmethod
+    def from_json(data: bytes | memoryview) -> Manifest:
+        """Parse and check. Raises :class:`BundleError` naming the field; an unknown version is refused."""
+        if len(data) > MAX_MANIFEST_BYTES:
+            raise BundleError(f"manifest: {len(data)} bytes are more than the allowed {MAX_MANIFEST_BYTES}")
+        try:
+            table = json.loads(bytes(data))
+        except (ValueError, RecursionError) as error:
+            raise BundleError(f"manifest: is not JSON ({error})") from error
+        if not isinstance(table, dict) or table.get("format") != FORMAT:
+            raise BundleError(f"manifest: is not a {FORMAT} manifest")
+        if table.get("version") != VERSION:
+            raise BundleError(
+                f"manifest: version {table.get('version')!r} is unknown; this program reads {VERSION}, encode again"
+            )
+        return _checked(_Fields(table))
+
+
+def _checked(fields: _Fields) -> Manifest:
+    manifest = Manifest(
+        name=fields.text("name"),
+        fps=fields.number("fps", 1e-3, 1000.0),
+        frames=fields.integer("frames", 1, MAX_FRAMES),
+        gof_starts=fields.many("gof_starts", lambda f: f.integer("", 0, MAX_FRAMES), MAX_FRAMES),
+        capacity=fields.many("capacity", lambda f: f.integer("", 0, MAX_SPLATS), MAX_FRAMES),
+        sh_degree=fields.integer("sh_degree", 0, 3),
+        bounds=_bounds(fields),
+        lod_order=fields.many("lod_order", _lod_layer, MAX_LODS),
+        lod_gains_db=fields.many("lod_gains_db", lambda f: f.number("", -1e3, 1e3), MAX_LODS),
+        codec=fields.text("codec"),
+        up=fields.vector("up"),
+        focus_centre=fields.vector("focus_centre"),
+        focus_radius=fields.number("focus_radius", 0.0, 1e12),
+        near=fields.number("near", 1e-9, 1e9),
+        gofs=fields.many("gofs", lambda f: GofFiles(_file(f.inner("tiles")), _file(f.inner("source"))), MAX_FRAMES),
+    )
+    starts = manifest.gof_starts
+    if not starts or starts[0] != 0 or any(a >= b for a, b in zip(starts, (*starts[1:], manifest.frames), strict=True)):
+        raise BundleError(
+            f"manifest: gof_starts {starts[:8]} must rise from 0 and stay below frames = {manifest.frames}"
+        )
+    if len(manifest.capacity) != len(starts) or len(manifest.gofs) not in (0, len(starts)):
+        raise BundleError(f"manifest: capacity and gofs must have one entry for each of the {len(starts)} groups")
+    if len(manifest.lod_gains_db) not in (0, len(manifest.lod_order)):
+        raise BundleError("manifest: lod_gains_db must be empty or have one entry for each LoD of lod_order")
+    return manifest
+
+
+def _bounds(fields: _Fields) -> tuple[Vec3, Vec3]:
+    corners = fields.many("bounds", lambda f: f.vector(""), 2)
+    if len(corners) != 2:
+        raise BundleError("manifest: bounds must be two corners")
+    return corners[0], corners[1]
+
+
+def _lod_layer(field: _Fields) -> LodLayer:
+    parts = field.sequence("")
+    if len(parts) != 2:
+        raise BundleError(f"manifest: lod_order entry {parts!r} must be [attribute, layer]")
+    return LodLayer(_Fields(parts[0], "lod_order").text(""), _Fields(parts[1], "lod_order").integer("", 1, MAX_LODS))
+
+
+def _file(fields: _Fields) -> FileEntry:
+    name = fields.text("name")
+    if not name or name.startswith("/") or ".." in name.split("/") or "\\" in name or ":" in name:
+        raise BundleError(f"manifest: file name {name!r} must stay inside the bundle")
+    size = fields.integer("size_bytes", 0, 2**50)
+    return FileEntry(name, fields.integer("index_offset", 0, size), fields.integer("index_crc", 0, 2**32 - 1), size)
+
+
+class _Fields:
+    """Typed access to one parsed JSON value; errors name the path of the field."""
+
+    def __init__(self, value: Any, path: str = "") -> None:
+        self._value, self._path = value, path
+
+    def _get(self, name: str) -> tuple[Any, str]:
+        if not name:
+            return self._value, self._path
+        path = f"{self._path}.{name}" if self._path else name
+        if not isinstance(self._value, dict) or name not in self._value:
+            raise BundleError(f"manifest: {path} is missing")
+        return self._value[name], path
+
+    def inner(self, name: str) -> _Fields:
+        return _Fields(*self._get(name))
+
+    def text(self, name: str) -> str:
+        value, path = self._get(name)
+        if not isinstance(value, str) or len(value) > 1024:
+            raise BundleError(f"manifest: {path} must be a short text")
+        return value
+
+    def integer(self, name: str, low: int, high: int) -> int:
+        value, path = self._get(name)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise BundleError(f"manifest: {path} = {str(value)[:40]} must be a whole number in [{low}, {high}]")
+        return value
+
+    def number(self, name: str, low: float, high: float) -> float:
+        value, path = self._get(name)
+        if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
+            raise BundleError(f"manifest: {path} = {str(value)[:40]} must be a number in [{low}, {high}]")
+        return float(value)
+
+    def vector(self, name: str) -> Vec3:
+        value, path = self._get(name)
+        parts = self.many(name, lambda f: f.number("", -1e30, 1e30), 3)
+        if len(parts) != 3 or not all(map(math.isfinite, parts)):
+            raise BundleError(f"manifest: {path} must be three numbers, not {str(value)[:40]}")
+        return parts[0], parts[1], parts[2]
+
+    def sequence(self, name: str) -> list[Any]:
+        value, path = self._get(name)
+        if not isinstance(value, list):
+            raise BundleError(f"manifest: {path} must be a list")
+        return value
+
+    def many(self, name: str, read: Callable[[_Fields], T], most: int) -> tuple[T, ...]:
+        values, (_, path) = self.sequence(name), self._get(name)
+        if len(values) > most:
+            raise BundleError(f"manifest: {path} has {len(values)} entries; at most {most} are allowed")
+        return tuple(read(_Fields(value, f"{path}[{i}]")) for i, value in enumerate(values))

@@ -1,0 +1,162 @@
+"""Reading bundles by ranges."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from types import TracebackType
+
+from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index, decode_tile_index
+from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, Manifest
+from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, decode_source
+from cags_common.bundle.store import ByteStore, UrlStore
+from cags_common.errors import BundleError
+from cags_common.lod import check_order
+from cags_common.packing import check_crc, crc32, decode_ids
+from cags_common.splats import Ids
+from cags_common.svq import MAX_CODEBOOK_BYTES, CodebookSet
+from cags_common.tiles import decode_base_ids
+
+MANIFEST_NAME = "manifest.json"
+CODEBOOKS_NAME = "codebooks.bin"
+CACHED_FRAMES = 16
+"""Frames whose payloads stay in memory: one read fetches a frame, the streamer then picks layers from it."""
+
+
+class BundleReader:
+    """An open bundle. Safe to use from several threads."""
+
+    def __init__(self, store: ByteStore, manifest: Manifest, codebooks: bytes) -> None:
+        self.manifest = manifest
+        self._store, self._codebooks = store, codebooks
+        self._lock = threading.RLock()
+        self._index: dict[int, tuple[FrameEntry, ...]] = {}
+        self._source_index: dict[int, tuple[tuple[int, int], ...]] = {}
+        self._frames: OrderedDict[int, bytes] = OrderedDict()
+        self._replay: tuple[int, SourceState] | None = None
+
+    @classmethod
+    def open(cls, url: str) -> BundleReader:
+        """Open the bundle at ``url`` (folder or fsspec URL). Raises :class:`BundleError` or :class:`DecodeError`."""
+        store = UrlStore(str(url))
+        manifest = Manifest.from_json(store.read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
+        if not manifest.gofs:
+            raise BundleError(f"{url}: its manifest is the public part only and says nothing of files")
+        codebooks = store.read_all(CODEBOOKS_NAME, MAX_CODEBOOK_BYTES)
+        books = CodebookSet.from_bytes(codebooks)
+        check_order(manifest.lod_order, {book.attribute: book.enhancement_layers for book in books})
+        return cls(store, manifest, codebooks)
+
+    def __enter__(self) -> BundleReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Drop what is cached; the reader may still be used afterwards."""
+        with self._lock:
+            self._frames.clear()
+            self._replay = None
+
+    def codebooks(self) -> bytes:
+        """Serialised :class:`~cags_common.svq.CodebookSet`."""
+        return self._codebooks
+
+    def frame(self, frame: int) -> FrameEntry:
+        """What ``frame`` holds. Raises :class:`BundleError` outside the bundle."""
+        gof = self.manifest.gof_of(frame)
+        return self._tile_index(gof)[frame - self.manifest.gof_starts[gof]]
+
+    def payload(self, frame: int, tile: int, lod: int) -> bytes:
+        """Payload of one LoD of one tile, its CRC-32 checked. Raises :class:`BundleError` or :class:`DecodeError`."""
+        entry = self.frame(frame)
+        item = self._tile(entry, tile)
+        if not 0 <= lod < len(item.lod_bytes):
+            raise BundleError(f"LoD {lod} is outside 0 to {len(item.lod_bytes) - 1}")
+        at = entry.removed_bytes + sum(sum(t.lod_bytes) for t in entry.tiles[:tile]) + sum(item.lod_bytes[:lod])
+        data = self._frame_bytes(entry)[at : at + item.lod_bytes[lod]]
+        check_crc(data, item.crcs[lod], f"frame {frame}, tile {tile}, LoD {lod}")
+        return data
+
+    def tile_ids(self, frame: int, tile: int) -> Ids:
+        """Ids [n] of a tile's splats, ascending, in the tile's order."""
+        return decode_base_ids(self.payload(frame, tile, 0))
+
+    def removed_payload(self, frame: int) -> bytes:
+        """The ids that ``frame`` removes, packed by :func:`~cags_common.packing.encode_ids`."""
+        entry = self.frame(frame)
+        data = self._frame_bytes(entry)[: entry.removed_bytes]
+        check_crc(data, entry.removed_crc, f"frame {frame}, removed ids")
+        return data
+
+    def removed_ids(self, frame: int) -> Ids:
+        """The ids [n] that ``frame`` removes, ascending; none in key frames."""
+        gof = self.manifest.gof_of(frame)
+        return decode_ids(self.removed_payload(frame), what=f"frame {frame}", limit=max(self.manifest.capacity[gof], 1))
+
+    def source_delta(self, frame: int) -> SourceDelta:
+        """What the unquantised ``frame`` changes against the one before (everything in the first of a group)."""
+        gof = self.manifest.gof_of(frame)
+        row = frame - self.manifest.gof_starts[gof]
+        sizes = self._sources(gof)
+        start = 8 + sum(size for size, _ in sizes[:row])
+        data = self._store.read(self.manifest.gofs[gof].source.name, start, start + sizes[row][0])
+        check_crc(data, sizes[row][1], f"source frame {frame}")
+        return decode_source(data, f"source frame {frame}")
+
+    def source(self, frame: int) -> SourceFrame:
+        """All unquantised splats alive in ``frame``. Cheapest in rising order: an earlier frame replays its group."""
+        gof = self.manifest.gof_of(frame)
+        first = self.manifest.gof_starts[gof]
+        with self._lock:
+            if self._replay is None or not first <= self._replay[0] <= frame:
+                state = SourceState(self.manifest.capacity[gof], self.manifest.sh_degree)
+                state.apply(self.source_delta(first))
+                self._replay = first, state
+            at, state = self._replay
+            for later in range(at + 1, frame + 1):
+                state.apply(self.source_delta(later))
+                self._replay = later, state
+            return state.frame()
+
+    def _tile_index(self, gof: int) -> tuple[FrameEntry, ...]:
+        with self._lock:
+            if gof not in self._index:
+                data = self._read_index(self.manifest.gofs[gof].tiles)
+                frames = self.manifest.gof_frames(gof)
+                self._index[gof] = decode_tile_index(data, gof=gof, frames=frames, lods=self.manifest.lods)
+            return self._index[gof]
+
+    def _sources(self, gof: int) -> tuple[tuple[int, int], ...]:
+        with self._lock:
+            if gof not in self._source_index:
+                data = self._read_index(self.manifest.gofs[gof].source)
+                frames = len(self.manifest.gof_frames(gof))
+                self._source_index[gof] = decode_source_index(data, gof=gof, frames=frames)
+            return self._source_index[gof]
+
+    def _read_index(self, file: FileEntry) -> bytes:
+        data = self._store.read(file.name, file.index_offset, file.size_bytes)
+        if crc32(data) != file.index_crc:
+            raise BundleError(f"{file.name}: its index is damaged (CRC-32 differs); encode or copy the bundle again")
+        return data
+
+    def _frame_bytes(self, entry: FrameEntry) -> bytes:
+        with self._lock:
+            data = self._frames.pop(entry.frame, None)
+            if data is None:
+                name = self.manifest.gofs[entry.gof].tiles.name
+                data = self._store.read(name, entry.offset, entry.offset + entry.size_bytes)
+            self._frames[entry.frame] = data
+            while len(self._frames) > CACHED_FRAMES:
+                self._frames.popitem(last=False)
+            return data
+
+    @staticmethod
+    def _tile(entry: FrameEntry, tile: int) -> TileEntry:
+        if not 0 <= tile < len(entry.tiles):
+            raise BundleError(f"frame {entry.frame} has {len(entry.tiles)} tiles; there is no tile {tile}")
+        return entry.tiles[tile]

@@ -1,0 +1,77 @@
+"""Where bundles live: a local folder or any fsspec URL (``s3://``, ``http://``, ``memory://``)."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any, Protocol
+
+from cags_common.errors import BundleError
+
+
+class ByteStore(Protocol):
+    """Reads named files of one bundle."""
+
+    def read(self, name: str, start: int, end: int) -> bytes:
+        """Bytes ``start`` to ``end`` of a file. Raises :class:`BundleError`, also when the file is too short."""
+        ...
+
+    def read_all(self, name: str, limit_bytes: int) -> bytes:
+        """A whole file of at most ``limit_bytes``. Raises :class:`BundleError`."""
+        ...
+
+
+def filesystem(url: str) -> tuple[Any, str]:
+    """The fsspec filesystem of ``url`` and the path in it. Raises :class:`BundleError` for an unknown scheme."""
+    import fsspec
+
+    try:
+        fs, path = fsspec.core.url_to_fs(url)
+    except (ValueError, ImportError) as error:
+        raise BundleError(f"{url}: cannot be opened ({error})") from error
+    return fs, str(path).rstrip("/")
+
+
+def local_path(url: str) -> Path | None:
+    """The folder that ``url`` names on this machine, or None for another store."""
+    if url.startswith("file://"):
+        return Path(url.removeprefix("file://"))
+    return None if "://" in url else Path(url)
+
+
+class UrlStore:
+    """A bundle's files under an fsspec URL. Safe to use from several threads."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._fs, self._path = filesystem(url)
+
+    def read(self, name: str, start: int, end: int) -> bytes:
+        """Bytes ``start`` to ``end`` of a file."""
+        if start == end:
+            return b""
+        data = self._cat(name, start, end)
+        if len(data) != end - start:
+            raise BundleError(f"{self._url}/{name}: ends at byte {start + len(data)}, before {end}; it was cut short")
+        return data
+
+    def read_all(self, name: str, limit_bytes: int) -> bytes:
+        """A whole file of at most ``limit_bytes``."""
+        data = self._cat(name, 0, limit_bytes + 1)
+        if len(data) > limit_bytes:
+            raise BundleError(f"{self._url}/{name}: is larger than {limit_bytes} bytes")
+        return data
+
+    def _cat(self, name: str, start: int, end: int) -> bytes:
+        try:
+            return bytes(self._fs.cat_file(f"{self._path}/{name}", start=start, end=end))
+        except FileNotFoundError as error:
+            raise BundleError(f"{self._url}: has no {name}; is it a bundle made by cags-encode?") from error
+        except OSError as error:
+            raise BundleError(f"{self._url}/{name}: cannot be read ({error.strerror or error})") from error
+
+
+def remove_tree(path: Path) -> None:
+    """Delete a local folder if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path)
