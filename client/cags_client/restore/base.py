@@ -1,0 +1,33 @@
+"""The restoration seam: the colour-distorted picture and the aligned reference in, the picture to show out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from cags_client.align.base import Aligned, ReferencePicture
+from cags_common.geometry import F32
+
+
+@dataclass(frozen=True, eq=False)
+class RestoreInput:
+    """What a restorer sees of one frame."""
+
+    distorted: F32  # [H, W, 3] in [0, 1]: the client's own render, premultiplied over black
+    alpha: F32  # [H, W] in [0, 1]
+    aligned: Aligned
+    reference: ReferencePicture
+    """As it came, for restorers that work at its resolution."""
+
+
+class Restorer(Protocol):
+    """Colour restoration. Where ``aligned.confidence`` is 0 the reference says nothing about a pixel."""
+
+    @property
+    def name(self) -> str:
+        """Name in the registry."""
+        ...
+
+    def restore(self, inputs: RestoreInput) -> F32:
+        """The picture to show, [H, W, 3] float32, finite, in [0, 1]. The inputs are not changed."""
+        ...
