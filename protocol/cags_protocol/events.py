@@ -1,0 +1,211 @@
+"""What sessions tell the code that owns them. Plain values; no session state is reachable through them."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from cags_protocol.messages import (
+    Control,
+    FrameEnd,
+    HeldTile,
+    Hello,
+    Message,
+    Notice,
+    PoseSample,
+    ReferenceFrame,
+    Refusal,
+    TileLayers,
+    Welcome,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Outgoing:
+    """A message that the server wants to send, by value.
+
+    ``priority`` 0 goes first; within one priority messages go in the order they were queued. At ``deadline_us`` (server
+    clock) what is not sent yet is stale and dropped. A newer message of the same ``key`` replaces one that waits.
+    """
+
+    message: Message
+    payload: bytes | memoryview = b""
+    priority: int = 0
+    deadline_us: int | None = None
+    key: Hashable = None
+
+
+@dataclass(frozen=True)
+class AckSample:
+    """One acknowledgement as a bandwidth estimator needs it. Times of the server's clock.
+
+    ``delivery_rate_bps`` is the rate sample of draft-cheng-iccrg-delivery-rate-estimation (None: no new packet);
+    ``app_limited`` says that the server had nothing to send during it, so the link may be faster than that.
+    ``window_limited`` says the same of the credit window.
+    """
+
+    now_us: int
+    newly_delivered_bytes: int
+    rtt_us: int
+    app_limited: bool
+    delivery_rate_bps: float | None = None
+    window_limited: bool = False
+    in_flight_bytes: int = 0
+    queued_bytes: int = 0
+    received_us: int = 0
+    """When the newest packet arrived, by the client's clock."""
+
+
+# ------------------------------------------------------------------------------------------------- server's events
+
+
+@dataclass(frozen=True)
+class Joined:
+    """A client said Hello in a version that is spoken here: answer by ``accept`` or ``refuse``."""
+
+    hello: Hello
+
+
+@dataclass(frozen=True)
+class PosesReceived:
+    """Poses, oldest first, and when they arrived (server clock)."""
+
+    samples: tuple[PoseSample, ...]
+    now_us: int
+
+
+@dataclass(frozen=True)
+class Acknowledged:
+    """An acknowledgement; ``buffered_bytes`` is what the client holds undecoded."""
+
+    sample: AckSample
+    buffered_bytes: int
+
+
+@dataclass(frozen=True)
+class Evicted:
+    """The client's store dropped these down to the ``lods`` named."""
+
+    tiles: tuple[HeldTile, ...]
+
+
+@dataclass(frozen=True)
+class ControlReceived:
+    """Play, pause, seek or a change of rate; ``now_us`` is the server's clock at arrival."""
+
+    control: Control
+    now_us: int
+
+
+@dataclass(frozen=True)
+class KeyframeRequested:
+    """The client's reference video is broken after ``reference_seq``."""
+
+    reference_seq: int
+
+
+@dataclass(frozen=True)
+class Sent:
+    """The last fragment was handed to the transport."""
+
+    outgoing: Outgoing
+    now_us: int
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """The client acknowledged every fragment."""
+
+    outgoing: Outgoing
+    now_us: int
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """The client will not get this: ``reason`` is stale, replaced, overflow, cancelled, lost or closed.
+
+    ``sent_bytes`` of it went over the wire for nothing.
+    """
+
+    outgoing: Outgoing
+    reason: str
+    sent_bytes: int
+    now_us: int
+
+
+# ------------------------------------------------------------------------------------------------- client's events
+
+
+@dataclass(frozen=True)
+class Welcomed:
+    """The server opened the session."""
+
+    welcome: Welcome
+    now_us: int
+
+
+@dataclass(frozen=True)
+class BlobReceived:
+    """A blob is complete."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class TileReceived:
+    """Layers of a tile. The CRC of each LoD has been covered by that of the message."""
+
+    message: TileLayers
+    payload: memoryview
+
+
+@dataclass(frozen=True)
+class ReferenceReceived:
+    """A reference picture (one H.264 access unit)."""
+
+    message: ReferenceFrame
+    payload: memoryview
+
+
+@dataclass(frozen=True)
+class FrameEnded:
+    """The server plans nothing more for a frame for now; ``payload`` holds the removed ids."""
+
+    message: FrameEnd
+    payload: memoryview
+
+
+@dataclass(frozen=True)
+class NoticeReceived:
+    """A word for the viewer or the log."""
+
+    notice: Notice
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The server ended the session, and why."""
+
+    refusal: Refusal
+
+
+# --------------------------------------------------------------------------------------------------- both's events
+
+
+@dataclass(frozen=True)
+class Closed:
+    """The session is over. ``code`` is bye, refused, timeout, malformed, unexpected or lost; ``reason`` one line."""
+
+    code: str
+    reason: str
+
+
+ServerEvent: TypeAlias = (
+    Joined | PosesReceived | Acknowledged | Evicted | ControlReceived | KeyframeRequested | Sent | Delivered | Dropped
+    | Closed
+)  # fmt: skip
+ClientEvent: TypeAlias = (
+    Welcomed | BlobReceived | TileReceived | ReferenceReceived | FrameEnded | NoticeReceived | Refused | Closed
+)

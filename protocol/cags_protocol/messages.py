@@ -1,0 +1,462 @@
+"""The messages of the wire protocol, and their strict encoding.
+
+One message is a MessagePack map (the header, with the key ``type``) followed by the payload's bytes. The header's last
+entry is ``crc``: the CRC-32 of everything else, header and payload, because a flipped byte makes Draco decode wrongly
+without an error. Unknown header entries are ignored, unknown types refused; see ``docs/wire.md``.
+
+Times named ``_us`` are microseconds of the client's clock unless a docstring says otherwise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import msgpack
+
+from cags_common.errors import ProtocolError
+from cags_common.geometry import DEFAULT_NEAR, Intrinsics, Pose
+from cags_protocol import limits
+from cags_protocol.fields import INTRINSICS, POSE, Choice, Flag, Integer, Kind, ListOf, Real, Record, Text, wire
+
+Buffer = bytes | bytearray | memoryview
+
+_TIME = Integer(2**62)
+_FRAME = Integer(2**31 - 1)
+_TILE = Integer(2**16 - 1)
+_LOD = Integer(limits.MAX_LODS)
+_SEQ = Integer(2**53)
+_BYTES = Integer(2**53)
+_CRC = Integer(2**32 - 1)
+_TEXT = Text(limits.MAX_TEXT_BYTES)
+
+NO_PAYLOAD, OPAQUE = "", "*"
+
+
+class Message:
+    """Base of all messages. ``TAG`` is the header's ``type``.
+
+    ``PAYLOAD`` is ``NO_PAYLOAD``, ``OPAQUE`` (given to :func:`encode` and returned by :func:`decode` beside the
+    message) or the name of the bytes field that travels as the payload.
+    """
+
+    __slots__ = ()
+    TAG: ClassVar[str]
+    PAYLOAD: ClassVar[str] = NO_PAYLOAD
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSample:
+    """The client's camera was at ``pose`` (T_world_camera) at ``t_us``."""
+
+    t_us: int
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class HeldTile:
+    """A client holds LoDs 0 .. ``lods`` - 1 of a tile of a media frame; ``lods`` = 0: nothing of it."""
+
+    frame: int
+    tile: int
+    lods: int
+
+
+@dataclass(frozen=True, slots=True)
+class SeqRange:
+    """Packet numbers ``first`` .. ``last``, both included."""
+
+    first: int
+    last: int
+
+    def __post_init__(self) -> None:
+        if self.first > self.last:
+            raise ValueError(f"range {self.first}..{self.last} is empty")
+
+
+_SAMPLE = Record(PoseSample, ("t_us", "pose"), (_TIME, POSE))
+_HELD = Record(HeldTile, ("frame", "tile", "lods"), (_FRAME, _TILE, _LOD))
+_RANGE = Record(SeqRange, ("first", "last"), (_SEQ, _SEQ))
+
+# ---------------------------------------------------------------------------------------------------- client to server
+
+
+@dataclass(frozen=True, slots=True)
+class Hello(Message):
+    """The first message: who joins, through which camera, and from which media frame.
+
+    ``resume`` names an earlier session of this client (empty: none) and ``inventory`` what it still holds of it
+    (:mod:`cags_protocol.inventory`); nothing listed there is sent again.
+    """
+
+    TAG = "hello"
+    PAYLOAD = "inventory"
+    version: int = wire(Integer(2**16))
+    intrinsics: Intrinsics = wire(INTRINSICS)  # noqa: RUF009 - the kinds are immutable
+    pose: Pose = wire(POSE)  # noqa: RUF009 - the kinds are immutable
+    near: float = wire(Real(1e-6, 1e6), DEFAULT_NEAR)
+    start_frame: int = wire(_FRAME, 0)
+    token: str = wire(_TEXT, "")
+    agent: str = wire(_TEXT, "")
+    resume: str = wire(_TEXT, "")
+    inventory: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseBatch(Message):
+    """Poses since the last batch, oldest first."""
+
+    TAG = "poses"
+    samples: tuple[PoseSample, ...] = wire(ListOf(_SAMPLE, limits.MAX_POSE_SAMPLES))
+
+
+@dataclass(frozen=True, slots=True)
+class Ack(Message):
+    """What arrived on this connection: packet numbers, newest range first (over TCP there is one range).
+
+    ``received_us`` is when the newest packet arrived, ``delay_us`` how long the acknowledgement waited since;
+    ``buffered_bytes`` what the client holds undecoded; ``evicted`` what its store dropped (``lods`` = what is left).
+    """
+
+    TAG = "ack"
+    ranges: tuple[SeqRange, ...] = wire(ListOf(_RANGE, limits.MAX_ACK_RANGES))
+    received_us: int = wire(_TIME)
+    delay_us: int = wire(_TIME, 0)
+    buffered_bytes: int = wire(_BYTES, 0)
+    evicted: tuple[HeldTile, ...] = wire(ListOf(_HELD, limits.MAX_EVICTED_TILES), ())
+
+
+CONTROL_ACTIONS = ("play", "pause", "seek", "rate")
+
+
+@dataclass(frozen=True, slots=True)
+class Control(Message):
+    """The viewer's wish, as the whole state of play: media frame ``frame`` is displayed at ``at_us``.
+
+    While playing, frame i is displayed at ``at_us + (i - frame) * 1e6 / (fps * rate)``; with ``loop`` the first
+    follows the last.
+    """
+
+    TAG = "control"
+    action: str = wire(Choice(CONTROL_ACTIONS))
+    frame: int = wire(_FRAME)
+    at_us: int = wire(_TIME)
+    rate: float = wire(Real(0.01, 16.0), 1.0)
+    loop: bool = wire(Flag(), False)
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeRequest(Message):
+    """The reference video is broken after ``reference_seq`` (the last one decoded; 0: none): send an IDR picture."""
+
+    TAG = "keyframe"
+    reference_seq: int = wire(_SEQ)
+
+
+# ------------------------------------------------------------------------------------------------------ both directions
+
+
+@dataclass(frozen=True, slots=True)
+class Bye(Message):
+    """The sender leaves; nothing follows."""
+
+    TAG = "bye"
+    reason: str = wire(_TEXT, "")
+
+
+@dataclass(frozen=True, slots=True)
+class Ping(Message):
+    """Keep-alive; answered by a :class:`Pong` of the same ``t_us`` (the sender's clock)."""
+
+    TAG = "ping"
+    t_us: int = wire(_TIME)
+
+
+@dataclass(frozen=True, slots=True)
+class Pong(Message):
+    """Answer to a :class:`Ping`."""
+
+    TAG = "pong"
+    t_us: int = wire(_TIME)
+
+
+# ---------------------------------------------------------------------------------------------------- server to client
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome(Message):
+    """The session is open. ``info`` is the public part of the bundle's manifest (JSON, UTF-8).
+
+    ``resumed`` says that the inventory of the :class:`Hello` was taken over.
+    """
+
+    TAG = "welcome"
+    PAYLOAD = "info"
+    session: str = wire(_TEXT)
+    fps: float = wire(Real(0.01, 1000.0))
+    frames: int = wire(_FRAME)
+    resumed: bool = wire(Flag(), False)
+    info: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Blob(Message):
+    """Bytes ``offset`` .. of the blob ``name`` (codebooks, weights), which has ``total`` bytes in all."""
+
+    TAG = "blob"
+    PAYLOAD = OPAQUE
+    name: str = wire(_TEXT)
+    offset: int = wire(Integer(limits.MAX_BLOB_BYTES))
+    total: int = wire(Integer(limits.MAX_BLOB_BYTES))
+
+
+@dataclass(frozen=True, slots=True)
+class TileLayers(Message):
+    """LoDs ``from_lod`` .. ``to_lod`` - 1 of a tile: the payload is their payloads, one after another.
+
+    ``sizes`` and ``crcs`` (CRC-32, as in the bundle) have one entry each a LoD.
+    """
+
+    TAG = "tile"
+    PAYLOAD = OPAQUE
+    frame: int = wire(_FRAME)
+    tile: int = wire(_TILE)
+    from_lod: int = wire(_LOD)
+    to_lod: int = wire(_LOD)
+    sizes: tuple[int, ...] = wire(ListOf(Integer(limits.MAX_MESSAGE_BYTES), limits.MAX_LODS))
+    crcs: tuple[int, ...] = wire(ListOf(_CRC, limits.MAX_LODS))
+
+    def split(self, payload: Buffer) -> list[memoryview]:
+        """The payload of each LoD, without copying."""
+        view, out, start = memoryview(payload), [], 0
+        for size in self.sizes:
+            out.append(view[start : start + size])
+            start += size
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceFrame(Message):
+    """The reference picture of media frame ``frame``, rendered at ``pose`` (T_world_camera): one H.264 access unit.
+
+    ``seq`` counts reference pictures from 1 without gaps; an ``idr`` picture needs none before it.
+    """
+
+    TAG = "reference"
+    PAYLOAD = OPAQUE
+    frame: int = wire(_FRAME)
+    seq: int = wire(_SEQ)
+    pose: Pose = wire(POSE)  # noqa: RUF009 - the kinds are immutable
+    intrinsics: Intrinsics = wire(INTRINSICS)  # noqa: RUF009 - the kinds are immutable
+    idr: bool = wire(Flag(), False)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameEnd(Message):
+    """The server plans nothing more for ``frame`` for now. Payload: ids removed at that frame (may be empty)."""
+
+    TAG = "frame_end"
+    PAYLOAD = OPAQUE
+    frame: int = wire(_FRAME)
+
+
+@dataclass(frozen=True, slots=True)
+class Notice(Message):
+    """Something the viewer or a log should know; the session goes on."""
+
+    TAG = "notice"
+    code: str = wire(_TEXT)
+    message: str = wire(_TEXT)
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal(Message):
+    """The session ends by the server's decision. Every version of the protocol can read this message.
+
+    ``code`` is one of ``REFUSAL_CODES`` (or a later one), ``field`` names what was wrong (may be empty).
+    """
+
+    TAG = "refusal"
+    code: str = wire(_TEXT)
+    field: str = wire(_TEXT)
+    message: str = wire(_TEXT)
+
+
+REFUSAL_CODES = ("version", "token", "full", "draining", "malformed", "unexpected", "quota", "timeout", "internal")
+
+
+@dataclass(frozen=True, slots=True)
+class Fragment(Message):
+    """Packet ``seq`` of this connection: bytes ``offset`` .. of the encoded message ``ident`` of ``total`` bytes."""
+
+    TAG = "fragment"
+    PAYLOAD = OPAQUE
+    seq: int = wire(_SEQ)
+    ident: int = wire(_SEQ)
+    offset: int = wire(Integer(limits.MAX_MESSAGE_BYTES))
+    total: int = wire(Integer(limits.MAX_MESSAGE_BYTES, low=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Abandon(Message):
+    """No more fragments of these messages will come."""
+
+    TAG = "abandon"
+    idents: tuple[int, ...] = wire(ListOf(_SEQ, limits.MAX_PARTIAL_MESSAGES))
+
+
+CLIENT_MESSAGES: tuple[type[Message], ...] = (Hello, PoseBatch, Ack, Control, KeyframeRequest, Bye, Ping, Pong)
+SERVER_DATA: tuple[type[Message], ...] = (Blob, TileLayers, ReferenceFrame, FrameEnd)
+SERVER_MESSAGES: tuple[type[Message], ...] = (
+    Welcome, Notice, Refusal, Fragment, Abandon, Bye, Ping, Pong, *SERVER_DATA,
+)  # fmt: skip
+
+# ------------------------------------------------------------------------------------------------------------- encoding
+
+
+@dataclass(frozen=True, slots=True)
+class _Spec:
+    cls: type[Message]
+    fields: tuple[tuple[str, Kind, Any], ...]  # name, kind, default or MISSING
+
+
+def _spec(cls: Any) -> _Spec:
+    headers = [f for f in dataclasses.fields(cls) if "kind" in f.metadata]
+    return _Spec(cls, tuple((f.name, f.metadata["kind"], f.default) for f in headers))
+
+
+_SPECS = {cls: _spec(cls) for cls in {*CLIENT_MESSAGES, *SERVER_MESSAGES}}
+_BY_TAG = {cls.TAG: spec for cls, spec in _SPECS.items()}
+_CRC_MARK = b"\xa3crc\xce"
+
+
+class DamagedError(ProtocolError):
+    """A message that did not arrive as it was sent, or never was one: its CRC cannot be found or does not match."""
+
+
+class VersionError(ProtocolError):
+    """A Hello of a protocol version that this package does not speak."""
+
+    def __init__(self, theirs: int) -> None:
+        ours = ", ".join(map(str, limits.SUPPORTED_VERSIONS))
+        super().__init__(
+            f"version = {theirs} is not spoken here; this server speaks {ours}; use a client of that version"
+        )
+        self.theirs = theirs
+
+
+def encode(message: Message, payload: Buffer = b"") -> bytes:
+    """The wire form of ``message`` and its payload. Raises :class:`ProtocolError` for values that must not travel."""
+    return b"".join(encode_parts(message, payload))
+
+
+def encode_parts(message: Message, payload: Buffer = b"") -> tuple[bytes, Buffer]:
+    """Header and payload of the wire form; the payload is not copied. Raises :class:`ProtocolError`."""
+    spec = _SPECS[type(message)]
+    kind = spec.cls.PAYLOAD
+    if kind == OPAQUE:
+        _check_payload(message, len(payload))
+    elif len(payload):
+        raise ProtocolError(f"{spec.cls.TAG} carries no separate payload")
+    elif kind != NO_PAYLOAD:
+        payload = getattr(message, kind)
+    header: dict[str, Any] = {"type": spec.cls.TAG}
+    for name, field_kind, default in spec.fields:
+        value = getattr(message, name)
+        if default is dataclasses.MISSING or value != default:
+            header[name] = field_kind.pack(value, name)
+    header["crc"] = 0xFFFFFFFF  # the widest integer form; its value is written below, over these four bytes
+    head = msgpack.packb(header)[:-4]
+    if len(head) + 4 > limits.MAX_HEADER_BYTES:
+        raise ProtocolError(f"{spec.cls.TAG}: header of {len(head) + 4} bytes, at most {limits.MAX_HEADER_BYTES}")
+    crc = zlib.crc32(payload, zlib.crc32(head))
+    return head + crc.to_bytes(4, "big"), payload
+
+
+def decode(data: Buffer) -> tuple[Message, memoryview]:
+    """Message and payload (a view into ``data``) of one wire message. Raises :class:`ProtocolError`, and nothing else.
+
+    A :class:`Hello` of another version raises :class:`VersionError` whatever else it holds.
+    """
+    view = memoryview(data)
+    header, end = _header(view)
+    payload = view[end:]
+    if bytes(view[max(end - 9, 0) : end - 4]) != _CRC_MARK:
+        raise DamagedError("header does not end with its crc")
+    if zlib.crc32(payload, zlib.crc32(view[: end - 4])) != int.from_bytes(view[end - 4 : end], "big"):
+        raise DamagedError("crc does not match: the message was damaged on its way")
+    tag = header.get("type")
+    spec = _BY_TAG.get(tag) if type(tag) is str else None
+    if spec is None:
+        raise ProtocolError(f"type = {tag!r:.60} is not a known message")
+    if spec.cls is Hello:
+        _check_version(header)
+    message = _build(spec, header, payload)
+    if spec.cls.PAYLOAD == OPAQUE:
+        _check_payload(message, len(payload))
+        return message, payload
+    return message, payload[:0]
+
+
+def printable(text: str) -> str:
+    """``text`` as a text field may carry it: control characters replaced, cut to length."""
+    clean = "".join(c if c.isprintable() else "?" for c in text)
+    return clean.encode()[: limits.MAX_TEXT_BYTES].decode(errors="ignore")
+
+
+def _header(view: memoryview) -> tuple[dict[str, Any], int]:
+    unpacker = msgpack.Unpacker(
+        max_buffer_size=limits.MAX_HEADER_BYTES,
+        max_str_len=limits.MAX_TEXT_BYTES,
+        max_bin_len=limits.MAX_HEADER_BYTES,
+        max_array_len=limits.MAX_EVICTED_TILES,
+        max_map_len=64,
+        max_ext_len=0,
+    )
+    try:
+        unpacker.feed(view[: limits.MAX_HEADER_BYTES])
+        header = unpacker.unpack()
+    except (ValueError, msgpack.UnpackException) as error:  # cut off, too long, too deep, not UTF-8, not MessagePack
+        raise DamagedError(f"header is not readable ({type(error).__name__}: {error})"[:200]) from error
+    if type(header) is not dict:
+        raise DamagedError(f"header is a {type(header).__name__}, expected a map")
+    return header, unpacker.tell()
+
+
+def _check_version(header: dict[str, Any]) -> None:
+    version = header.get("version")
+    if type(version) is int and version not in limits.SUPPORTED_VERSIONS:
+        raise VersionError(version)
+
+
+def _build(spec: _Spec, header: dict[str, Any], payload: memoryview) -> Message:
+    values: dict[str, Any] = {}
+    for name, kind, default in spec.fields:
+        if name in header:
+            values[name] = kind.unpack(header[name], name)
+        elif default is dataclasses.MISSING:
+            raise ProtocolError(f"{spec.cls.TAG}: {name} is missing")
+    if spec.cls.PAYLOAD == NO_PAYLOAD and len(payload):
+        raise ProtocolError(f"{spec.cls.TAG} carries no payload, but {len(payload)} bytes follow")
+    if spec.cls.PAYLOAD not in (NO_PAYLOAD, OPAQUE):
+        values[spec.cls.PAYLOAD] = bytes(payload)
+    return spec.cls(**values)
+
+
+def _check_payload(message: Message, size: int) -> None:
+    """Lengths that a header promises must be the payload's."""
+    if isinstance(message, TileLayers):
+        count = message.to_lod - message.from_lod
+        if count < 1 or len(message.sizes) != count or len(message.crcs) != count:
+            raise ProtocolError(
+                f"tile: LoDs {message.from_lod}..{message.to_lod} need {max(count, 1)} sizes and crcs, "
+                f"got {len(message.sizes)} and {len(message.crcs)}"
+            )
+        if sum(message.sizes) != size:
+            raise ProtocolError(f"tile: sizes add up to {sum(message.sizes)} bytes, the payload has {size}")
+    elif isinstance(message, Blob | Fragment) and (
+        message.offset + size > message.total or not (size or not message.total)
+    ):
+        raise ProtocolError(f"{message.TAG}: bytes {message.offset} + {size} do not lie in a total of {message.total}")
