@@ -1,0 +1,116 @@
+"""Two peers and two links under one virtual clock.
+
+The peers are the very cores that the processes run (:class:`cags_server.connection.Connection`,
+:class:`cags_client.player.Player`); only the outermost shell differs. Work takes no virtual time unless a cost table says
+so, nothing is dropped for being late on a busy machine, and two runs are byte-identical.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from cags_common.errors import NetworkError
+from cags_shaper.link import Link
+
+MAX_STEPS_WITHOUT_TIME = 10_000
+"""A peer that always has something to do at one instant is broken; better to say so than to hang."""
+
+
+class Peer(Protocol):
+    """What the world drives: a sans-IO core and the work that it hands out."""
+
+    def receive(self, data: bytes, *, now_us: int) -> None: ...
+    def data_to_send(self, now_us: int) -> list[bytes]: ...
+    def next_timer_us(self) -> int | None: ...
+    def handle_timer(self, *, now_us: int) -> None: ...
+
+
+@dataclass
+class Direction:
+    """One direction of the connection: what the sender has written, and the link that carries it."""
+
+    link: Link
+    overhead_bytes: int
+    on_delivery: Callable[[bytes, int], None]
+    carried_bytes: int = 0
+    _backlog: deque[bytes] = field(default_factory=deque)
+
+    def write(self, messages: list[bytes], now_us: int) -> bool:
+        """Take messages and push what the link accepts. True when there was anything to take."""
+        self._backlog.extend(messages)
+        self._push(now_us)
+        return bool(messages)
+
+    @property
+    def congested(self) -> bool:
+        """Whether the sender's socket is full: a reliable stream waits where a datagram would be lost."""
+        return bool(self._backlog)
+
+    def deliver(self, now_us: int) -> bool:
+        """Hand over what has arrived by ``now_us``; True when anything had."""
+        arrived = self.link.pop_due(now_us)
+        for data in arrived:
+            self.carried_bytes += len(data)
+            self.on_delivery(data, now_us)
+        self._push(now_us)
+        return bool(arrived)
+
+    def next_us(self) -> int | None:
+        """When the next message arrives."""
+        return self.link.next_delivery_us()
+
+    def _push(self, now_us: int) -> None:
+        while self._backlog and self.link.push(now_us, self._backlog[0], len(self._backlog[0]) + self.overhead_bytes):
+            self._backlog.popleft()
+
+
+class World:
+    """Runs a server peer and a client peer until the client has finished."""
+
+    def __init__(self, server: Peer, client: Peer, down: Direction, up: Direction, work: Callable[[int], bool]) -> None:
+        """``work(now_us)`` runs whatever jobs the peers have ready and returns whether there was any."""
+        self.server, self.client, self.down, self.up = server, client, down, up
+        self._work = work
+        self.now_us = 0
+
+    def run(self, finished: Callable[[], bool], limit_us: int) -> None:
+        """Advance virtual time until ``finished()``. Raises :class:`NetworkError` on a standstill or past ``limit_us``."""
+        while not finished():
+            self._settle()
+            if finished():
+                return
+            upcoming = self._next_us()
+            if upcoming is None:
+                raise NetworkError(f"the simulated stream stands still at {self.now_us / 1e6:.3f} s; nothing is due")
+            if upcoming > limit_us:
+                raise NetworkError(f"the simulated stream did not end within {limit_us / 1e6:.1f} s; give the link more capacity")
+            self.now_us = max(self.now_us, upcoming)
+
+    def _settle(self) -> None:
+        """Exchange and work until nothing more happens at this instant."""
+        for _ in range(MAX_STEPS_WITHOUT_TIME):
+            if not self._step():
+                return
+        raise NetworkError(f"the simulated peers do not come to rest at {self.now_us / 1e6:.3f} s")
+
+    def _step(self) -> bool:
+        now = self.now_us
+        busy = self.down.deliver(now) | self.up.deliver(now)
+        for peer in (self.server, self.client):
+            timer = peer.next_timer_us()
+            if timer is not None and timer <= now:
+                peer.handle_timer(now_us=now)
+                busy = True
+        busy |= self._work(now)
+        for peer, direction in ((self.server, self.down), (self.client, self.up)):
+            if not direction.congested:
+                busy |= direction.write(peer.data_to_send(now), now)
+        return busy
+
+    def _next_us(self) -> int | None:
+        times = [self.server.next_timer_us(), self.client.next_timer_us(), self.down.next_us(), self.up.next_us()]
+        known = [time for time in times if time is not None]
+        return min(known) if known else None
