@@ -1,0 +1,79 @@
+"""What every backend asks of its input before it draws it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cags_common.errors import ConfigError, SceneError
+from cags_common.geometry import F32, Camera
+from cags_common.splats import SH_REST_OF_DEGREE, Splats
+
+MAX_LOGIT = 20.0
+"""Opacity logits are clamped to +-this: files hold infinite ones for opacities of exactly 0 and 1."""
+
+MIN_QUATERNION_NORM = 1e-12
+"""A shorter quaternion has no direction."""
+
+MAX_SIDE_PX = 16384
+"""Largest image side."""
+
+
+def drawable(splats: Splats, source: str = "splats") -> Splats:
+    """``splats`` as contiguous float32 that can be drawn; an empty scene is one.
+
+    Raises :class:`SceneError` that names the attribute and the first index of a non-finite value or zero quaternion.
+    Quaternions need not be unit.
+    """
+    arrays = {name: np.ascontiguousarray(array, dtype=np.float32) for name, array in splats.arrays()}
+    _check_shapes(arrays, source)
+    logits = arrays["logit_opacities"]
+    if logits.size and not np.abs(logits).max() <= MAX_LOGIT:
+        arrays["logit_opacities"] = np.where(np.isnan(logits), logits, np.clip(logits, -MAX_LOGIT, MAX_LOGIT))
+    for name, array in arrays.items():
+        _check_finite(name, array, source)
+    norms = np.linalg.norm(arrays["quats"].astype(np.float64), axis=1)
+    if norms.size and norms.min() < MIN_QUATERNION_NORM:
+        raise SceneError(
+            f"{source}: quats[{int(np.argmin(norms))}] is zero and has no direction; give a unit quaternion"
+        )
+    return Splats(**arrays)
+
+
+def check_camera(camera: Camera) -> None:
+    """Raise :class:`ConfigError` for an image that is too large or a near plane that is not in front of the camera."""
+    if max(camera.width_px, camera.height_px) > MAX_SIDE_PX:
+        raise ConfigError(
+            f"image of {camera.width_px}x{camera.height_px} px is too large; at most {MAX_SIDE_PX} a side"
+        )
+    if not 0 < camera.near < np.inf:
+        raise ConfigError(f"near = {camera.near} must be positive and finite; the papers use 0.2")
+
+
+def check_residual(residual: F32, camera: Camera) -> F32:
+    """``residual`` as contiguous float32 [H, W, 3]. Raises ``ValueError`` for another shape or non-finite values."""
+    array = np.ascontiguousarray(residual, dtype=np.float32)
+    shape = (camera.height_px, camera.width_px, 3)
+    if array.shape != shape:
+        raise ValueError(f"residual has shape {array.shape}, expected {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError("residual holds values that are not finite")
+    return array
+
+
+def _check_shapes(arrays: dict[str, F32], source: str) -> None:
+    n = len(arrays["means"])
+    shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "logit_opacities": (n,), "sh0": (n, 3)}
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise SceneError(f"{source}: {name} has shape {arrays[name].shape}, expected {shape}")
+    rest = arrays["sh_rest"]
+    if rest.ndim != 3 or rest.shape[0] != n or rest.shape[2] != 3 or rest.shape[1] not in SH_REST_OF_DEGREE:
+        raise SceneError(f"{source}: sh_rest has shape {rest.shape}, expected ({n}, 0|3|8|15, 3)")
+
+
+def _check_finite(name: str, array: F32, source: str) -> None:
+    finite = np.isfinite(array)
+    if finite.all():
+        return
+    index = int(np.argmax(~finite.reshape(len(array), -1).all(axis=1)))
+    raise SceneError(f"{source}: {name}[{index}] = {array[index].tolist()} is not finite; repair the data")

@@ -1,0 +1,104 @@
+"""The ``cpu`` backend: the native kernels of ``cags-kernels`` behind the rasteriser seam."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cags_kernels
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.errors import CagsError, ConfigError
+from cags_common.geometry import F32, Camera
+from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.checks import check_camera, check_residual, drawable
+from cags_common.raster.reference import fit_harmonics
+from cags_common.splats import Splats
+
+if TYPE_CHECKING:
+    from cags_kernels.raster import RasterCamera, RasterOptions
+
+_EXACTNESS = {Exactness.FAST: 0, Exactness.BALANCED: 1, Exactness.EXACT: 2}
+_DEPTH = {DepthKind.NONE: 0, DepthKind.EXPECTED: 1, DepthKind.MEDIAN: 2}
+
+
+class CpuRasteriser:
+    """The backend called ``cpu``. Raises :class:`ConfigError` where the native library is missing."""
+
+    name = "cpu"
+
+    def __init__(self) -> None:
+        if not cags_kernels.native_available():
+            reason = cags_kernels.why_unavailable()
+            raise ConfigError(f"rasteriser 'cpu' cannot run: {reason}; install a C++ compiler, then ./kernels again")
+
+    def load(self, splats: Splats) -> RasterScene:
+        """Take a copy of ``splats``. Raises :class:`cags_common.errors.SceneError` for values that cannot be drawn."""
+        return CpuScene(drawable(splats))
+
+
+class CpuScene:
+    """Splats held by the native library, in the layout that it draws from."""
+
+    def __init__(self, splats: Splats) -> None:
+        from cags_kernels.raster import NativeScene  # noqa: PLC0415 - needs the native library
+
+        self._native = NativeScene(_arrays(splats), threads=2)
+        self._harmonics = splats.sh_rest.shape[1]
+
+    def __len__(self) -> int:
+        return self._native.count
+
+    def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
+        """Replace the splats at ``rows`` [M]. Raises ``IndexError`` for rows outside the scene."""
+        new = fit_harmonics(drawable(splats), self._harmonics)
+        indices = np.ascontiguousarray(rows, dtype=np.int64)
+        if indices.shape != (len(new),):
+            raise ValueError(f"{len(new)} splats for rows of shape {indices.shape}; give one row for each")
+        if indices.size and not (0 <= indices.min() and indices.max() < len(self)):
+            raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {len(self)} splats")
+        self._native.update(indices, _arrays(new))
+
+    def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
+        """Render one view over black."""
+        check_camera(camera)
+        try:
+            image = self._native.render(_camera(camera), _options(options), contribution=options.contribution)
+        except cags_kernels.KernelError as error:
+            raise CagsError(f"rendering {camera.width_px}x{camera.height_px} px failed: {error}") from error
+        return RenderedView(image.rgb, image.alpha, image.depth, image.contribution)
+
+    def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
+        """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
+        check_camera(camera)
+        image = check_residual(residual, camera)
+        try:
+            return BackProjection(*self._native.back_project(_camera(camera), image, _options(options)))
+        except cags_kernels.KernelError as error:
+            raise CagsError(f"back-projection failed: {error}") from error
+
+
+def _arrays(splats: Splats) -> tuple[F32, ...]:
+    return tuple(array for _, array in splats.arrays())
+
+
+def _camera(camera: Camera) -> RasterCamera:
+    from cags_kernels.raster import RasterCamera  # noqa: PLC0415 - needs the native library
+
+    i = camera.intrinsics
+    rotation, position = camera.world_to_camera[0], np.asarray(camera.pose.position)
+    return RasterCamera(rotation, position, i.fx_px, i.fy_px, i.cx_px, i.cy_px, camera.near, i.width_px, i.height_px)
+
+
+def _options(options: RenderOptions) -> RasterOptions:
+    from cags_kernels.raster import RasterOptions  # noqa: PLC0415 - needs the native library
+
+    return RasterOptions(
+        dilation=options.footprint.dilation_px2,
+        filter=options.footprint.filter_px2,
+        void_alpha=options.void_alpha,
+        exactness=_EXACTNESS[options.exactness],
+        depth=_DEPTH[options.depth],
+        max_sh_degree=options.max_sh_degree,
+        threads=options.threads,
+    )

@@ -1,0 +1,188 @@
+"""The rasteriser's C interface: numpy arrays in and out, nothing copied, the GIL released while a call runs.
+
+Callers validate their data (finite values, quaternions of non-zero norm): ``cags_common.raster`` does.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_kernels.library import check, library
+
+F32: TypeAlias = NDArray[np.float32]
+F64: TypeAlias = NDArray[np.float64]
+
+_Pointer = ctypes.c_void_p
+_int32, _int64, _float, _double = ctypes.c_int32, ctypes.c_int64, ctypes.c_float, ctypes.c_double
+
+FAST, BALANCED, EXACT = 0, 1, 2
+DEPTH_NONE, DEPTH_EXPECTED, DEPTH_MEDIAN = 0, 1, 2
+
+
+class _Splats(ctypes.Structure):
+    _fields_ = [("count", _int64), ("sh_rest_count", _int32)] + [
+        (name, _Pointer) for name in ("means", "quats", "log_scales", "logit_opacities", "sh0", "sh_rest")
+    ]
+
+
+class _Camera(ctypes.Structure):
+    _fields_ = [
+        ("rotation", _double * 9),
+        ("position", _double * 3),
+        *((name, _double) for name in ("fx", "fy", "cx", "cy", "near_plane")),
+        ("width", _int32),
+        ("height", _int32),
+    ]
+
+
+class _Options(ctypes.Structure):
+    _fields_ = [(name, _float) for name in ("dilation", "filter", "void_alpha")] + [
+        (name, _int32) for name in ("exactness", "depth", "max_sh_degree", "threads")
+    ]
+
+
+class _Targets(ctypes.Structure):
+    _fields_ = [(name, _Pointer) for name in ("rgb", "alpha", "depth", "contribution")]
+
+
+class _Statistics(ctypes.Structure):
+    _fields_ = [(name, _double) for name in ("project_ms", "bin_ms", "tiles_ms")] + [
+        (name, _int64) for name in ("visible", "entries", "block_visits")
+    ]
+
+
+@dataclass(frozen=True)
+class RasterCamera:
+    """A pinhole camera: ``rotation`` [3, 3] world to camera, ``position`` [3] in the world, pixels centred at + 0.5."""
+
+    rotation: F64
+    position: F64
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    near: float
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class RasterOptions:
+    """What ``cags_common.raster.RenderOptions`` says, as numbers; variances in squared pixels."""
+
+    dilation: float
+    filter: float
+    void_alpha: float
+    exactness: int
+    depth: int
+    max_sh_degree: int
+    threads: int
+
+
+@dataclass(frozen=True)
+class RasterStatistics:
+    """Where a frame's time went, and how much there was to do."""
+
+    project_ms: float
+    bin_ms: float
+    tiles_ms: float
+    visible: int
+    """Splats that touch the image."""
+    entries: int
+    """Pairs of a splat and a tile of 32x32 pixels."""
+    block_visits: int
+    """Pairs of a splat and a block of 4x4 pixels that were blended."""
+
+
+@dataclass(frozen=True, eq=False)
+class RasterImage:
+    """The arrays that :meth:`NativeScene.render` filled; None for what was not asked."""
+
+    rgb: F32  # [H, W, 3]
+    alpha: F32  # [H, W]
+    depth: F32 | None  # [H, W]
+    contribution: F32 | None  # [N]
+    statistics: RasterStatistics
+
+
+class NativeScene:
+    """Splats held by the native library. Renders may run beside each other; updates may not run beside a render.
+
+    ``splats`` is the six arrays means [N, 3], quats [N, 4], log_scales [N, 3], logit_opacities [N], sh0 [N, 3] and
+    sh_rest [N, K, 3], all finite; they are copied. Raises :class:`cags_kernels.KernelError`.
+    """
+
+    def __init__(self, splats: tuple[F32, ...], threads: int = 1) -> None:
+        self._library = library()
+        self._handle = _Pointer()
+        self.count = len(splats[0])
+        create = self._library.cags_raster_scene_create
+        check(create(ctypes.byref(_splats(splats)), threads, ctypes.byref(self._handle)), "raster_scene_create")
+
+    def __del__(self) -> None:
+        handle = getattr(self, "_handle", None)
+        if handle:
+            self._library.cags_raster_scene_destroy(handle)
+
+    def update(self, rows: NDArray[np.int64], splats: tuple[F32, ...]) -> None:
+        """Replace the splats at ``rows`` [M]; as many SH coefficients as at creation."""
+        rows = np.ascontiguousarray(rows, dtype=np.int64)
+        update = self._library.cags_raster_scene_update
+        check(update(self._handle, _address(rows), ctypes.byref(_splats(splats))), "raster_scene_update")
+
+    def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
+        """Render one view over black; depth as ``options.depth`` says."""
+        shape = (camera.height, camera.width)
+        rgb, alpha = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
+        depth = None if options.depth == DEPTH_NONE else np.empty(shape, np.float32)
+        weights = np.empty(self.count, np.float32) if contribution else None
+        targets = _Targets(*(_address(array) for array in (rgb, alpha, depth, weights)))
+        statistics = _Statistics()
+        status = self._library.cags_raster_render(
+            self._handle, *_arguments(camera, options), ctypes.byref(targets), ctypes.byref(statistics)
+        )
+        check(status, "raster_render")
+        figures = (getattr(statistics, name) for name, *_ in _Statistics._fields_)
+        return RasterImage(rgb, alpha, depth, weights, RasterStatistics(*figures))
+
+    def back_project(self, camera: RasterCamera, residual: F32, options: RasterOptions) -> tuple[F32, F32]:
+        """Carry ``residual`` [H, W, 3] onto the splats: sums of weight x residual [N, 3] and of weight [N]."""
+        residual = np.ascontiguousarray(residual, dtype=np.float32)
+        if residual.shape != (camera.height, camera.width, 3):
+            raise ValueError(f"residual has shape {residual.shape}, expected ({camera.height}, {camera.width}, 3)")
+        weighted, weight = np.empty((self.count, 3), np.float32), np.empty(self.count, np.float32)
+        status = self._library.cags_raster_back_project(
+            self._handle, *_arguments(camera, options), _address(residual), _address(weighted), _address(weight)
+        )
+        check(status, "raster_back_project")
+        return weighted, weight
+
+
+def _address(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
+    return _Pointer(None if array is None else array.ctypes.data)
+
+
+def _splats(arrays: tuple[F32, ...]) -> _Splats:
+    for array in arrays:
+        if array.dtype != np.float32 or not array.flags.c_contiguous:
+            raise ValueError("splat arrays must be C-contiguous float32")
+    means, rest = arrays[0], arrays[5]
+    return _Splats(len(means), rest.shape[1], *(_address(array) for array in arrays))
+
+
+def _arguments(camera: RasterCamera, options: RasterOptions) -> tuple[object, object]:
+    native_camera = _Camera(
+        (_double * 9)(*np.ravel(camera.rotation)),
+        (_double * 3)(*np.ravel(camera.position)),
+        *(camera.fx, camera.fy, camera.cx, camera.cy, camera.near, camera.width, camera.height),
+    )
+    native_options = _Options(
+        *(options.dilation, options.filter, options.void_alpha),
+        *(options.exactness, options.depth, options.max_sh_degree, options.threads),
+    )
+    return ctypes.byref(native_camera), ctypes.byref(native_options)

@@ -1,0 +1,63 @@
+// The C interface of the native library: plain structures and pointers, no exceptions, no ownership of the caller's arrays.
+#pragma once
+#include <cstdint>
+
+#define CAGS_API extern "C" __attribute__((visibility("default")))
+
+enum CagsStatus : int32_t { CAGS_OK = 0, CAGS_INVALID = 1, CAGS_OUT_OF_MEMORY = 2, CAGS_FAILED = 3 };
+enum CagsExactness : int32_t { CAGS_FAST = 0, CAGS_BALANCED = 1, CAGS_EXACT = 2 };
+enum CagsDepth : int32_t { CAGS_DEPTH_NONE = 0, CAGS_DEPTH_EXPECTED = 1, CAGS_DEPTH_MEDIAN = 2 };
+
+// Splats as arrays of rows; every value finite, quaternions of non-zero norm (the caller checks and names what is not).
+struct CagsSplats {
+  int64_t count;
+  int32_t sh_rest_count;  // view-dependent coefficients a channel: 0, 3, 8 or 15
+  const float* means;            // [count, 3] world
+  const float* quats;            // [count, 4] wxyz
+  const float* log_scales;       // [count, 3]
+  const float* logit_opacities;  // [count]
+  const float* sh0;              // [count, 3]
+  const float* sh_rest;          // [count, sh_rest_count, 3]
+};
+
+struct CagsCamera {
+  double rotation[9];  // world to camera, row-major
+  double position[3];  // of the camera, world
+  double fx, fy, cx, cy;  // pixels; pixel centres at + 0.5
+  double near_plane;
+  int32_t width, height;
+};
+
+struct CagsRasterOptions {
+  float dilation, filter;  // squared pixels, see Footprint
+  float void_alpha;
+  int32_t exactness, depth, max_sh_degree, threads;
+};
+
+// Where a view goes; a null pointer leaves that part out.
+struct CagsRasterTargets {
+  float* rgb;           // [height, width, 3]
+  float* alpha;         // [height, width]
+  float* depth;         // [height, width]
+  float* contribution;  // [count]
+};
+
+// What the last step of a frame did, for benchmarks.
+struct CagsRasterStatistics {
+  double project_ms, bin_ms, tiles_ms;
+  int64_t visible, entries, block_visits;
+};
+
+struct CagsRasterScene;
+
+CAGS_API int32_t cags_abi_version();
+CAGS_API const char* cags_instruction_set();
+CAGS_API int32_t cags_use_instruction_set(const char* name);  // for tests and benchmarks; CAGS_INVALID when not runnable here
+
+CAGS_API int32_t cags_raster_scene_create(const CagsSplats* splats, int32_t threads, CagsRasterScene** scene);
+CAGS_API void cags_raster_scene_destroy(CagsRasterScene* scene);
+CAGS_API int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, const CagsSplats* splats);
+CAGS_API int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,
+                                    const CagsRasterTargets* targets, CagsRasterStatistics* statistics);
+CAGS_API int32_t cags_raster_back_project(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,
+                                          const float* residual, float* weighted_residual, float* weight);

@@ -1,0 +1,120 @@
+#include "raster/scene.h"
+
+#include "support/thread_pool.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+namespace cags::raster {
+namespace {
+
+enum Plane { kMean = 0, kAxes = 3, kOpacity = 12, kBase = 13, kPlanes = 16 };
+
+constexpr double kShC0 = 0.28209479177387814;
+constexpr double kLog2E = 1.4426950408889634;
+constexpr float kInvisible = -1e6f;  // log2 of an opacity that draws nothing
+constexpr int kLoadChunk = 4096;     // splats; a multiple of kLanes, so that no two threads write one block
+
+// FNV-1a over the 32-bit words of a splat, then a finaliser: equal for equal splats, whatever their place in the scene.
+class ContentHash {
+ public:
+  void add(const float* values, int count) {
+    for (int i = 0; i < count; i++) {
+      uint32_t word;
+      std::memcpy(&word, values + i, sizeof word);
+      state_ = (state_ ^ word) * 16777619u;
+    }
+  }
+  uint32_t value() const {
+    uint32_t h = state_;
+    h = (h ^ (h >> 15)) * 0x2c1b3c6du;
+    return h ^ (h >> 12);
+  }
+
+ private:
+  uint32_t state_ = 2166136261u;
+};
+
+// Row-major rotation matrix x diag(scale) of a quaternion that need not be unit.
+void scaled_axes(const float* quat, const float* log_scale, double out[9]) {
+  double w = quat[0], x = quat[1], y = quat[2], z = quat[3];
+  const double norm = std::sqrt(w * w + x * x + y * y + z * z);
+  w /= norm, x /= norm, y /= norm, z /= norm;
+  const double rotation[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
+                              2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                              2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
+  for (int column = 0; column < 3; column++) {
+    const double scale = std::min(std::exp(double(log_scale[column])), kMaxScale);
+    for (int row = 0; row < 3; row++) out[3 * row + column] = rotation[3 * row + column] * scale;
+  }
+}
+
+float log2_sigmoid(float logit) {
+  return float(std::max(-std::log1p(std::exp(-double(logit))) * kLog2E, double(kInvisible)));
+}
+
+}  // namespace
+
+Scene::Scene(const CagsSplats& splats, int threads)
+    : count_(int(splats.count)), padded_((count_ + kLanes - 1) / kLanes * kLanes), sh_rest_(splats.sh_rest_count) {
+  float* planes = geometry_.reserve(size_t(kPlanes) * padded_);
+  std::fill_n(planes, size_t(kPlanes) * padded_, 0.0f);
+  std::fill(planes + size_t(kOpacity) * padded_ + count_, planes + size_t(kOpacity + 1) * padded_, kInvisible);
+  std::fill_n(rest_.reserve(size_t(padded_) * sh_rest_ * 3), size_t(padded_) * sh_rest_ * 3, 0.0f);
+  std::fill_n(tie_.reserve(padded_), padded_, 0u);
+  degree_.reserve(padded_ / kLanes);
+  parallel_for(threads, (padded_ + kLoadChunk - 1) / kLoadChunk, [&](int chunk, int) {
+    const int begin = chunk * kLoadChunk, end = std::min(begin + kLoadChunk, padded_);
+    for (int i = begin; i < std::min(end, count_); i++) store(i, splats, i);
+    for (int block = begin / kLanes; block < end / kLanes; block++) refresh_degree(block);
+  });
+}
+
+void Scene::update(const int64_t* rows, const CagsSplats& splats) {
+  for (int64_t i = 0; i < splats.count; i++) store(int(rows[i]), splats, i);
+  if (sh_rest_ == 0) return;
+  for (int64_t i = 0; i < splats.count; i++) refresh_degree(int(rows[i]) / kLanes);
+}
+
+SceneData Scene::data() const {
+  SceneData data{};
+  auto plane = [&](int index) { return geometry_.data() + size_t(index) * padded_; };
+  data.count = count_, data.padded = padded_, data.sh_rest = sh_rest_;
+  for (int i = 0; i < 3; i++) data.mean[i] = plane(kMean + i), data.base[i] = plane(kBase + i);
+  for (int i = 0; i < 9; i++) data.axes[i] = plane(kAxes + i);
+  data.log2_opacity = plane(kOpacity);
+  data.tie = tie_.data(), data.rest = rest_.data(), data.degree = degree_.data();
+  return data;
+}
+
+void Scene::store(int slot, const CagsSplats& splats, int64_t row) {
+  auto put = [&](int plane, double value) { geometry_[size_t(plane) * padded_ + slot] = float(value); };
+  const float *mean = splats.means + 3 * row, *quat = splats.quats + 4 * row, *scale = splats.log_scales + 3 * row;
+  const float *logit = splats.logit_opacities + row, *sh0 = splats.sh0 + 3 * row;
+  const int coefficients = 3 * sh_rest_;
+  const float* rest = splats.sh_rest + row * coefficients;
+  double axes[9];
+  scaled_axes(quat, scale, axes);
+  for (int i = 0; i < 3; i++) put(kMean + i, mean[i]), put(kBase + i, 0.5 + kShC0 * sh0[i]);
+  for (int i = 0; i < 9; i++) put(kAxes + i, axes[i]);
+  put(kOpacity, log2_sigmoid(*logit));
+  float* block = rest_.data() + size_t(slot / kLanes) * coefficients * kLanes + slot % kLanes;
+  for (int i = 0; i < coefficients; i++) block[size_t(i) * kLanes] = rest[i];
+  ContentHash hash;
+  hash.add(mean, 3), hash.add(quat, 4), hash.add(scale, 3), hash.add(logit, 1), hash.add(sh0, 3), hash.add(rest, coefficients);
+  tie_[slot] = hash.value();
+}
+
+void Scene::refresh_degree(int block) {
+  constexpr int kFirstOfDegree[] = {0, 0, 3, 8, 15};
+  const float* coefficients = rest_.data() + size_t(block) * sh_rest_ * 3 * kLanes;
+  int degree = 0;
+  for (int d = 3; d >= 1 && degree == 0; d--) {
+    const int begin = kFirstOfDegree[d] * 3 * kLanes, end = std::min(kFirstOfDegree[d + 1], sh_rest_) * 3 * kLanes;
+    for (int i = begin; i < end; i++) degree = coefficients[i] != 0.0f ? d : degree;
+  }
+  degree_[block] = uint8_t(degree);
+}
+
+}  // namespace cags::raster

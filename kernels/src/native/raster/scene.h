@@ -1,0 +1,31 @@
+// Splats in the layout that the stages read, kept between frames and updated in part.
+#pragma once
+#include "cags_kernels.h"
+#include "raster/layout.h"
+#include "support/aligned.h"
+
+namespace cags::raster {
+
+class Scene {
+ public:
+  // Copies the splats. Throws std::bad_alloc.
+  Scene(const CagsSplats& splats, int threads);
+
+  // Replaces the splats at `rows`; their number of SH coefficients must be the scene's. Not beside a render.
+  void update(const int64_t* rows, const CagsSplats& splats);
+
+  int count() const { return count_; }
+  SceneData data() const;
+
+ private:
+  void store(int slot, const CagsSplats& splats, int64_t row);
+  void refresh_degree(int block);
+
+  int count_, padded_, sh_rest_;
+  AlignedArray<float> geometry_;   // mean, axes, log2_opacity, base: planes of padded_
+  AlignedArray<float> rest_;
+  AlignedArray<uint32_t> tie_;
+  AlignedArray<uint8_t> degree_;
+};
+
+}  // namespace cags::raster

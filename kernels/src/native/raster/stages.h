@@ -1,0 +1,25 @@
+// The stages of a frame, in the variant for one instruction set.
+#pragma once
+#include "raster/layout.h"
+
+#include <cstddef>
+
+namespace cags::raster {
+
+struct Stages {
+  // Projects and culls one chunk, evaluates colours, writes records, counts entries a tile.
+  void (*project)(const SceneData&, const View&, const FrameData&, int chunk);
+  // Writes the chunk's entries into its tiles' lists.
+  void (*scatter)(const View&, const FrameData&, int chunk);
+  // Sorts and composites one tile into the targets, or carries the residual back through it.
+  void (*composite)(const View&, const FrameData&, const Targets&, TileScratch&, int tile);
+  void (*back_project)(const View&, const FrameData&, const Targets&, TileScratch&, int tile);
+  size_t work_bytes;
+};
+
+extern const Stages stages_portable;
+#ifdef CAGS_X86
+extern const Stages stages_avx2, stages_avx512;
+#endif
+
+}  // namespace cags::raster

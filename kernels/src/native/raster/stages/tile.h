@@ -1,0 +1,165 @@
+// One tile: order its splats, take them in batches, cover, blend, write the pixels.
+#pragma once
+#include "raster/stages/blend.h"
+#include "raster/stages/cover.h"
+#include "raster/stages/order.h"
+
+#include <limits>
+
+namespace cags::raster {
+namespace {
+
+constexpr int kPrefetchAhead = 24;  // records
+
+struct TileWork {
+  Local local[kBatch];
+  Ellipses ellipses;
+  Membership membership;
+  BlockState blocks[kBlocks];
+  float sums[4 * kBatch];
+};
+
+struct TileArea {
+  int x, y, width, height;  // pixels; width and height are cut at the image's edge
+};
+
+inline TileArea area_of(const View& view, int tile) {
+  TileArea a{tile % view.tiles_x * kTile, tile / view.tiles_x * kTile, kTile, kTile};
+  if (a.x + kTile > view.width) a.width = view.width - a.x;
+  if (a.y + kTile > view.height) a.height = view.height - a.y;
+  return a;
+}
+
+// Brings records of the sorted entries [first, first + n) into the tile's frame.
+inline void gather(const FrameData& frame, const uint64_t* sorted, int first, int n, int total, const TileArea& area, TileWork& work) {
+  for (int i = 0; i < n; i++) {
+    if (first + i + kPrefetchAhead < total) __builtin_prefetch(frame.records + uint32_t(sorted[first + i + kPrefetchAhead]));
+    const Record& r = frame.records[uint32_t(sorted[first + i])];
+    const float x = (r.u - float(area.x)) + r.u_rest, y = (r.v - float(area.y)) + r.v_rest;
+    work.local[i] = {r.l11, r.l12, -(r.l11 * x + r.l12 * y), r.l22, -r.l22 * y, r.log2_opacity, r.r, r.g, r.b, r.z};
+    work.ellipses.x[i] = x, work.ellipses.y[i] = y, work.ellipses.reach[i] = r.log2_opacity - kLog2AlphaCut;
+    work.ellipses.l11[i] = r.l11, work.ellipses.l12[i] = r.l12, work.ellipses.l22[i] = r.l22;
+  }
+  for (int i = n; i % kWordBits; i++) {  // ellipses far above the tile reach nothing
+    work.ellipses.x[i] = 0, work.ellipses.y[i] = -1e4f, work.ellipses.reach[i] = 0;
+    work.ellipses.l11[i] = work.ellipses.l22[i] = 1, work.ellipses.l12[i] = 0;
+  }
+}
+
+// Clears the blocks; pixels beyond the image transmit nothing, so that they weigh nothing. Returns the blocks in the image.
+inline uint64_t begin_blocks(const TileArea& area, TileWork& work) {
+  uint64_t alive = 0;
+  for (int block = 0; block < kBlocks; block++) {
+    const int x = block % kBlocksPerSide * kBlock, y = block / kBlocksPerSide * kBlock;
+    BlockState& state = work.blocks[block];
+    std::memset(&state, 0, sizeof state);
+    if (x >= area.width || y >= area.height) continue;
+    alive |= uint64_t{1} << block;
+    for (int pixel = 0; pixel < kBlockPixels; pixel++)
+      state.transmittance[pixel] = x + pixel % kBlock < area.width && y + pixel / kBlock < area.height ? 1.0f : 0.0f;
+  }
+  return alive;
+}
+
+inline void load_residual(const View& view, const TileArea& area, const float* residual, TileWork& work) {
+  for (int y = 0; y < area.height; y++)
+    for (int x = 0; x < area.width; x++) {
+      const float* from = residual + 3 * (size_t(area.y + y) * view.width + area.x + x);
+      BlockState& state = work.blocks[y / kBlock * kBlocksPerSide + x / kBlock];
+      for (int c = 0; c < 3; c++) state.rgb[c][y % kBlock * kBlock + x % kBlock] = from[c];
+    }
+}
+
+inline float depth_of(const View& view, const BlockState& state, int pixel, float alpha) {
+  constexpr float kVoid = std::numeric_limits<float>::infinity();
+  const float depth = state.depth[pixel];
+  if (alpha < view.void_alpha || !(alpha > 0.0f)) return kVoid;
+  if (view.depth == CAGS_DEPTH_MEDIAN) return depth > 0.0f ? depth : kVoid;
+  return depth / alpha;
+}
+
+inline void write_pixels(const View& view, const TileArea& area, const Targets& targets, const TileWork& work) {
+  for (int y = 0; y < area.height; y++)
+    for (int x = 0; x < area.width; x++) {
+      const BlockState& state = work.blocks[y / kBlock * kBlocksPerSide + x / kBlock];
+      const int pixel = y % kBlock * kBlock + x % kBlock;
+      const size_t at = size_t(area.y + y) * view.width + area.x + x;
+      const float alpha = 1.0f - state.transmittance[pixel];
+      if (targets.rgb)
+        for (int c = 0; c < 3; c++) targets.rgb[3 * at + c] = state.rgb[c][pixel];
+      if (targets.alpha) targets.alpha[at] = alpha;
+      if (targets.depth) targets.depth[at] = depth_of(view, state, pixel, alpha);
+    }
+}
+
+inline float* slot_of(const FrameData& frame, const View& view, uint32_t record, int tile) {
+  const Record& r = frame.records[record];
+  const uint32_t column = uint32_t(tile % view.tiles_x - r.tile_x0), row = uint32_t(tile / view.tiles_x - r.tile_y0);
+  const size_t slot = size_t(frame.chunk_slot[record / uint32_t(frame.chunk_size)]) + r.slot +
+                      row * uint32_t(r.tile_x1 - r.tile_x0 + 1) + column;
+  return frame.slots + slot * frame.slot_width;
+}
+
+inline void write_slots(const FrameData& frame, const View& view, const uint64_t* sorted, int n, int tile, const float* sums) {
+  const int width = frame.slot_width;
+  for (int i = 0; i < n; i++) {
+    float* slot = slot_of(frame, view, uint32_t(sorted[i]), tile);
+    for (int c = 0; c < width; c++) slot[c] = sums ? sums[i * width + c] : 0.0f;
+  }
+}
+
+using Blend = bool (*)(BlockState&, const Local*, const uint64_t*, int, int, float, float*, int64_t&);
+
+// Runs `blend` over all batches of the tile.
+inline void blend_tile(const View& view, const FrameData& frame, TileScratch& scratch, int tile, uint64_t alive, Blend blend) {
+  TileWork& work = *static_cast<TileWork*>(scratch.work);
+  const TileArea area = area_of(view, tile);
+  const int n = int(frame.tile_start[tile + 1] - frame.tile_start[tile]);
+  const uint64_t* sorted = order(frame.entries + frame.tile_start[tile], scratch.spare, n, frame.records);
+  int first = 0;
+  for (; first < n && alive; first += kBatch) {
+    const int batch = n - first < kBatch ? n - first : kBatch;
+    gather(frame, sorted, first, batch, n, area, work);
+    cover(work.ellipses, batch, work.membership);
+    if (frame.slot_width) std::memset(work.sums, 0, sizeof work.sums);
+    for (uint64_t left = alive; left; left &= left - 1) {
+      const int block = __builtin_ctzll(left);
+      if (blend(work.blocks[block], work.local, work.membership.of_block[block], (batch + kWordBits - 1) / kWordBits, block,
+                view.stop, work.sums, scratch.block_visits))
+        alive &= ~(uint64_t{1} << block);
+    }
+    if (frame.slot_width) write_slots(frame, view, sorted + first, batch, tile, work.sums);
+  }
+  if (frame.slot_width && first < n) write_slots(frame, view, sorted + first, n - first, tile, nullptr);
+}
+
+template <int kDegree>
+Blend choose_blend(int depth, bool contribution) {
+  constexpr Blend table[3][2] = {
+      {blend<CAGS_DEPTH_NONE, false, kDegree>, blend<CAGS_DEPTH_NONE, true, kDegree>},
+      {blend<CAGS_DEPTH_EXPECTED, false, kDegree>, blend<CAGS_DEPTH_EXPECTED, true, kDegree>},
+      {blend<CAGS_DEPTH_MEDIAN, false, kDegree>, blend<CAGS_DEPTH_MEDIAN, true, kDegree>},
+  };
+  return table[depth][contribution];
+}
+
+void composite(const View& view, const FrameData& frame, const Targets& targets, TileScratch& scratch, int tile) {
+  TileWork& work = *static_cast<TileWork*>(scratch.work);
+  const TileArea area = area_of(view, tile);
+  const uint64_t alive = begin_blocks(area, work);
+  const bool contribution = frame.slot_width > 0;
+  const Blend blend = view.exactness == CAGS_EXACT ? choose_blend<5>(view.depth, contribution) : choose_blend<3>(view.depth, contribution);
+  blend_tile(view, frame, scratch, tile, alive, blend);
+  write_pixels(view, area, targets, work);
+}
+
+void back_project(const View& view, const FrameData& frame, const Targets& targets, TileScratch& scratch, int tile) {
+  TileWork& work = *static_cast<TileWork*>(scratch.work);
+  const TileArea area = area_of(view, tile);
+  const uint64_t alive = begin_blocks(area, work);
+  load_residual(view, area, targets.residual, work);
+  blend_tile(view, frame, scratch, tile, alive, view.exactness == CAGS_EXACT ? blend_back<5> : blend_back<3>);
+}
+
+}  // namespace
+}  // namespace cags::raster
