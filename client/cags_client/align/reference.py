@@ -73,7 +73,7 @@ class _Projected:
     inside: Mask
 
     def cells(self) -> tuple[int, NDArray[np.int64]]:
-        """Number of reference pixels touched at most, and the index [H, W] of each client pixel's (0 where not inside)."""
+        """Number of reference pixels that may be touched, and the one [H, W] that each client pixel lies in."""
         column = np.where(self.inside, self.x, 0.0).astype(np.int64)
         row = np.where(self.inside, self.y, 0.0).astype(np.int64)
         stride = int(column.max()) + 1

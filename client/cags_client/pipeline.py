@@ -1,0 +1,182 @@
+"""From messages to pictures: the client without sockets, threads or clocks.
+
+Shared by real time (``app.py`` calls it from executors) and virtual time (the simulator calls it inline). ``on_*``
+decode and store; :meth:`ClientPipeline.present` draws one frame. One thread may decode while another presents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cags_client import align, restore
+from cags_client.align import Aligned, AlignSettings, ReferencePicture
+from cags_client.references import References
+from cags_client.restore import RestoreInput
+from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.tile_store import Committed, GofStore, TileStore
+from cags_common import raster
+from cags_common.bundle.manifest import Manifest
+from cags_common.geometry import F32, Camera, Pose
+from cags_common.packing import decode_ids
+from cags_common.raster.base import Exactness, RasterScene, RenderedView, RenderOptions
+from cags_common.svq import CodebookSet
+from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+
+
+@dataclass(frozen=True, eq=False)
+class PresentedFrame:
+    """One displayed frame and how it came about."""
+
+    frame: int
+    camera: Camera
+    rgb: F32  # [H, W, 3] in [0, 1]: what is shown
+    distorted: F32  # [H, W, 3]: the client's own render
+    aligned: Aligned | None
+    """The aligned reference, or None where there was none to align or nothing to restore."""
+    depth: F32  # [H, W] camera-space z; +inf where void
+    alpha: F32  # [H, W]
+    reference: ReferencePicture | None
+    lod_mean: float
+    """Mean LoD of the splats in view; NaN where none is held."""
+    missed: bool
+    """The frame's own data had not all come: something older is shown."""
+    stages_ms: dict[str, float]
+
+
+class ClientPipeline:
+    """Decodes, stores and draws. ``info`` is the manifest's public part. Raises :class:`DecodeError` for codebooks."""
+
+    def __init__(
+        self,
+        info: Manifest,
+        codebooks: bytes,
+        settings: ClientSettings,
+        *,
+        live: LiveSettings | None = None,
+        clock: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        self.info = info
+        self.settings = settings
+        self.live = live or LiveSettings(settings)
+        self._clock = clock
+        self._store = TileStore(info, CodebookSet.from_bytes(codebooks))
+        self._references = References(info.near)
+        self._rasteriser = raster.create(settings.raster)
+        self._scene: RasterScene | None = None
+        prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
+        self._aligner = align.create(settings.align, prpa)
+        self._restorer = restore.create(self.live.restore)
+
+    # -------------------------------------------------------------------------------------------------------- decoding
+
+    def on_tile(self, message: TileLayers, payload: memoryview) -> None:
+        """Decode layers of a tile. Raises :class:`DecodeError`; what was held stays."""
+        self._store.add(message.frame, message.tile, message.from_lod, message.split(payload))
+
+    def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:
+        """Decode a reference; False asks for an IDR picture. Raises :class:`DecodeError`."""
+        return self._references.add(message, payload)
+
+    def on_frame_end(self, message: FrameEnd, payload: memoryview) -> None:
+        """The frame is whole. Raises :class:`DecodeError`."""
+        capacity = self.info.capacity[self.info.gof_of(message.frame)]
+        what = f"removed ids of frame {message.frame}"
+        removed = decode_ids(payload, what=what, limit=max(capacity, 1)) if len(payload) else np.zeros(0, np.int32)
+        self._store.end(message.frame, removed)
+
+    @property
+    def last_reference_seq(self) -> int:
+        """The last reference picture that was decoded; 0 before any."""
+        return self._references.last_decoded
+
+    def reset(self, frame: int) -> None:
+        """The viewer jumped to ``frame``: forget tiles and references."""
+        self._store.reset(frame)
+        self._references.reset()
+        self._scene = None
+
+    # ------------------------------------------------------------------------------------------------------ presenting
+
+    def camera(self, pose: Pose) -> Camera:
+        """The display's camera at ``pose``, with the scene's near plane."""
+        return Camera(self.settings.intrinsics, pose, self.info.near)
+
+    def present(self, frame: int, camera: Camera) -> PresentedFrame:
+        """Draw media frame ``frame`` from ``camera``."""
+        watch = _Stopwatch(self._clock)
+        with watch("update"):
+            store, committed = self._store.commit(frame)
+            scene = self._updated(store, committed)
+        with watch("raster"):
+            view = scene.render(camera, self._options())
+        distorted = np.clip(view.rgb, 0.0, 1.0)
+        reference = None if store.full else self._references.nearest(frame, self.settings.reference_age)
+        aligned, shown = None, distorted
+        if reference is not None and view.depth is not None:
+            with watch("align"):
+                aligned = _faded(self._aligner.align(reference, view.depth, camera), self._freshness(reference, frame))
+            with watch("restore"):
+                shown = self._restored(RestoreInput(distorted, view.alpha, aligned, reference))
+        return PresentedFrame(
+            frame=frame,
+            camera=camera,
+            rgb=shown,
+            distorted=distorted,
+            aligned=aligned,
+            depth=_depth(view),
+            alpha=view.alpha,
+            reference=reference,
+            lod_mean=store.lod_mean(camera),
+            missed=committed.missed,
+            stages_ms=watch.stages_ms,
+        )
+
+    def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
+        if self._scene is None or committed.fresh:
+            self._scene = self._rasteriser.load(store.splats)
+        elif len(committed.rows):
+            self._scene.update(committed.rows, store.splats.take(committed.rows))
+        return self._scene
+
+    def _options(self) -> RenderOptions:
+        return RenderOptions(exactness=Exactness(self.live.exactness), threads=self.settings.threads)
+
+    def _freshness(self, reference: ReferencePicture, frame: int) -> float:
+        """1 for the reference of this very frame, falling to 0 past the oldest that is allowed."""
+        return 1.0 - abs(frame - reference.frame) / (self.settings.reference_age + 1)
+
+    def _restored(self, inputs: RestoreInput) -> F32:
+        if self._restorer.name != self.live.restore:
+            self._restorer = restore.create(self.live.restore)
+        return self._restorer.restore(inputs)
+
+
+def _faded(aligned: Aligned, freshness: float) -> Aligned:
+    if freshness >= 1.0:
+        return aligned
+    return replace(aligned, confidence=aligned.confidence * np.float32(freshness))
+
+
+def _depth(view: RenderedView) -> F32:
+    return view.depth if view.depth is not None else np.full(view.alpha.shape, np.inf, np.float32)
+
+
+class _Stopwatch:
+    """Times named stages by a clock that was passed in (seconds)."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self.stages_ms: dict[str, float] = {}
+
+    def __call__(self, stage: str) -> AbstractContextManager[None]:
+        return self._timed(stage)
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        start = self._clock()
+        yield
+        self.stages_ms[stage] = (self._clock() - start) * 1e3

@@ -1,0 +1,48 @@
+"""Scoring displayed frames against the truth: the same keys in real and in virtual time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from cags_client.pipeline import PresentedFrame
+from cags_common.geometry import F32
+from cags_common.metrics import covered_mask, psnr, ssim
+
+
+def score(presented: PresentedFrame, truth_rgb: F32, truth_alpha: F32) -> dict[str, float]:
+    """PSNR (dB; over the frame and over covered pixels) and SSIM of the distorted, aligned and restored pictures.
+
+    ``truth_rgb`` [H, W, 3] and ``truth_alpha`` [H, W] are the source frame seen from the same camera. The aligned
+    reference is scored only where there is one.
+    """
+    aligned = presented.aligned.rgb if presented.aligned is not None else None
+    return score_pictures(presented.distorted, aligned, presented.rgb, truth_rgb, truth_alpha)
+
+
+def score_pictures(
+    distorted: F32, aligned: F32 | None, restored: F32, truth_rgb: F32, truth_alpha: F32
+) -> dict[str, float]:
+    """:func:`score` of plain pictures [H, W, 3]."""
+    truth = np.clip(truth_rgb, 0.0, 1.0)
+    covered = covered_mask(truth_alpha)
+    out: dict[str, float] = {"covered": float(covered.mean())}
+    for name, picture in (("distorted", distorted), ("aligned", aligned), ("restored", restored)):
+        if picture is not None:
+            out[f"psnr_{name}_db"] = psnr(picture, truth)
+            out[f"psnr_covered_{name}_db"] = psnr(picture, truth, covered)
+            out[f"ssim_{name}"] = ssim(picture, truth)
+    return out
+
+
+def averages(records: Iterable[dict[str, Any]]) -> dict[str, float]:
+    """Mean over records of every numeric entry that they hold; entries that are not finite are left out."""
+    values: dict[str, list[float]] = {}
+    for record in records:
+        for key, value in record.items():
+            if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+                values.setdefault(key, []).append(float(value))
+    return {key: sum(found) / len(found) for key, found in values.items()}

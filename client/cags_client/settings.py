@@ -1,0 +1,57 @@
+"""Settings of the client: flags and TOML keys of ``cags-client``, and of the simulator's client."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from cags_common.geometry import Intrinsics
+from cags_common.settings import check_settings, setting
+
+
+@dataclass(frozen=True)
+class ClientSettings:
+    """How the client looks at the scene, what it does to a picture, and how it plays."""
+
+    width: int = setting(800, "picture width in pixels", low=1, high=8192)
+    height: int = setting(600, "picture height in pixels", low=1, high=8192)
+    fov: float = setting(60.0, "horizontal field of view in degrees", low=1, high=170)
+    raster: str = setting("auto", "rasteriser: auto, reference, cpu or cuda")
+    exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
+    align: str = setting("auto", "aligner: auto, reference, fast or cpu")
+    erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
+    restore: str = setting("affine", "restorer; auto picks the dearest that fits the frame time")
+    adapt: str = setting("none", "colour adaptation of the splats themselves", choices=("none", "sirt"))
+    threads: int = setting(2, "threads of a render", low=1, high=256)
+    reference_age: int = setting(
+        10, "media frames after which a reference is too old to restore from; younger ones fade", low=0, high=1000
+    )
+    start_frame: int = setting(0, "media frame to join at", low=0)
+    duration: float | None = setting(None, "seconds to play; the whole clip if not given", low=0.001)
+    start_delay_ms: int = setting(250, "time from asking to play to the first frame", low=0, high=10_000)
+    lead_in: float = setting(1.0, "seconds of the walk before the first frame, told to the server", low=0, high=60)
+    pose_rate: float = setting(60.0, "poses sent a second", low=1, high=1000)
+    drop_late: bool = setting(True, "skip frames that would be shown after the next one is due")
+    token: str = setting("", "token of a server that asks for one")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The display's pinhole: square pixels, centred."""
+        focal = self.width / (2 * math.tan(math.radians(self.fov) / 2))
+        return Intrinsics(self.width, self.height, focal, focal, self.width / 2, self.height / 2)
+
+    @property
+    def lead_in_us(self) -> int:
+        """:attr:`lead_in` in microseconds."""
+        return round(self.lead_in * 1e6)
+
+
+class LiveSettings:
+    """What a viewer may change while playing. Read once a frame; plain attributes, set from any thread."""
+
+    def __init__(self, settings: ClientSettings) -> None:
+        self.restore = settings.restore
+        self.exactness = settings.exactness

@@ -1,0 +1,127 @@
+"""What the live page asks of the client: three small value types and one protocol.
+
+The client's shell implements :class:`Controls`; tests and examples do with a few lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32, Camera, Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class SceneInfo:
+    """What the page must know of a clip before its first picture."""
+
+    name: str
+    frames: int
+    fps: float
+    up: Vec3
+    focus_centre: Vec3
+    focus_radius: float
+    lods: int
+    """Number of levels of detail, the base layer included."""
+    near: float = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class TileBox:
+    """One tile on display, for the overlay."""
+
+    low: Vec3
+    high: Vec3
+    lod: float
+    """Share of its layers that the client holds, 0 (base only) to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShownFrame:
+    """One displayed frame with all its intermediate pictures. Arrays must not change after they are handed over."""
+
+    frame: int
+    camera: Camera
+    pictures: Mapping[str, F32]
+    """``restored`` [H, W, 3] and what else there is: ``distorted``, ``aligned``, ``reference`` (any size)."""
+    depth: F32 | None = None  # [H, W] camera-space z; non-finite is void
+    occluded: NDArray[np.bool_] | None = None  # [H, W] seen here, hidden from the reference
+    confidence: F32 | None = None  # [H, W] in [0, 1]: how much the aligned reference says
+    reference_camera: Camera | None = None
+    stages_ms: Mapping[str, float] = field(default_factory=dict)
+    """Time of each stage of the display path."""
+    stats: Mapping[str, float | None] = field(default_factory=dict)
+    """Further figures by name, such as ``goodput_mbps``, ``lod_mean``, ``buffer_ms``, ``prediction_error_deg``."""
+    missed: bool = False
+
+
+class Controls(Protocol):
+    """What a viewer may change while the clip runs. Called from the event loop's thread unless a method says otherwise."""
+
+    @property
+    def playing(self) -> bool:
+        """Whether the clip's clock runs."""
+        ...
+
+    @property
+    def loop(self) -> bool:
+        """Whether the clip starts again at its end."""
+        ...
+
+    @property
+    def rate(self) -> float:
+        """Speed, 1 being the clip's own."""
+        ...
+
+    @property
+    def restorer(self) -> str:
+        """Name of the colour restoration in use."""
+        ...
+
+    @property
+    def restorers(self) -> tuple[str, ...]:
+        """Names that :meth:`set_restorer` takes."""
+        ...
+
+    @property
+    def exactness(self) -> str:
+        """``fast``, ``balanced`` or ``exact``."""
+        ...
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether :meth:`truth` can answer."""
+        ...
+
+    def play(self) -> None:
+        """Let the clip's clock run."""
+
+    def pause(self) -> None:
+        """Hold the frame; the camera still moves."""
+
+    def seek(self, frame: int) -> None:
+        """Go to a frame of the clip."""
+
+    def set_rate(self, rate: float) -> None:
+        """Change the speed."""
+
+    def set_loop(self, on: bool) -> None:
+        """Start again at the end, or hold the last frame."""
+
+    def set_restorer(self, name: str) -> None:
+        """Change the colour restoration from the next frame on."""
+
+    def set_exactness(self, name: str) -> None:
+        """Change how exact the display path is from the next frame on."""
+
+    def truth(self, frame: int, camera: Camera) -> F32:
+        """The unquantised scene [H, W, 3]. Called from the page's own worker thread, only while somebody looks at it."""
+        ...
+
+    def tiles(self) -> Iterable[TileBox]:
+        """Tiles on display. Called from the page's own worker thread, only while the overlay is on."""
+        ...
