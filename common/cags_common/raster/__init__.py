@@ -39,13 +39,13 @@ _log = logging.getLogger(__name__)
 
 
 def _reference() -> Rasteriser:
-    from cags_common.raster.reference import ReferenceRasteriser  # noqa: PLC0415 - imported when it is used
+    from cags_common.raster.reference import ReferenceRasteriser
 
     return ReferenceRasteriser()
 
 
 def _cpu() -> Rasteriser:
-    from cags_common.raster.cpu import CpuRasteriser  # noqa: PLC0415 - loads the native library
+    from cags_common.raster.cpu import CpuRasteriser
 
     return CpuRasteriser()
 
@@ -64,7 +64,7 @@ def create(name: str = "auto") -> Rasteriser:
 
 
 def _automatic() -> Rasteriser:
-    import cags_kernels  # noqa: PLC0415 - loads numpy and looks for the native library
+    import cags_kernels
 
     if cags_kernels.native_available():
         return _cpu()

@@ -1,12 +1,13 @@
 """The rasteriser seam.
 
-A :class:`Rasteriser` loads splats into a :class:`RasterScene` that lives on the renderer's side between frames; the scene
-is updated in part and rendered from any camera. Implementations: ``reference`` (float64, readable, the definition of
+A :class:`Rasteriser` loads splats into a :class:`RasterScene` that lives on the renderer's side between frames; the
+scene is updated in part and rendered from any camera. Implementations: ``reference`` (float64, readable, the definition of
 right), ``cpu`` (``cags-kernels``), ``cuda`` (gsplat).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
@@ -20,6 +21,9 @@ from cags_common.splats import Splats
 DILATION_PX2 = 0.3
 """Variance that 3DGS adds to every projected splat, in squared pixels (Kerbl et al. 2023)."""
 
+MIN_VARIANCE_PX2 = 1e-4
+"""Least variance of a footprint: a splat seen edge on must not vanish between pixel centres."""
+
 BOX_VARIANCE_PX2 = 1.0 / 12.0
 """Variance of a pixel-wide box: the low-pass of the pixel itself (Yu et al. 2024, Mip-Splatting)."""
 
@@ -29,11 +33,19 @@ class Footprint:
     """How a splat's projected covariance S (squared pixels) is widened before it is drawn.
 
     The drawn covariance is ``S + (dilation_px2 + filter_px2) I``; the opacity is multiplied by
-    ``sqrt(det(S + dilation_px2 I) / det(S + (dilation_px2 + filter_px2) I))``, so that the filter keeps the splat's weight.
+    ``sqrt(det(S + dilation_px2 I) / det(S + (dilation_px2 + filter_px2) I))``, so that the filter keeps its weight.
     """
 
     dilation_px2: float = DILATION_PX2
     filter_px2: float = 0.0
+
+    def __post_init__(self) -> None:
+        total = self.dilation_px2 + self.filter_px2
+        if not (self.dilation_px2 >= 0 and self.filter_px2 >= 0 and MIN_VARIANCE_PX2 <= total < math.inf):
+            raise ValueError(
+                f"footprint of {self.dilation_px2} + {self.filter_px2} px^2: both must be >= 0 and finite, "
+                f"and their sum at least {MIN_VARIANCE_PX2}"
+            )
 
     @classmethod
     def classic(cls) -> Footprint:
@@ -90,6 +102,14 @@ class RenderOptions:
     max_sh_degree: int = 3
     threads: int = 2
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.void_alpha <= 1:
+            raise ValueError(f"void_alpha = {self.void_alpha} must lie in [0, 1]")
+        if self.max_sh_degree not in range(4):
+            raise ValueError(f"max_sh_degree = {self.max_sh_degree} must lie in 0..3")
+        if self.threads < 1:
+            raise ValueError(f"threads = {self.threads} must be at least 1")
+
 
 @dataclass(frozen=True, eq=False)
 class RenderedView:
@@ -131,7 +151,9 @@ class Rasteriser(Protocol):
     """A rendering backend."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """What :func:`cags_common.raster.create` calls it."""
+        ...
 
     def load(self, splats: Splats) -> RasterScene:
         """Take a copy of ``splats`` (zero splats are legal: every view is black and void)."""

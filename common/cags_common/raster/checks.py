@@ -34,7 +34,7 @@ def drawable(splats: Splats, source: str = "splats") -> Splats:
     norms = np.linalg.norm(arrays["quats"].astype(np.float64), axis=1)
     if norms.size and norms.min() < MIN_QUATERNION_NORM:
         raise SceneError(
-            f"{source}: quats[{int(np.argmin(norms))}] is zero and has no direction; give a unit quaternion"
+            f"{source}: quats[{int(np.argmin(norms))}] is zero: it has no direction; give a unit quaternion"
         )
     return Splats(**arrays)
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import cags_kernels
 import numpy as np
 from numpy.typing import NDArray
 
+import cags_kernels
 from cags_common.errors import CagsError, ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
@@ -41,7 +41,7 @@ class CpuScene:
     """Splats held by the native library, in the layout that it draws from."""
 
     def __init__(self, splats: Splats) -> None:
-        from cags_kernels.raster import NativeScene  # noqa: PLC0415 - needs the native library
+        from cags_kernels.raster import NativeScene
 
         self._native = NativeScene(_arrays(splats), threads=2)
         self._harmonics = splats.sh_rest.shape[1]
@@ -55,7 +55,7 @@ class CpuScene:
         indices = np.ascontiguousarray(rows, dtype=np.int64)
         if indices.shape != (len(new),):
             raise ValueError(f"{len(new)} splats for rows of shape {indices.shape}; give one row for each")
-        if indices.size and not (0 <= indices.min() and indices.max() < len(self)):
+        if indices.size and not (indices.min() >= 0 and indices.max() < len(self)):
             raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {len(self)} splats")
         self._native.update(indices, _arrays(new))
 
@@ -83,7 +83,7 @@ def _arrays(splats: Splats) -> tuple[F32, ...]:
 
 
 def _camera(camera: Camera) -> RasterCamera:
-    from cags_kernels.raster import RasterCamera  # noqa: PLC0415 - needs the native library
+    from cags_kernels.raster import RasterCamera
 
     i = camera.intrinsics
     rotation, position = camera.world_to_camera[0], np.asarray(camera.pose.position)
@@ -91,7 +91,7 @@ def _camera(camera: Camera) -> RasterCamera:
 
 
 def _options(options: RenderOptions) -> RasterOptions:
-    from cags_kernels.raster import RasterOptions  # noqa: PLC0415 - needs the native library
+    from cags_kernels.raster import RasterOptions
 
     return RasterOptions(
         dilation=options.footprint.dilation_px2,
