@@ -1,8 +1,8 @@
 """The rasteriser seam.
 
 A :class:`Rasteriser` loads splats into a :class:`RasterScene` that lives on the renderer's side between frames; the
-scene is updated in part and rendered from any camera. Implementations: ``reference`` (float64, readable, the definition of
-right), ``cpu`` (``cags-kernels``), ``cuda`` (gsplat).
+scene is updated in part and rendered from any camera. Implementations: ``reference`` (float64, readable, the definition
+of right), ``cpu`` (``cags-kernels``), ``cuda`` (gsplat).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The ``reference`` backend: float64, readable, the definition of right.
 
-EWA splatting (Zwicker et al. 2001) as in 3D Gaussian Splatting (Kerbl et al. 2023): every splat is composited over every
-pixel that it reaches, front to back, to the last. The cut-offs are the named constants of :mod:`.definition`; the levels of
-exactness change nothing here. Slow: about a second for 30,000 splats at 400x300.
+EWA splatting (Zwicker et al. 2001) as in 3D Gaussian Splatting (Kerbl et al. 2023): every splat is composited over
+every pixel that it reaches, front to back, to the last. The cut-offs are the named constants of :mod:`.definition`; the
+levels of exactness change nothing here. Slow: about a second for 30,000 splats at 400x300.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ def _widened(covariance: F64, footprint: Footprint) -> tuple[F64, F64]:
 
 def _cholesky_of_inverse(covariance: F64) -> F64:
     """l11, l12, l22 [M, 3] with (l11 dx + l12 dy)^2 + (l22 dy)^2 = d' S^-1 d: no cancellation where S is a needle."""
-    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    xy, yy = covariance[:, 0, 1], covariance[:, 1, 1]
     l11 = 1.0 / np.sqrt(_determinant(covariance, 0.0) / yy)
     return np.stack([l11, -xy / yy * l11, 1.0 / np.sqrt(yy)], axis=1)
 
