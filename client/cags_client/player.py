@@ -35,7 +35,7 @@ class PoseSource(Protocol):
     """Where the viewer's head is. A :class:`~cags_common.poses.PoseTrace` is one; a mouse may be another."""
 
     def pose_at(self, t_us: int) -> Pose:
-        """T_world_camera at a time of the walk (0 when the player was made, plus the lead-in at the first frame)."""
+        """T_world_camera at a time of the walk: 0 when play is asked for, ``start_delay_ms`` at the first frame."""
         ...
 
 
@@ -81,8 +81,7 @@ class Present:
 
     def run(self) -> PresentedFrame:
         """Draw it."""
-        settings = self.pipeline.settings
-        return self.pipeline.present(self.frame, self.pipeline.camera(settings.intrinsics, self.pose))
+        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose))
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +141,6 @@ class Player:
         self._codebooks: bytes | None = None
         self._decodes: deque[ev.TileReceived | ev.ReferenceReceived | ev.FrameEnded] = deque()
         self._decoding = self._presenting = False
-        self._ended_first = False
         self._next_frame = settings.start_frame
         self._due_us: int | None = None
         self._end_frame = settings.start_frame + 1
@@ -173,19 +171,22 @@ class Player:
         """When :meth:`handle_timer` and :meth:`next_action` want to be called at the latest; None: not by time."""
         if self.finished:
             return None
-        times = [self._session.next_timer_us(), self._next_pose_us if self.info else None]
+        times = [self._session.next_timer_us(), self._next_pose_us]
         if not self._presenting:
             times.append(self._due_us)
         return min((t for t in times if t is not None), default=None)
 
     def handle_timer(self, now_us: int) -> None:
         """Do what is due: keep-alive, acknowledgements, poses."""
+        if self.stats.started_us is None and now_us - self._made_us > self.settings.join_timeout * 1e6:
+            self._fail(NetworkError(f"no first frame within {self.settings.join_timeout:g} s; is the link too slow?"))
         self._session.handle_timer(now_us=now_us)
         self._send_poses(now_us)
         self._pump(now_us)
 
     def lost(self, reason: str, now_us: int) -> None:
         """The connection went away."""
+        self._session.connection_lost(reason, now_us=now_us)
         if not self.finished:
             self._fail(NetworkError(f"the connection was lost ({reason}); start the server again or check the network"))
 
@@ -216,7 +217,7 @@ class Player:
         self._decoding = False
         self.stats.decode_errors += result.error is not None
         if result.needs_idr:
-            self._ask_idr(action, now_us)
+            self._ask_idr(action.pipeline.last_reference_seq, now_us)
         if isinstance(action.event, ev.FrameEnded) and action.event.message.frame >= self.settings.start_frame:
             self._play(now_us)
 
@@ -297,10 +298,10 @@ class Player:
         return Present(frame, due_us, self._pose(due_us), self.pipeline, traffic)
 
     def _pose(self, t_us: int) -> Pose:
-        """The walk is at its lead-in when the first frame is shown; before that is known, it waits at its beginning."""
+        """The walk begins when play is asked for; until then the viewer waits at its beginning."""
         if self.stats.started_us is None:
             return self._poses.pose_at(0)
-        return self._poses.pose_at(max(t_us - self.stats.started_us + self.settings.lead_in_us, 0))
+        return self._poses.pose_at(max(t_us - self.stats.started_us + self.settings.start_delay_ms * 1000, 0))
 
     def _send_poses(self, now_us: int) -> None:
         period_us = round(1e6 / self.settings.pose_rate)
@@ -311,13 +312,12 @@ class Player:
         if samples:
             self._session.send_poses(samples[-64:], now_us=now_us)
 
-    def _ask_idr(self, action: Decode, now_us: int) -> None:
-        assert isinstance(action.event, ev.ReferenceReceived)
+    def _ask_idr(self, last_seq: int, now_us: int) -> None:
         if self._asked_idr_us is not None and now_us - self._asked_idr_us < KEYFRAME_RETRY_US:
             return
         self._asked_idr_us = now_us
         self.stats.keyframe_requests += 1
-        self._session.request_keyframe(action.event.message.seq, now_us=now_us)
+        self._session.request_keyframe(last_seq, now_us=now_us)
 
     def _finish(self, now_us: int) -> None:
         self.finished = True

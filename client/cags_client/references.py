@@ -24,6 +24,8 @@ class References:
         self._decoder = H264Decoder(max_pixels=MAX_REFERENCE_PIXELS)
         self._near = near
         self._last_seq = 0
+        self.last_decoded = 0
+        """Sequence number of the last picture that was decoded; 0 before any."""
         self._pictures: dict[int, ReferencePicture] = {}
         self._lock = threading.Lock()
 
@@ -46,6 +48,7 @@ class References:
             raise DecodeError(
                 f"reference {message.seq} is {rgb.shape[1]}x{rgb.shape[0]}, said {i.width_px}x{i.height_px}"
             )
+        self.last_decoded = message.seq
         picture = ReferencePicture(rgb, Camera(i, message.pose, self._near), message.frame, message.seq)
         with self._lock:
             self._pictures.pop(message.frame, None)

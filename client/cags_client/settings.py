@@ -28,8 +28,10 @@ class ClientSettings:
     )
     start_frame: int = setting(0, "media frame to join at", low=0)
     duration: float | None = setting(None, "seconds to play; the whole clip if not given", low=0.001)
-    start_delay_ms: int = setting(250, "time from asking to play to the first frame", low=0, high=10_000)
-    lead_in: float = setting(1.0, "seconds of the walk before the first frame, told to the server", low=0, high=60)
+    start_delay_ms: int = setting(
+        250, "time from asking to play, when the walk begins, to the first frame", low=0, high=10_000
+    )
+    join_timeout: float = setting(30.0, "seconds to wait for the first frame's data", low=0.1, high=3600)
     pose_rate: float = setting(60.0, "poses sent a second", low=1, high=1000)
     drop_late: bool = setting(True, "skip frames that would be shown after the next one is due")
     token: str = setting("", "token of a server that asks for one")
@@ -42,11 +44,6 @@ class ClientSettings:
         """The display's pinhole: square pixels, centred."""
         focal = self.width / (2 * math.tan(math.radians(self.fov) / 2))
         return Intrinsics(self.width, self.height, focal, focal, self.width / 2, self.height / 2)
-
-    @property
-    def lead_in_us(self) -> int:
-        """:attr:`lead_in` in microseconds."""
-        return round(self.lead_in * 1e6)
 
 
 class LiveSettings:

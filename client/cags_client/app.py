@@ -1,0 +1,217 @@
+"""The client in real time: sockets, a clock and executors around the :class:`~cags_client.player.Player`.
+
+The event loop moves bytes and starts work; decoding, drawing and sinks each have a thread of their own, so that neither
+a burst of tiles nor a slow disk holds up the display.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+from cags_client.pipeline import PresentedFrame
+from cags_client.player import Decode, Player, PoseSource, Present
+from cags_client.present.base import FrameSink
+from cags_client.report import frame_stats
+from cags_client.settings import ClientSettings, LiveSettings
+from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
+from cags_common.errors import CagsError, NetworkError
+from cags_common.transport import Transport, websocket
+from cags_protocol.client import ClientSession
+
+INFO_TIMEOUT_S = 10.0
+SINK_BACKLOG = 8
+"""Frames that may wait for the sinks; beyond it the display waits, which shows as late frames."""
+
+
+def now_us() -> int:
+    """The client's clock: microseconds, monotonic."""
+    return time.monotonic_ns() // 1000
+
+
+def fetch_info(url: str) -> Manifest:
+    """The public manifest of the server behind a stream URL, by HTTP: walks are placed before the session begins.
+
+    Raises :class:`NetworkError` where there is no such server, :class:`BundleError` for another version's manifest.
+    """
+    parts = urlsplit(url)
+    if parts.scheme not in ("ws", "wss") or not parts.hostname:
+        raise NetworkError(f"{url}: is no stream address; write ws://HOST:PORT/stream")
+    kind = http.client.HTTPSConnection if parts.scheme == "wss" else http.client.HTTPConnection
+    connection = kind(parts.hostname, parts.port, timeout=INFO_TIMEOUT_S)
+    try:
+        connection.request("GET", "/bundle")
+        response = connection.getresponse()
+        data = response.read(MAX_MANIFEST_BYTES + 1)
+    except (OSError, http.client.HTTPException) as error:
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise NetworkError(f"{url}: no server answers ({reason}); start cags-server or check the address") from error
+    finally:
+        connection.close()
+    if response.status != 200:
+        raise NetworkError(f"{url}: the server answers {response.status} {response.reason} for its bundle")
+    return Manifest.from_json(data)
+
+
+@dataclass(eq=False)
+class Playback:
+    """What a play left behind."""
+
+    player: Player
+    frames: list[dict[str, Any]] = field(default_factory=list)
+    """One record a presented frame (see :func:`cags_client.report.frame_stats`)."""
+
+
+async def play(
+    url: str,
+    settings: ClientSettings,
+    poses: PoseSource,
+    sinks: Sequence[FrameSink],
+    *,
+    near: float,
+    live: LiveSettings | None = None,
+    on_frame: Callable[[dict[str, Any]], None] | None = None,
+) -> Playback:
+    """Play from ``url`` to the clip's end or ``settings.duration``. Raises :class:`CagsError` for what ends it early."""
+    transport = await websocket.connect(url)
+    player = Player(
+        ClientSession(now_us=now_us()), settings, poses, now_us=now_us(), near=near, live=live, clock=time.perf_counter
+    )
+    shell = _Shell(transport, player, sinks, on_frame)
+    try:
+        await shell.run()
+    finally:
+        await transport.close()
+        shell.close()
+    if shell.player.error is not None:
+        raise shell.player.error
+    return Playback(shell.player, shell.records)
+
+
+class _Shell:
+    def __init__(
+        self,
+        transport: Transport,
+        player: Player,
+        sinks: Sequence[FrameSink],
+        on_frame: Callable[[dict[str, Any]], None] | None,
+    ) -> None:
+        self.records: list[dict[str, Any]] = []
+        self.player = player
+        self._on_frame = on_frame
+        self._transport, self._sinks = transport, sinks
+        self._wake = asyncio.Event()
+        self._decoder, self._drawer, self._writer = (ThreadPoolExecutor(1, name) for name in ("decode", "draw", "sink"))
+        self._backlog = asyncio.Semaphore(SINK_BACKLOG)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._failure: BaseException | None = None
+
+    async def run(self) -> None:
+        """Until the player has finished, the connection is gone, or a sink fails."""
+        reader = asyncio.create_task(self._read())
+        try:
+            while not self.player.finished and self._failure is None:
+                await self._turn()
+            await self._send()
+        finally:
+            reader.cancel()
+            await asyncio.gather(reader, *self._tasks, return_exceptions=True)
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """End the threads."""
+        for executor in (self._decoder, self._drawer, self._writer):
+            executor.shutdown(wait=True, cancel_futures=True)
+
+    async def _turn(self) -> None:
+        self._wake.clear()
+        timer = self.player.next_timer_us()
+        if timer is not None and timer <= now_us():
+            self.player.handle_timer(now_us())
+        await self._send()
+        while (action := self.player.next_action(now_us())) is not None:
+            self._start(self._decode(action) if isinstance(action, Decode) else self._present(action))
+        timer = self.player.next_timer_us()
+        wait_s = None if timer is None else max((timer - now_us()) / 1e6, 0.0)
+        try:
+            await asyncio.wait_for(self._wake.wait(), wait_s)
+        except TimeoutError:
+            return
+
+    async def _send(self) -> None:
+        try:
+            for data in self.player.data_to_send(now_us()):
+                await self._transport.send(data)
+        except NetworkError as error:
+            self.player.lost(str(error), now_us())
+
+    async def _read(self) -> None:
+        try:
+            while True:
+                data = await self._transport.recv()
+                self.player.receive(data, now_us())
+                self._wake.set()
+        except NetworkError as error:
+            self.player.lost(str(error), now_us())
+        finally:
+            self._wake.set()
+
+    def _start(self, work: Any) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and task.exception() is not None:
+            self._failure = self._failure or task.exception()
+        self._wake.set()
+
+    async def _decode(self, action: Decode) -> None:
+        result = await asyncio.get_running_loop().run_in_executor(self._decoder, action.run)
+        self.player.done(action, result, now_us())
+
+    async def _present(self, action: Present) -> None:
+        presented = await asyncio.get_running_loop().run_in_executor(self._drawer, action.run)
+        shown_us = now_us()
+        record = frame_stats(presented, action, shown_us)
+        self.records.append(record)
+        if self._on_frame is not None:
+            self._on_frame(record)
+        await self._backlog.acquire()
+        self._start(self._sink(presented, record))
+        self.player.done(action, presented, now_us())
+
+    async def _sink(self, presented: PresentedFrame, record: dict[str, Any]) -> None:
+        def show() -> None:
+            for sink in self._sinks:
+                sink.show(presented, record)
+
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._writer, show)
+        finally:
+            self._backlog.release()
+
+
+def run_playback(*arguments: Any, **named: Any) -> Playback:
+    """:func:`play` in an event loop of its own."""
+    return asyncio.run(play(*arguments, **named))
+
+
+def close_sinks(sinks: Sequence[FrameSink], *, completed: bool) -> None:
+    """Close every sink, whatever one of them raises; the first error is raised at the end."""
+    failure: CagsError | None = None
+    for sink in sinks:
+        try:
+            sink.close(completed=completed)
+        except CagsError as error:
+            failure = failure or error
+    if failure is not None and completed:
+        raise failure

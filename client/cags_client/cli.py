@@ -1,0 +1,184 @@
+"""``cags-client``: watch a stream headless, save it, score it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cags_common.cli import command_parser, run_command
+from cags_common.errors import CagsError, ConfigError
+from cags_common.settings import add_settings, load_settings
+
+if TYPE_CHECKING:
+    from cags_client.present import FrameSink, ScoringSpool
+    from cags_client.settings import ClientSettings
+    from cags_common.bundle.manifest import Manifest
+
+PROG = "cags-client"
+
+EXAMPLES = """\
+  cags-client --url ws://127.0.0.1:8765/stream
+  cags-client --url ws://127.0.0.1:8765/stream --poses walk.csv --save clip.mp4
+  cags-client --url ws://host:8765/stream --poses synthetic:turning:seed=3 --width 1600 --height 1200 \\
+      --truth scene.bundle --json report.jsonl --stages pictures --duration 5
+"""
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    url: str
+    poses: str
+    save: str | None
+    json: str | None
+    truth: str | None
+    stages: str | None
+    stages_every: int
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    return run_command(PROG, _body, argv)
+
+
+def _parser() -> argparse.ArgumentParser:
+    from cags_client.settings import ClientSettings
+
+    parser = command_parser(PROG, "Watch a stream headless: decode, draw, align, restore, save, score.", EXAMPLES)
+    parser.add_argument("--url", required=True, help="stream address, ws://HOST:PORT/stream")
+    parser.add_argument(
+        "--poses",
+        default="synthetic:walking",
+        help="head motion: a CSV trace (time_s,px,py,pz,qw,qx,qy,qz), or synthetic:"
+        "{still,looking,turning,walking,jitter}[:seed=N] (default: synthetic:walking)",
+    )
+    parser.add_argument("--save", metavar="DIR|FILE.mp4", help="write shown frames: a folder of PNG files or a clip")
+    parser.add_argument("--json", metavar="FILE|-", help="write a JSON line a frame and a summary line")
+    parser.add_argument("--truth", metavar="BUNDLE", help="score every frame against the source frames of this bundle")
+    parser.add_argument("--stages", metavar="DIR", help="write the intermediate pictures of some frames")
+    parser.add_argument("--stages-every", type=int, default=30, metavar="N", help="which frames (default: every 30th)")
+    add_settings(parser, ClientSettings)
+    return parser
+
+
+def _body(argv: Sequence[str]) -> int | None:
+    arguments = _parser().parse_args(argv)
+    from cags_client.settings import ClientSettings
+
+    settings = load_settings(ClientSettings, arguments)
+    names = ("url", "poses", "save", "json", "truth", "stages", "stages_every")
+    outputs = _Outputs(**{name: getattr(arguments, name) for name in names})
+    if outputs.stages_every < 1:
+        raise ConfigError(f"stages_every = {outputs.stages_every} must be at least 1")
+    _watch(settings, outputs)
+    return None
+
+
+def _watch(settings: ClientSettings, outputs: _Outputs) -> None:
+    from cags_client.app import close_sinks, fetch_info, run_playback
+    from cags_client.report import summary
+    from cags_client.truth import BundleTruth
+    from cags_common.poses import Focus, open_poses
+
+    _check_json(outputs.json)
+    truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
+    info = fetch_info(outputs.url)
+    if settings.start_frame >= info.frames:
+        raise ConfigError(f"start_frame = {settings.start_frame} is outside the clip's {info.frames} frames")
+    focus = Focus(info.focus_centre, info.focus_radius, info.up)
+    poses = open_poses(outputs.poses, focus, window_us=_window_us(settings, info))
+    sinks, spool = _open_sinks(outputs, info)
+    progress = _Progress(info.frames - settings.start_frame)
+    completed = False
+    try:
+        playback = run_playback(
+            outputs.url, settings, poses, sinks, near=info.near, on_frame=lambda record: progress.step("playing")
+        )
+        completed = True
+    finally:
+        close_sinks(sinks, completed=completed)
+        progress.end()
+    records = playback.frames
+    if spool is not None and truth is not None:
+        _score(records, spool, truth, outputs)
+    last = summary(records, playback.player.stats)
+    _report(outputs.json, [*records, last])
+
+
+def _window_us(settings: ClientSettings, info: Manifest) -> int:
+    clip_s = (info.frames - settings.start_frame) / info.fps
+    if settings.duration is not None:
+        clip_s = min(clip_s, settings.duration)
+    return settings.start_delay_ms * 1000 + round(clip_s * 1e6)
+
+
+def _open_sinks(outputs: _Outputs, info: Manifest) -> tuple[list[FrameSink], ScoringSpool | None]:
+    from cags_client.present import ScoringSpool, StagesSink, open_save
+
+    sinks: list[FrameSink] = []
+    if outputs.stages:
+        sinks.append(StagesSink(Path(outputs.stages), outputs.stages_every))
+    spool = ScoringSpool() if outputs.truth else None
+    if spool is not None:
+        sinks.append(spool)
+    if outputs.save:
+        sinks.append(open_save(outputs.save, info.fps))
+    return sinks, spool
+
+
+def _score(records: list[dict[str, Any]], spool: ScoringSpool, truth: Any, outputs: _Outputs) -> None:
+    from cags_client.present.files import stage_path, write_png
+
+    progress = _Progress(len(spool))
+    by_frame = {record["frame"]: record for record in records}
+    for frame, scores, picture in spool.scores(truth):
+        by_frame[frame].update(scores)
+        if outputs.stages and frame % outputs.stages_every == 0:
+            write_png(stage_path(Path(outputs.stages), frame, "truth"), picture)
+        progress.step("scoring")
+    progress.end()
+
+
+def _check_json(path: str | None) -> None:
+    if path and path != "-" and not Path(path).resolve().parent.is_dir():
+        raise CagsError(f"{path}: its folder does not exist; make it first")
+
+
+def _report(path: str | None, records: list[dict[str, Any]]) -> None:
+    from cags_client.report import json_text
+
+    if path == "-":
+        sys.stdout.write(json_text(records))
+    elif path:
+        target = Path(path)
+        partial = target.with_name(f".{target.name}.partial")
+        try:
+            partial.write_text(json_text(records), encoding="utf-8")
+            partial.replace(target)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise CagsError(f"{path}: cannot be written ({error.strerror})") from error
+    else:
+        for key, value in records[-1].items():
+            print(f"{key:24} {value:.3f}" if isinstance(value, float) else f"{key:24} {value}")
+
+
+class _Progress:
+    """A counter on stderr, where a person looks at it."""
+
+    def __init__(self, total: int) -> None:
+        self._total, self._done, self._on = total, 0, sys.stderr.isatty()
+
+    def step(self, what: str) -> None:
+        """One more."""
+        self._done += 1
+        if self._on:
+            print(f"\r{what} {self._done}/{self._total}", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Leave the line."""
+        if self._on and self._done:
+            print(file=sys.stderr)

@@ -1,0 +1,145 @@
+"""Sinks that write files. Whatever is being written has a temporary name until it is whole."""
+
+from __future__ import annotations
+
+import contextlib
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
+from numpy.typing import NDArray
+
+from cags_client.pipeline import PresentedFrame
+from cags_client.present.base import FrameSink, FrameStats
+from cags_common.errors import CagsError
+from cags_common.geometry import F32
+
+MP4_CRF = 16
+"""x264's constant quality of a saved clip: visually lossless."""
+
+
+class OutputError(CagsError):
+    """An output cannot be written."""
+
+
+def bytes_of(picture: F32) -> NDArray[np.uint8]:
+    """[H, W, 3] uint8 RGB of a picture in [0, 1]."""
+    return np.asarray(np.clip(picture, 0.0, 1.0) * np.float32(255.0) + np.float32(0.5), dtype=np.uint8)
+
+
+def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write [H, W, 3] uint8 RGB; the file appears whole or not at all. Raises :class:`OutputError`."""
+    _, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_bytes(data.tobytes())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def open_save(spec: str, fps: float) -> FrameSink:
+    """The sink of ``--save``: a folder of PNG files, or a clip where ``spec`` ends in ``.mp4``."""
+    return Mp4Sink(Path(spec), fps) if spec.endswith(".mp4") else PngSink(Path(spec))
+
+
+def _folder(path: Path) -> Path:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".cags-probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); give a folder that can") from error
+    return path
+
+
+class PngSink:
+    """``frame_00012.png`` a shown frame. Raises :class:`OutputError` where the folder cannot be written."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = _folder(folder)
+
+    def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
+        """See :class:`FrameSink`."""
+        write_png(self._folder / f"frame_{presented.frame:05d}.png", bytes_of(presented.rgb))
+
+    def close(self, *, completed: bool) -> None:
+        """Every file is whole already."""
+
+
+class StagesSink:
+    """Intermediate pictures of every ``every``-th frame: ``frame_0030_{reference,distorted,aligned,restored}.png``."""
+
+    def __init__(self, folder: Path, every: int) -> None:
+        self._folder, self._every = _folder(folder), every
+
+    def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
+        """See :class:`FrameSink`."""
+        if presented.frame % self._every:
+            return
+        pictures = {"distorted": presented.distorted, "restored": presented.rgb}
+        if presented.reference is not None:
+            pictures["reference"] = presented.reference.rgb
+        if presented.aligned is not None:
+            pictures["aligned"] = presented.aligned.rgb
+        for name, picture in pictures.items():
+            write_png(stage_path(self._folder, presented.frame, name), bytes_of(picture))
+
+    def close(self, *, completed: bool) -> None:
+        """Every file is whole already."""
+
+
+def stage_path(folder: Path, frame: int, name: str) -> Path:
+    """Where one stage picture of a frame goes."""
+    return folder / f"frame_{frame:04d}_{name}.png"
+
+
+class Mp4Sink:
+    """An H.264 clip at the clip's frame rate; a frame that was not shown holds the one before."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self._path, self._partial = path, path.with_name(f".{path.name}.partial")
+        self._fps = Fraction(fps).limit_denominator(1001 * 60)
+        self._first: int | None = None
+        self._stream: VideoStream | None = None
+        try:
+            self._container = av.open(str(self._partial), mode="w", format="mp4")
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+
+    def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
+        """See :class:`FrameSink`."""
+        picture = bytes_of(presented.rgb)
+        picture = picture[: max(picture.shape[0] & ~1, 2), : max(picture.shape[1] & ~1, 2)]  # 4:2:0 needs even sizes
+        if self._stream is None:
+            self._stream = self._open(picture.shape[1], picture.shape[0])
+            self._first = presented.frame
+        assert self._first is not None
+        frame = VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+        frame.pts, frame.time_base = presented.frame - self._first, 1 / self._fps
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written ({error.strerror})") from error
+
+    def close(self, *, completed: bool) -> None:
+        """Finish the file and give it its name, or remove it."""
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._partial.unlink, missing_ok=True)
+            if completed and self._stream is not None:
+                self._container.mux(self._stream.encode(None))
+            self._container.close()
+            if completed and self._stream is not None:
+                self._partial.replace(self._path)
+
+    def _open(self, width: int, height: int) -> VideoStream:
+        stream = self._container.add_stream("libx264", rate=self._fps, options={"crf": str(MP4_CRF), "preset": "fast"})
+        assert isinstance(stream, VideoStream)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        return stream

@@ -1,0 +1,26 @@
+"""The true picture: a bundle's unquantised source frame, drawn at the client's pose."""
+
+from __future__ import annotations
+
+from cags_client.settings import ClientSettings
+from cags_common import raster
+from cags_common.bundle import BundleReader
+from cags_common.geometry import F32, Camera
+from cags_common.raster.base import Exactness, RasterScene, RenderOptions
+
+
+class BundleTruth:
+    """Draws source frames of the bundle at ``url``. Raises :class:`BundleError` where there is none."""
+
+    def __init__(self, url: str, settings: ClientSettings) -> None:
+        self._reader = BundleReader.open(url)
+        self._rasteriser = raster.create(settings.raster)
+        self._options = RenderOptions(exactness=Exactness(settings.exactness), threads=settings.threads)
+        self._scene: tuple[int, RasterScene] | None = None
+
+    def __call__(self, frame: int, camera: Camera) -> tuple[F32, F32]:
+        """Picture [H, W, 3] and alpha [H, W] of ``frame`` from ``camera``."""
+        if self._scene is None or self._scene[0] != frame:
+            self._scene = frame, self._rasteriser.load(self._reader.source(frame).splats)
+        view = self._scene[1].render(camera, self._options)
+        return view.rgb, view.alpha
