@@ -1,1 +1,1 @@
-
+"""The server: predicts viewpoints, renders references, adapts the rate, streams."""

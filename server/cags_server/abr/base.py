@@ -1,0 +1,64 @@
+"""The rate-adaptation seam: what the client holds and sees in, what to send next out. A policy knows no session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class TileView:
+    """One tile that owns splats which are visible from the predicted pose.
+
+    ``depth`` counts the LoDs that the client holds or that are on their way, from LoD 0 without a gap; 0 is a tile of
+    which nothing was sent. ``lod_bytes[L]`` is the size of LoD L, 0 for one that the client holds already above a gap.
+    """
+
+    frame: int
+    tile: int
+    depth: int
+    visible: int
+    lod_bytes: tuple[int, ...]
+
+    @property
+    def max_depth(self) -> int:
+        """LoDs that this tile has."""
+        return len(self.lod_bytes)
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What a rate policy may look at when media frame ``frame`` is planned."""
+
+    frame: int
+    budget_bytes: int  # what tiles may take until the next frame is planned; the reference is already paid for
+    tiles: tuple[TileView, ...]
+    lod_gains_db: tuple[float, ...]  # measured quality gain of each LoD; [0] is the base layer's
+    message_overhead_bytes: int  # wire cost of one more message
+
+
+@dataclass(frozen=True, slots=True)
+class Upgrade:
+    """LoDs ``from_lod`` .. ``to_lod`` - 1 of a tile are to be sent. Higher ``value`` goes first."""
+
+    frame: int
+    tile: int
+    from_lod: int
+    to_lod: int
+    value: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What to send, in order, and what it costs."""
+
+    upgrades: tuple[Upgrade, ...]
+    bytes: int
+
+
+class RatePolicy(Protocol):
+    """Decides what to send within a budget. Pure: the same observation gives the same decision."""
+
+    def decide(self, observation: Observation) -> Decision:
+        """Upgrades in the order of sending, at most one a tile; their cost never exceeds the budget."""
+        ...

@@ -1,0 +1,42 @@
+"""A plan under construction: tiles rising level by level until the budget is used up."""
+
+from __future__ import annotations
+
+from cags_server.abr.base import Decision, Observation, TileView, Upgrade
+
+
+class Plan:
+    """Raises tiles within ``observation.budget_bytes`` and turns the result into a decision."""
+
+    def __init__(self, observation: Observation) -> None:
+        self._left = observation.budget_bytes
+        self._budget = observation.budget_bytes
+        self._overhead = observation.message_overhead_bytes
+        self._start = {(tile.frame, tile.tile): tile.depth for tile in observation.tiles}
+        self._depth = dict(self._start)
+        self._order: list[tuple[int, int]] = []
+
+    def depth(self, tile: TileView) -> int:
+        """LoDs of ``tile`` with what is planned so far."""
+        return self._depth[tile.frame, tile.tile]
+
+    def raise_once(self, tile: TileView) -> bool:
+        """Plan one more LoD of ``tile``; False where it has none or the budget does not hold it."""
+        key = (tile.frame, tile.tile)
+        depth = self._depth[key]
+        if depth >= tile.max_depth:
+            return False
+        fresh = depth == self._start[key]
+        cost = tile.lod_bytes[depth] + (self._overhead if fresh else 0)
+        if cost > self._left:
+            return False
+        self._left -= cost
+        self._depth[key] = depth + 1
+        if fresh:
+            self._order.append(key)
+        return True
+
+    def decision(self) -> Decision:
+        """The planned upgrades in the order in which their tiles were first raised."""
+        upgrades = tuple(Upgrade(*key, self._start[key], self._depth[key]) for key in self._order)
+        return Decision(upgrades, self._budget - self._left)

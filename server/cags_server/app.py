@@ -1,0 +1,138 @@
+"""The server's shell: HTTP and WebSocket on one port, one :class:`~cags_server.connection.Connection` a client."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import logging
+import signal
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+from aiohttp import web
+
+from cags_common.errors import NetworkError
+from cags_protocol import SUBPROTOCOL
+from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+from cags_server.client_task import WRITE_BUFFER_BYTES, ClientTask, now_us, tune_socket
+from cags_server.connection import Connection
+from cags_server.library import SceneLibrary
+from cags_server.metrics import Totals, exposition
+from cags_server.settings import ServeSettings
+
+log = logging.getLogger(__name__)
+
+
+class App:
+    """One served scene and its clients."""
+
+    def __init__(self, library: SceneLibrary, settings: ServeSettings) -> None:
+        self._library, self._settings = library, settings
+        self._executor = ThreadPoolExecutor(settings.workers, thread_name_prefix="reference")
+        self._names = itertools.count(1)
+        self._clients: dict[str, tuple[ClientTask, Connection]] = {}
+        self._ended = Totals()
+        self._draining = False
+        self._empty = asyncio.Event()
+        self._empty.set()
+
+    def web_app(self) -> web.Application:
+        """Routes: health, readiness, metrics, the bundle's public manifest, and the stream."""
+        app = web.Application()
+        app.router.add_get("/healthz", self._health)
+        app.router.add_get("/readyz", self._ready)
+        app.router.add_get("/metrics", self._metrics)
+        app.router.add_get("/bundle", self._bundle)
+        app.router.add_get("/stream", self._stream)
+        return app
+
+    async def drain(self) -> None:
+        """Let no one in any more, and say goodbye to everybody who is."""
+        self._draining = True
+        for task, _ in list(self._clients.values()):
+            task.say_goodbye("the server is shutting down")
+        try:
+            async with asyncio.timeout(self._settings.drain_s):
+                await self._empty.wait()
+        except TimeoutError:
+            log.warning("%d clients did not leave within %g s", len(self._clients), self._settings.drain_s)
+
+    def close(self) -> None:
+        """Stop rendering."""
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+    async def _health(self, request: web.Request) -> web.Response:
+        return web.json_response({"status": "ok", "clients": len(self._clients)})
+
+    async def _ready(self, request: web.Request) -> web.Response:
+        status = 503 if self._draining else 200
+        return web.json_response({"status": "draining" if self._draining else "ready"}, status=status)
+
+    async def _metrics(self, request: web.Request) -> web.Response:
+        page = exposition(self._ended, (connection.stats for _, connection in self._clients.values()))
+        return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
+
+    async def _bundle(self, request: web.Request) -> web.Response:
+        return web.Response(body=self._library.manifest.public_json(), content_type="application/json")
+
+    async def _stream(self, request: web.Request) -> web.StreamResponse:
+        if self._draining:
+            return web.json_response({"error": "the server is shutting down"}, status=503)
+        ws = web.WebSocketResponse(
+            protocols=(SUBPROTOCOL,),
+            max_msg_size=MAX_CLIENT_MESSAGE_BYTES,
+            compress=False,
+            writer_limit=WRITE_BUFFER_BYTES,
+        )
+        await ws.prepare(request)
+        tune_socket(request)
+        name = f"s{next(self._names)}"
+        connection = Connection(self._library, self._settings, name=name, now_us=now_us())
+        task = ClientTask(ws, connection, self._executor)
+        self._clients[name] = task, connection
+        self._empty.clear()
+        log.info("%s: joined from %s", name, request.remote)
+        try:
+            await task.run()
+        finally:
+            del self._clients[name]
+            if not self._clients:
+                self._empty.set()
+            self._ended.add(connection.stats)
+            ending = connection.ending
+            log.info("%s: left (%s)", name, f"{ending.code}: {ending.reason}" if ending else "lost")
+        return ws
+
+
+async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int], None]) -> None:
+    """Serve until SIGTERM or SIGINT. ``on_ready`` is told the host and the actual port.
+
+    Raises :class:`NetworkError` where the address cannot be listened on.
+    """
+    app = App(library, settings)
+    runner = web.AppRunner(app.web_app(), access_log=None)
+    await runner.setup()
+    try:
+        site = web.TCPSite(runner, settings.host, settings.port, shutdown_timeout=settings.drain_s)
+        try:
+            await site.start()
+        except OSError as error:
+            raise NetworkError(
+                f"cannot listen on {settings.host}:{settings.port} ({error.strerror or error}); "
+                "stop the program that uses it or give another --port"
+            ) from error
+        stop = _stop_on_signals()
+        on_ready(settings.host, int(runner.addresses[0][1]))
+        await stop.wait()
+        await app.drain()
+    finally:
+        await runner.cleanup()
+        app.close()
+
+
+def _stop_on_signals() -> asyncio.Event:
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+    return stop

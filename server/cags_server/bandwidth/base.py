@@ -1,0 +1,19 @@
+"""The bandwidth seam: acknowledgements in, bits a second out."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from cags_protocol.events import AckSample
+
+
+class BandwidthEstimator(Protocol):
+    """Estimates what the link to one client carries. One object a client."""
+
+    def on_ack(self, sample: AckSample) -> None:
+        """Take one acknowledgement."""
+        ...
+
+    def estimate_bps(self, now_us: int) -> float:
+        """What may be planned for from now on, bits a second; positive and finite."""
+        ...

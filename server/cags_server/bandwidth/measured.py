@@ -1,0 +1,70 @@
+"""Bandwidth from acknowledgements alone.
+
+Every acknowledgement carries a delivery-rate sample (draft-cheng-iccrg-delivery-rate-estimation). A sample taken
+while the server had nothing more to send shows what was sent, not what the link can do: it may raise the estimate,
+never lower it, so the estimate cannot spiral down with the traffic it causes. Samples that had a queue behind them
+are the link's own rate; their mean over two round trips replaces the estimate, in both directions.
+
+Nothing shows that a link has become faster but sending more: while no queue stands, the estimate handed out exceeds
+what was measured by a gain, doubled at the start of a session until a queue is first seen (as BBR's start-up does).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from cags_protocol.events import AckSample
+
+INITIAL_BPS = 8e6
+"""Planned for until the first acknowledgement."""
+
+MIN_BPS, MAX_BPS = 64e3, 10e9
+
+STARTUP_GAIN, PROBE_GAIN, LOADED_GAIN = 2.0, 1.15, 0.95
+MIN_WINDOW_US = 120_000
+QUEUE_US = 15_000
+"""A round trip longer than the shortest by this much has a queue in it."""
+
+MIN_RTT_WINDOW_US = 10_000_000
+
+
+class MeasuredEstimator:
+    """Estimate of one link from its acknowledgements."""
+
+    def __init__(self, initial_bps: float = INITIAL_BPS) -> None:
+        self._rate_bps = initial_bps
+        self._startup = True
+        self._loaded = False
+        self._samples: deque[tuple[int, int, float]] = deque()  # (time, bytes, rate) of samples that show the link
+        self._rtts: deque[tuple[int, int]] = deque()  # (time, rtt) rising: the front is the shortest of the window
+
+    def on_ack(self, sample: AckSample) -> None:
+        """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
+        self._note_rtt(sample.now_us, sample.rtt_us)
+        rate = sample.delivery_rate_bps
+        if rate is None or rate <= 0 or sample.newly_delivered_bytes <= 0:
+            return
+        queued = sample.rtt_us > self._rtts[0][1] + QUEUE_US
+        self._loaded = queued and not sample.app_limited
+        shows_link = queued and not sample.app_limited
+        if not shows_link and rate <= self._rate_bps:
+            return
+        self._startup = self._startup and not shows_link
+        self._samples.append((sample.now_us, sample.newly_delivered_bytes, rate))
+        window_us = max(MIN_WINDOW_US, 2 * sample.rtt_us)
+        while self._samples[0][0] < sample.now_us - window_us:
+            self._samples.popleft()
+        total = sum(size for _, size, _ in self._samples)
+        self._rate_bps = total / sum(size / each for _, size, each in self._samples)
+
+    def estimate_bps(self, now_us: int) -> float:
+        """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
+        gain = LOADED_GAIN if self._loaded else STARTUP_GAIN if self._startup else PROBE_GAIN
+        return min(max(self._rate_bps * gain, MIN_BPS), MAX_BPS)
+
+    def _note_rtt(self, now_us: int, rtt_us: int) -> None:
+        while self._rtts and self._rtts[-1][1] >= rtt_us:
+            self._rtts.pop()
+        self._rtts.append((now_us, rtt_us))
+        while self._rtts[0][0] < now_us - MIN_RTT_WINDOW_US:
+            self._rtts.popleft()

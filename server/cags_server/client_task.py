@@ -1,0 +1,144 @@
+"""Moves one client's bytes: a WebSocket on one side, a :class:`~cags_server.connection.Connection` on the other.
+
+Three coroutines share the connection: one reads, one writes, one plans frames and runs their jobs in an executor. All
+run in one event loop, so the connection needs no lock; only jobs leave the loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import time
+from concurrent.futures import Executor
+
+from aiohttp import WSMsgType, web
+
+from cags_server.connection import Connection
+from cags_server.reference import FrameJob
+
+WRITE_BUFFER_BYTES = 8 * 1024
+"""Bytes that asyncio may hold for a client: what is written cannot be overtaken by a newer picture."""
+
+NOTSENT_LOWAT_BYTES = 16 * 1024
+"""Bytes that the kernel may hold unsent, for the same reason."""
+
+BATCH_BYTES = 64 * 1024
+"""Bytes taken from the session at once; the rest is decided later, when more is known."""
+
+CLOSE_TIMEOUT_S = 2.0
+
+log = logging.getLogger(__name__)
+
+
+def now_us() -> int:
+    """The server's clock."""
+    return time.monotonic_ns() // 1000
+
+
+class ClientTask:
+    """One client's coroutines. ``run`` returns when the session is over."""
+
+    def __init__(self, ws: web.WebSocketResponse, connection: Connection, executor: Executor) -> None:
+        self._ws, self._connection, self._executor = ws, connection, executor
+        self._to_send = asyncio.Event()
+        self._to_plan = asyncio.Event()
+
+    async def run(self) -> None:
+        """Serve until the client or the server leaves."""
+        tasks = [asyncio.create_task(part()) for part in (self._read, self._write, self._plan)]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if not self._connection.closed:
+                self._connection.connection_lost("the connection ended", now_us())
+            await self._flush()
+        finally:
+            for task in tasks:
+                task.cancel()
+            results = await asyncio.gather(*tasks, return_exceptions=True)
+            for result in results:
+                if isinstance(result, Exception) and not isinstance(result, ConnectionError):
+                    log.error("%s: %s", self._connection.name, result, exc_info=result)
+
+    def say_goodbye(self, reason: str) -> None:
+        """End the session; the coroutines finish by themselves."""
+        self._connection.close(reason, now_us())
+        self._wake()
+
+    async def _read(self) -> None:
+        async for message in self._ws:
+            if message.type is WSMsgType.BINARY:
+                self._connection.receive(message.data, now_us())
+            elif message.type is WSMsgType.TEXT:
+                self._connection.session.refuse("malformed", "", "messages are binary, not text", now_us=now_us())
+            self._wake()
+            if self._connection.closed:
+                return
+
+    async def _write(self) -> None:
+        while not self._connection.closed:
+            self._to_send.clear()
+            packets = self._connection.data_to_send(now_us(), BATCH_BYTES)
+            for packet in packets:
+                await self._ws.send_bytes(packet)
+            if not packets:
+                await self._to_send.wait()
+
+    async def _plan(self) -> None:
+        loop = asyncio.get_running_loop()
+        while not self._connection.closed:
+            self._to_plan.clear()
+            now = now_us()
+            timer = self._connection.next_timer_us()
+            if timer is not None and timer <= now:
+                self._connection.handle_timer(now)
+                self._to_send.set()
+            job = self._connection.next_job(now)
+            if job is not None:
+                await self._run(job, loop)
+                continue
+            await self._sleep_until(self._connection.next_timer_us())
+
+    async def _run(self, job: FrameJob, loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            render = await loop.run_in_executor(self._executor, job.run, time.perf_counter_ns)
+        except Exception:
+            log.exception("%s: frame %d failed", self._connection.name, job.plan.frame)
+            self._connection.job_failed(job)
+            return
+        self._connection.job_done(render, now_us())
+        self._to_send.set()
+
+    async def _sleep_until(self, timer_us: int | None) -> None:
+        timeout = None if timer_us is None else max(0.0, (timer_us - now_us()) / 1e6)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._to_plan.wait(), timeout)
+
+    async def _flush(self) -> None:
+        """Write the last words; a client that does not take them is cut off."""
+        try:
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                for packet in self._connection.data_to_send(now_us()):
+                    await self._ws.send_bytes(packet)
+                await self._ws.close()
+        except (TimeoutError, ConnectionError):
+            log.info("%s: gone before the goodbye", self._connection.name)
+
+    def _wake(self) -> None:
+        self._to_send.set()
+        self._to_plan.set()
+
+
+def tune_socket(request: web.Request) -> None:
+    """Keep little data where it cannot be taken back: in asyncio's and the kernel's buffers."""
+    transport = request.transport
+    if transport is None:
+        return
+    transport.set_write_buffer_limits(high=WRITE_BUFFER_BYTES)
+    raw = transport.get_extra_info("socket")
+    if raw is None or raw.family not in (socket.AF_INET, socket.AF_INET6):
+        return
+    raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if hasattr(socket, "TCP_NOTSENT_LOWAT"):
+        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, NOTSENT_LOWAT_BYTES)

@@ -1,0 +1,46 @@
+"""The client's clock, read on the server.
+
+The client's clock is the session's; it is behind the server's by an unknown offset. Every message that carries a client
+time arrives a network delay later, so the smallest (arrival - time) of the recent ones is the offset plus the shortest
+delay: it errs by that delay alone, to the safe side (frames are planned that much later, never before their pose).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+WINDOW_US = 10_000_000
+
+
+class ClientClock:
+    """Estimates server time minus client time."""
+
+    def __init__(self) -> None:
+        self._offsets: deque[tuple[int, int]] = deque()  # (arrival, offset), rising offset: the front is the smallest
+
+    @property
+    def known(self) -> bool:
+        """Whether any message has told a client time."""
+        return bool(self._offsets)
+
+    def observe(self, client_us: int, arrival_us: int) -> None:
+        """A message written at ``client_us`` of the client's clock came in at ``arrival_us`` of the server's."""
+        offset = arrival_us - client_us
+        while self._offsets and self._offsets[-1][1] >= offset:
+            self._offsets.pop()
+        self._offsets.append((arrival_us, offset))
+        while self._offsets[0][0] < arrival_us - WINDOW_US:
+            self._offsets.popleft()
+
+    @property
+    def offset_us(self) -> int:
+        """Server time minus client time; 0 while nothing is known."""
+        return self._offsets[0][1] if self._offsets else 0
+
+    def to_client(self, server_us: int) -> int:
+        """A time of the server's clock as the client's."""
+        return server_us - self.offset_us
+
+    def to_server(self, client_us: int) -> int:
+        """A time of the client's clock as the server's."""
+        return client_us + self.offset_us

@@ -1,0 +1,132 @@
+"""One client, without IO: its protocol session and its streamer, joined.
+
+The owner moves bytes (``receive`` in, ``data_to_send`` out), runs the jobs that ``next_job`` gives and reports them
+by ``job_done`` or ``job_failed``, and calls ``handle_timer`` when ``next_timer_us`` is reached. The server's shell
+does that in real time, the simulator in virtual time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from cags_protocol import ServerSession
+from cags_protocol import events as ev
+from cags_protocol.messages import Buffer, Hello
+from cags_protocol.server import ServerSessionSettings
+from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
+from cags_server.library import SceneLibrary
+from cags_server.records import StreamStats
+from cags_server.reference import FrameJob, FrameRender
+from cags_server.settings import ServerSettings
+from cags_server.streamer import Streamer
+
+Admission = Callable[[Hello], tuple[str, str, str] | None]
+"""Looks at a Hello: None lets the client in, (code, field, message) refuses it."""
+
+
+class Connection:
+    """One client from its first byte to its last. All times are the server's clock."""
+
+    def __init__(
+        self,
+        library: SceneLibrary,
+        settings: ServerSettings,
+        *,
+        name: str,
+        now_us: int,
+        estimator: BandwidthEstimator | None = None,
+        session_settings: ServerSessionSettings | None = None,
+        admit: Admission | None = None,
+    ) -> None:
+        self.name = name
+        self.session = ServerSession(session_settings, now_us=now_us)
+        self.streamer: Streamer | None = None
+        self.ending: ev.Closed | None = None
+        """How the session ended; None while it goes on."""
+        self._library, self._settings, self._admit = library, settings, admit
+        self._estimator = estimator or MeasuredEstimator()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the session is over; what ``data_to_send`` still returns should be written."""
+        return self.session.closed
+
+    @property
+    def stats(self) -> StreamStats:
+        """What the stream did so far."""
+        return self.streamer.stats if self.streamer else StreamStats()
+
+    def receive(self, data: Buffer, now_us: int) -> None:
+        """Take one message of the client."""
+        self.session.receive(data, now_us=now_us)
+        self._settle(now_us)
+
+    def data_to_send(self, now_us: int, max_bytes: int | None = None) -> list[bytes]:
+        """Messages that may be written now, most valuable first."""
+        data = self.session.data_to_send(now_us, max_bytes)
+        self._settle(now_us)
+        return data
+
+    def next_timer_us(self) -> int | None:
+        """When ``handle_timer`` (and then ``next_job``) should be called next."""
+        times = [self.session.next_timer_us(), self.streamer.next_due_us() if self.streamer else None]
+        known = [t for t in times if t is not None]
+        return min(known) if known and not self.closed else None
+
+    def handle_timer(self, now_us: int) -> None:
+        """Do what is due."""
+        self.session.handle_timer(now_us=now_us)
+        self._settle(now_us)
+
+    def next_job(self, now_us: int) -> FrameJob | None:
+        """The next frame to render, if one is due and none is being rendered."""
+        return None if self.closed or self.streamer is None else self.streamer.begin(now_us)
+
+    def job_done(self, render: FrameRender, now_us: int) -> None:
+        """A job has ended well."""
+        if self.streamer is not None and not self.closed:
+            self._queue(self.streamer.finish(render, now_us), now_us)
+            self._settle(now_us)
+
+    def job_failed(self, job: FrameJob) -> None:
+        """A job has raised; the stream goes on with the next frame."""
+        if self.streamer is not None:
+            self.streamer.abandon(job)
+
+    def connection_lost(self, reason: str, now_us: int) -> None:
+        """The transport ended by itself."""
+        self.session.connection_lost(reason, now_us=now_us)
+        self._settle(now_us)
+
+    def close(self, reason: str, now_us: int) -> None:
+        """Say goodbye; the message is in ``data_to_send``."""
+        self.session.bye(reason, now_us=now_us)
+        self._settle(now_us)
+
+    def _settle(self, now_us: int) -> None:
+        """Pass on every event of the session, and whatever those cause."""
+        while (event := self.session.next_event()) is not None:
+            if isinstance(event, ev.Joined):
+                self._join(event.hello, now_us)
+            elif isinstance(event, ev.Closed):
+                self.ending = event
+            elif self.streamer is not None:
+                self.streamer.on_event(event, now_us)
+                if isinstance(event, ev.Acknowledged):
+                    self.session.rate_hint_bps = self._estimator.estimate_bps(now_us)
+                elif isinstance(event, ev.ControlReceived) and event.control.action == "seek":
+                    self.session.cancel(lambda _: True, now_us=now_us)
+
+    def _join(self, hello: Hello, now_us: int) -> None:
+        refusal = self._admit(hello) if self._admit else None
+        if refusal is not None:
+            self.session.refuse(*refusal, now_us=now_us)
+            return
+        self.streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, now_us=now_us)
+        self.session.rate_hint_bps = self._estimator.estimate_bps(now_us)
+        self.session.accept(self.streamer.welcome(self.name), now_us=now_us)
+        self._queue(self.streamer.opening(now_us), now_us)
+
+    def _queue(self, outgoing: Iterable[ev.Outgoing], now_us: int) -> None:
+        for each in outgoing:
+            self.session.queue(each, now_us=now_us)

@@ -1,0 +1,81 @@
+"""What a client holds of each tile, as far as the server knows: delivered layers and layers on their way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cags_protocol.messages import TileLayers
+
+Key = tuple[int, int]
+
+
+@dataclass(slots=True)
+class _Held:
+    delivered: int = 0  # bit L: LoD L arrived
+    travelling: int = 0  # bit L: LoD L is queued or in flight
+
+
+def _bits(message: TileLayers) -> int:
+    return ((1 << message.to_lod) - 1) & ~((1 << message.from_lod) - 1)
+
+
+def _run(mask: int) -> int:
+    """Number of low bits set without a gap."""
+    return (~mask & (mask + 1)).bit_length() - 1
+
+
+class ClientInventory:
+    """Layers a client holds, by (media frame, tile)."""
+
+    def __init__(self) -> None:
+        self._tiles: dict[Key, _Held] = {}
+
+    def queued(self, message: TileLayers) -> None:
+        """Layers were queued for sending."""
+        held = self._tiles.setdefault((message.frame, message.tile), _Held())
+        held.travelling |= _bits(message)
+
+    def delivered(self, message: TileLayers) -> None:
+        """The client has acknowledged layers."""
+        held = self._tiles.setdefault((message.frame, message.tile), _Held())
+        held.travelling &= ~_bits(message)
+        held.delivered |= _bits(message)
+
+    def dropped(self, message: TileLayers) -> None:
+        """Layers will not arrive."""
+        held = self._tiles.get((message.frame, message.tile))
+        if held is not None:
+            held.travelling &= ~_bits(message)
+
+    def reduced(self, frame: int, tile: int, lods: int) -> None:
+        """The client keeps only LoDs 0 .. ``lods`` - 1 of a tile."""
+        held = self._tiles.get((frame, tile))
+        if held is not None:
+            held.delivered &= (1 << lods) - 1
+
+    def depth(self, frame: int, tile: int) -> int:
+        """LoDs from 0 without a gap that the client holds or that are on their way."""
+        held = self._tiles.get((frame, tile))
+        return 0 if held is None else _run(held.delivered | held.travelling)
+
+    def delivered_depth(self, frame: int, tile: int) -> int:
+        """LoDs from 0 without a gap that have arrived."""
+        held = self._tiles.get((frame, tile))
+        return 0 if held is None else _run(held.delivered)
+
+    def holds(self, frame: int, tile: int, lod: int) -> bool:
+        """Whether one LoD has arrived or is on its way."""
+        held = self._tiles.get((frame, tile))
+        return held is not None and bool((held.delivered | held.travelling) >> lod & 1)
+
+    def keep(self, first: int, last: int) -> None:
+        """Forget tiles of frames outside ``first`` .. ``last`` (both included)."""
+        for key in [key for key in self._tiles if not first <= key[0] <= last]:
+            del self._tiles[key]
+
+    def clear(self) -> None:
+        """The client holds nothing any more."""
+        self._tiles.clear()
+
+    def __len__(self) -> int:
+        return len(self._tiles)

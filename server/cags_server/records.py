@@ -1,0 +1,58 @@
+"""What is remembered of each planned frame, for reports and metrics. Bounded."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from cags_common.geometry import Pose, angle_between
+
+MAX_RECORDS = 8192
+"""Frames remembered a client (four and a half minutes at 30 fps)."""
+
+
+@dataclass(slots=True)
+class FrameRecord:
+    """One planned frame. The errors are None until the true pose of its display time has arrived."""
+
+    tick: int
+    frame: int
+    planned_us: int  # server clock
+    display_us: int  # client clock
+    horizon_us: int
+    predicted: Pose
+    margins: tuple[float, float]
+    ticks_covered: int
+    estimate_bps: float = 0.0
+    budget_bytes: int = 0
+    tile_bytes: int = 0
+    reference_bytes: int = 0
+    visible_tiles: int = 0
+    upgrades: int = 0
+    reference_late: bool = False
+    angular_error_rad: float | None = None
+    position_error_m: float | None = None
+
+    def settle(self, actual: Pose) -> None:
+        """The viewer's true pose at ``display_us`` is known."""
+        self.angular_error_rad = angle_between(self.predicted.rotation, actual.rotation)
+        squares = [(a - b) ** 2 for a, b in zip(self.predicted.position, actual.position, strict=True)]
+        self.position_error_m = sum(squares) ** 0.5
+
+
+@dataclass
+class StreamStats:
+    """Totals and recent records of one client."""
+
+    records: deque[FrameRecord] = field(default_factory=lambda: deque(maxlen=MAX_RECORDS))
+    frames: int = 0
+    frames_skipped: int = 0
+    references_late: int = 0
+    bytes_tiles: int = 0
+    bytes_reference: int = 0
+    bytes_other: int = 0
+    bytes_dropped: int = 0
+    render_ns: int = 0
+    encode_ns: int = 0
+    bandwidth_bps: float = 0.0
+    rtt_us: int = 0

@@ -1,0 +1,86 @@
+"""The reference picture of one planned frame: the only heavy work a client causes, made to run in an executor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cags_common.geometry import Camera, Intrinsics
+from cags_common.raster.base import DepthKind, Footprint, RenderOptions
+from cags_common.video.h264 import H264Encoder, is_idr
+from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.predict.base import PoseDistribution
+
+
+@dataclass(frozen=True, slots=True)
+class FramePlan:
+    """What was decided when a frame was begun: ``planned_us`` by the server's clock, ``display_us`` by the client's."""
+
+    generation: int  # counts seeks and the like: what was planned before one is void after it
+    tick: int
+    frame: int
+    ticks_covered: int  # 1, and one more for every frame that was skipped for lateness
+    planned_us: int
+    display_us: int
+    horizon_us: int
+    predicted: PoseDistribution
+    margins: tuple[float, float]
+    idr: bool
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRender:
+    """The outcome of a job: the picture on the wire, and what is seen in it."""
+
+    plan: FramePlan
+    intrinsics: Intrinsics
+    access_unit: bytes
+    idr: bool
+    visible: tuple[VisibleTile, ...]
+    render_ns: int
+    encode_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class FrameJob:
+    """Renders the unquantised frame as the client would see it, shrunk, and encodes it. A client's jobs run in turn."""
+
+    plan: FramePlan
+    library: SceneLibrary
+    camera: Camera
+    client: Intrinsics
+    encoder: H264Encoder
+    visible_px: float
+    threads: int
+
+    def run(self, clock_ns: Callable[[], int] | None = None) -> FrameRender:
+        """Do the work; ``clock_ns``, if given, times its parts."""
+        clock = clock_ns or _no_clock
+        started = clock()
+        loaded = self.library.loaded(self.plan.frame)
+        options = RenderOptions(
+            footprint=Footprint.of(self.client, self.camera.intrinsics),
+            depth=DepthKind.NONE,
+            contribution=True,
+            threads=self.threads,
+        )
+        view = loaded.scene.render(self.camera, options)
+        assert view.contribution is not None
+        visible = self.library.visible_tiles(self.plan.frame, view.contribution, self.visible_px)
+        rendered = clock()
+        unit = self.encoder.encode(np.clip(view.rgb, 0.0, 1.0), idr=self.plan.idr)
+        return FrameRender(
+            plan=self.plan,
+            intrinsics=self.camera.intrinsics,
+            access_unit=unit,
+            idr=is_idr(unit),
+            visible=visible,
+            render_ns=rendered - started,
+            encode_ns=clock() - rendered,
+        )
+
+
+def _no_clock() -> int:
+    return 0

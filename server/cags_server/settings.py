@@ -1,0 +1,49 @@
+"""Settings of the server."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cags_common.errors import ConfigError
+from cags_common.settings import check_settings, setting
+
+
+@dataclass(frozen=True)
+class ServerSettings:
+    """What one server does for each of its clients."""
+
+    predictor: str = setting("autoregressive", "how the viewer's pose is predicted")
+    fov: str = setting("fixed", "how the field of view of the reference is chosen")
+    fov_margin: float = setting(0.1, "margin of the fixed field of view, share of the client's", low=0.0, high=4.0)
+    abr: str = setting("paper", "how the byte budget is spent on tiles")
+    lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
+    reference_width: int = setting(400, "width of reference pictures, pixels, even", low=16, high=4096)
+    reference_height: int = setting(300, "height of reference pictures, pixels, even", low=16, high=4096)
+    reference_crf: float = setting(20.0, "H.264 quality of reference pictures, lower is better", low=0.0, high=51.0)
+    reference_chroma: str = setting("yuv420p", "colour sampling of references", choices=("yuv420p", "yuv444p"))
+    rasteriser: str = setting("auto", "rendering backend: auto, reference, cpu or cuda")
+    render_threads: int = setting(2, "threads of one reference render", low=1, high=256)
+    visible_px: float = setting(0.02, "least contribution of a visible splat, reference pixels", low=0.0, high=1e6)
+    queue_ms: float = setting(150.0, "delay that planned but undelivered data may cause, ms", low=0.0, high=10_000.0)
+    tile_deadline_ms: float = setting(1000.0, "time after display at which a tile is stale, ms", low=0.0, high=60_000.0)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.reference_chroma == "yuv420p" and (self.reference_width % 2 or self.reference_height % 2):
+            raise ConfigError(f"reference size {self.reference_width}x{self.reference_height} must be even for yuv420p")
+
+
+@dataclass(frozen=True)
+class ServeSettings(ServerSettings):
+    """The whole command: what is served, where the server listens, and what each client gets."""
+
+    bundle: str = setting("", "bundle to serve: a folder or an fsspec URL")
+    host: str = setting("127.0.0.1", "address to listen on")
+    port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65_535)
+    workers: int = setting(2, "references rendered at the same time", low=1, high=256)
+    drain_s: float = setting(2.0, "time for goodbyes when the server is stopped, seconds", low=0.0, high=600.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.bundle:
+            raise ConfigError("bundle is not given; name one with --bundle FOLDER_OR_URL")

@@ -1,0 +1,385 @@
+"""The server's core for one client: from poses, acknowledgements and controls to planned frames and messages.
+
+Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), hands in session events, runs the
+:class:`~cags_server.reference.FrameJob` that :meth:`Streamer.begin` gives wherever it likes, and queues what
+:meth:`Streamer.finish` returns. Real time and virtual time run this same code.
+"""
+
+from __future__ import annotations
+
+from cags_common.geometry import Camera, Pose
+from cags_common.video.colour import Chroma
+from cags_common.video.h264 import H264Encoder
+from cags_protocol import events as ev
+from cags_protocol.blobs import blob_chunks
+from cags_protocol.messages import Control, FrameEnd, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
+from cags_server.abr import Decision, Observation, TileView, create_rate_policy
+from cags_server.bandwidth.base import BandwidthEstimator
+from cags_server.clock import ClientClock
+from cags_server.fov import FovObservation, create_fov_policy, widened
+from cags_server.inventory import ClientInventory
+from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.opening import opening_tiles
+from cags_server.predict import PoseHistory, create_predictor
+from cags_server.records import FrameRecord, StreamStats
+from cags_server.reference import FrameJob, FramePlan, FrameRender
+from cags_server.settings import ServerSettings
+from cags_server.timeline import Timeline
+
+BLOB_PRIORITY, BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 0, 1, 2, 3
+"""References go before everything in the session's queue; then decoders' tables, base layers, detail, the unseen."""
+
+MESSAGE_OVERHEAD_BYTES = 160
+"""Header of a tile message and its fragment, about."""
+
+MAX_BUDGET_TICKS = 4
+"""A stretch of skipped frames earns at most the budget of so many."""
+
+
+def check_choices(settings: ServerSettings) -> None:
+    """Check the names that settings pick implementations by. Raises :class:`~cags_common.errors.ConfigError`."""
+    create_predictor(settings.predictor)
+    create_fov_policy(settings.fov, settings.fov_margin)
+    create_rate_policy(settings.abr)
+
+
+class Streamer:
+    """Decides what one client gets."""
+
+    def __init__(
+        self,
+        library: SceneLibrary,
+        settings: ServerSettings,
+        hello: Hello,
+        *,
+        estimator: BandwidthEstimator,
+        now_us: int,
+    ) -> None:
+        self.stats = StreamStats()
+        self._library, self._settings, self._hello = library, settings, hello
+        self._estimator = estimator
+        self._predictor = create_predictor(settings.predictor)
+        self._fov = create_fov_policy(settings.fov, settings.fov_margin)
+        self._policy = create_rate_policy(settings.abr)
+        self._encoder = H264Encoder(
+            settings.reference_width,
+            settings.reference_height,
+            library.manifest.fps,
+            crf=settings.reference_crf,
+            chroma=Chroma(settings.reference_chroma),
+        )
+        self._clock = ClientClock()
+        self._history = PoseHistory()
+        self._inventory = ClientInventory()
+        start = min(hello.start_frame, library.manifest.frames - 1)
+        self._timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
+        self._controlled = False
+        self._generation = 0
+        self._next_tick = 0
+        self._ended: int | None = None  # newest media frame whose FrameEnd was queued
+        self._job_running = False
+        self._outstanding_bytes = 0
+        self._reference_seq = 0
+        self._idr_seq = 0
+        self._needs_idr = True
+        self._unsettled: list[FrameRecord] = []
+        self._started_us = now_us
+
+    # ------------------------------------------------------------------------------------------------------- joining
+
+    def welcome(self, session: str) -> Welcome:
+        """The answer to the client's Hello."""
+        manifest = self._library.manifest
+        return Welcome(session=session, fps=manifest.fps, frames=manifest.frames, info=manifest.public_json())
+
+    def opening(self, now_us: int) -> list[ev.Outgoing]:
+        """What every client gets first: codebooks, then the base layers of the start frame, the ones in view first."""
+        out = [
+            ev.Outgoing(blob, chunk, BLOB_PRIORITY)
+            for blob, chunk in blob_chunks("codebooks", self._library.reader.codebooks())
+        ]
+        frame = self._timeline.frame
+        camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
+        in_view, hidden = opening_tiles(self._library, frame, camera)
+        out += [self._tile(key, (0, 1), BASE_PRIORITY) for key in in_view]
+        out += self._frame_ends(frame)
+        out += [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in hidden]
+        return self._counted(out)
+
+    # -------------------------------------------------------------------------------------------------------- events
+
+    def on_event(self, event: ev.ServerEvent, now_us: int) -> None:
+        """Take one event of the session."""
+        match event:
+            case ev.PosesReceived(samples, arrival_us):
+                self._on_poses(samples, arrival_us)
+            case ev.Acknowledged(sample, _):
+                self._estimator.on_ack(sample)
+                self.stats.rtt_us = sample.rtt_us
+                self.stats.bandwidth_bps = self._estimator.estimate_bps(now_us)
+            case ev.ControlReceived(control, arrival_us):
+                self._on_control(control, arrival_us)
+            case ev.KeyframeRequested(reference_seq):
+                self._needs_idr = self._needs_idr or self._idr_seq <= reference_seq
+            case ev.Delivered(outgoing, _):
+                self._on_settled(outgoing, delivered=True)
+            case ev.Dropped(outgoing, _, sent_bytes, _):
+                self.stats.bytes_dropped += sent_bytes
+                self._on_settled(outgoing, delivered=False)
+            case ev.Evicted(tiles):
+                for held in tiles:
+                    self._inventory.reduced(held.frame, held.tile, held.lods)
+            case _:
+                pass
+
+    def _on_poses(self, samples: tuple[PoseSample, ...], arrival_us: int) -> None:
+        if samples:
+            self._clock.observe(samples[-1].t_us, arrival_us)
+        for sample in samples:
+            self._history.add(sample)
+        waiting: list[FrameRecord] = []
+        for record in self._unsettled:
+            actual = self._history.pose_at(record.display_us)
+            if actual is not None:
+                record.settle(actual)
+                self._fov.truth(record.frame, record.predicted, actual, self._hello.intrinsics)
+            elif record.display_us > self._history.newest.t_us:
+                waiting.append(record)
+        self._unsettled = waiting
+
+    def _on_control(self, control: Control, now_us: int) -> None:
+        if not self._clock.known:  # the first Control says when a frame is displayed: soon, so roughly now
+            self._clock.observe(control.at_us, now_us)
+        self._timeline = self._timeline.controlled(control)
+        self._controlled = True
+        self._generation += 1
+        self._next_tick = 0
+        if control.action == "seek":  # the client has forgotten everything
+            self._inventory.clear()
+            self._ended = None
+            self._needs_idr = True
+
+    def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
+        self._outstanding_bytes -= len(outgoing.payload)
+        message = outgoing.message
+        if isinstance(message, TileLayers):
+            (self._inventory.delivered if delivered else self._inventory.dropped)(message)
+        elif isinstance(message, ReferenceFrame) and not delivered:
+            self._needs_idr = self._needs_idr or message.seq >= self._idr_seq
+
+    # ------------------------------------------------------------------------------------------------------ planning
+
+    @property
+    def _lead_us(self) -> float:
+        return self._settings.lead_frames * 1e6 / self._timeline.fps
+
+    def next_due_us(self) -> int | None:
+        """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
+        if not self._controlled or self._job_running or self._media_frame(self._next_tick) is None:
+            return None
+        return self._clock.to_server(round(self._timeline.display_us(self._next_tick) - self._lead_us))
+
+    def begin(self, now_us: int) -> FrameJob | None:
+        """Plan the newest frame that is due: where the viewer will be, and how wide to look. None if none is due.
+
+        Frames that became due before it and were not begun are skipped: their references would come too late.
+        """
+        due_us = self.next_due_us()
+        if due_us is None or now_us < due_us:
+            return None
+        behind = int((now_us - due_us) // self._timeline.period_us)
+        tick = self._next_tick + behind
+        while self._media_frame(tick) is None:
+            tick -= 1
+        frame = self._media_frame(tick)
+        assert frame is not None
+        plan = self._plan(tick, frame, now_us)
+        self._next_tick = tick + 1
+        self._job_running = True
+        self._needs_idr = False
+        intrinsics = widened(
+            self._hello.intrinsics, plan.margins, self._settings.reference_width, self._settings.reference_height
+        )
+        return FrameJob(
+            plan=plan,
+            library=self._library,
+            camera=Camera(intrinsics, plan.predicted.pose, self._hello.near),
+            client=self._hello.intrinsics,
+            encoder=self._encoder,
+            visible_px=self._settings.visible_px,
+            threads=self._settings.render_threads,
+        )
+
+    def _plan(self, tick: int, frame: int, now_us: int) -> FramePlan:
+        display_us = self._timeline.display_us(tick)
+        if not len(self._history):
+            self._history.add(PoseSample(self._clock.to_client(now_us), self._hello.pose))
+        newest = self._history.newest
+        horizon_us = max(0, display_us - newest.t_us)
+        predicted = self._predictor.predict(self._history, horizon_us)
+        margins = self._fov.scale(FovObservation(frame, predicted, self._hello.intrinsics, newest.pose))
+        return FramePlan(
+            generation=self._generation,
+            tick=tick,
+            frame=frame,
+            ticks_covered=tick - self._next_tick + 1,
+            planned_us=now_us,
+            display_us=display_us,
+            horizon_us=horizon_us,
+            predicted=predicted,
+            margins=margins,
+            idr=self._needs_idr,
+        )
+
+    def _media_frame(self, tick: int) -> int | None:
+        """While paused the viewer still moves: the same frame is planned again and again."""
+        return self._timeline.media_frame(tick) if self._timeline.playing else self._timeline.frame
+
+    # ----------------------------------------------------------------------------------------------------- finishing
+
+    def abandon(self, job: FrameJob) -> None:
+        """A job failed or was given up: its picture never existed."""
+        self._job_running = False
+        self._needs_idr = True
+
+    def finish(self, render: FrameRender, now_us: int) -> list[ev.Outgoing]:
+        """Turn a finished job into messages: the reference, the tiles that the rate policy chose, the frame's end."""
+        plan = render.plan
+        self._job_running = False
+        self.stats.render_ns += render.render_ns
+        self.stats.encode_ns += render.encode_ns
+        if plan.generation != self._generation:  # the viewer seeked meanwhile
+            self._needs_idr = True
+            return []
+        self._enter(plan.frame)
+        record = self._record(plan)
+        out: list[ev.Outgoing] = []
+        if now_us < self._clock.to_server(plan.display_us):
+            out.append(self._reference(render))
+            record.reference_bytes = len(render.access_unit)
+        else:
+            record.reference_late = self._needs_idr = True
+            self.stats.references_late += 1
+        decision = self._decide(render.visible, record, now_us)
+        deadline_us = self._clock.to_server(plan.display_us) + int(self._settings.tile_deadline_ms * 1000)
+        base = [u for u in decision.upgrades if u.from_lod == 0]
+        detail = [u for u in decision.upgrades if u.from_lod > 0]
+        for upgrade in base:  # the base layer goes ahead of everybody's detail
+            out.append(self._tile((upgrade.frame, upgrade.tile), (0, 1), BASE_PRIORITY, deadline_us))
+        out += self._frame_ends(plan.frame)
+        for upgrade in (*base, *detail):
+            first = max(upgrade.from_lod, 1)
+            for run in self._missing_runs(upgrade.frame, upgrade.tile, first, upgrade.to_lod):
+                out.append(self._tile((upgrade.frame, upgrade.tile), run, ENHANCEMENT_PRIORITY, deadline_us))
+        return self._counted(out)
+
+    def _record(self, plan: FramePlan) -> FrameRecord:
+        record = FrameRecord(
+            tick=plan.tick,
+            frame=plan.frame,
+            planned_us=plan.planned_us,
+            display_us=plan.display_us,
+            horizon_us=plan.horizon_us,
+            predicted=plan.predicted.pose,
+            margins=plan.margins,
+            ticks_covered=plan.ticks_covered,
+        )
+        self.stats.records.append(record)
+        self.stats.frames += 1
+        self.stats.frames_skipped += plan.ticks_covered - 1
+        self._unsettled.append(record)
+        return record
+
+    def _enter(self, frame: int) -> None:
+        """A new group of frames has ids of its own, and the client forgets everything when the media starts again."""
+        if self._ended is None:
+            return
+        left, entered = self._library.manifest.gof_of(self._ended), self._library.manifest.gof_of(frame)
+        if frame < self._ended:
+            self._inventory.clear()
+            self._ended = None
+        elif left != entered:
+            frames = self._library.manifest.gof_frames(left)
+            self._inventory.keep(frames[0], frames[-1])
+            self._ended = None
+
+    def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
+        record.estimate_bps = self._estimator.estimate_bps(now_us)
+        seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * self._timeline.period_us / 1e6
+        allowed_backlog = record.estimate_bps * self._settings.queue_ms / 8e3
+        excess = max(0.0, self._outstanding_bytes - allowed_backlog)
+        record.budget_bytes = max(0, int(record.estimate_bps * seconds / 8 - record.reference_bytes - excess))
+        decision = self._policy.decide(
+            Observation(
+                frame=record.frame,
+                budget_bytes=record.budget_bytes,
+                tiles=tuple(self._view(tile) for tile in visible),
+                lod_gains_db=self._library.manifest.lod_gains_db,
+                message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
+            )
+        )
+        record.tile_bytes = decision.bytes
+        record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
+        return decision
+
+    def _view(self, tile: VisibleTile) -> TileView:
+        sizes = self._library.entry(tile.frame).tiles[tile.tile].lod_bytes
+        depth = self._inventory.depth(tile.frame, tile.tile)
+        holds = self._inventory.holds
+        missing = tuple(
+            0 if lod > depth and holds(tile.frame, tile.tile, lod) else size for lod, size in enumerate(sizes)
+        )
+        return TileView(tile.frame, tile.tile, depth, tile.count, missing)
+
+    def _missing_runs(self, frame: int, tile: int, first: int, end: int) -> list[tuple[int, int]]:
+        """[first, end) without the layers that the client holds already, as half-open runs."""
+        runs: list[tuple[int, int]] = []
+        for lod in range(first, end):
+            if self._inventory.holds(frame, tile, lod):
+                continue
+            if runs and runs[-1][1] == lod:
+                runs[-1] = (runs[-1][0], lod + 1)
+            else:
+                runs.append((lod, lod + 1))
+        return runs
+
+    # ------------------------------------------------------------------------------------------------------ messages
+
+    def _tile(
+        self, key: tuple[int, int], lods: tuple[int, int], priority: int, deadline_us: int | None = None
+    ) -> ev.Outgoing:
+        """LoDs [first, end) of the tile (media frame, tile)."""
+        reader, (first, end) = self._library.reader, lods
+        entry = reader.frame(key[0]).tiles[key[1]]
+        payload = b"".join(reader.payload(*key, lod) for lod in range(first, end))
+        message = TileLayers(*key, first, end, entry.lod_bytes[first:end], entry.crcs[first:end])
+        self._inventory.queued(message)
+        return ev.Outgoing(message, payload, priority, deadline_us)
+
+    def _reference(self, render: FrameRender) -> ev.Outgoing:
+        self._reference_seq += 1
+        if render.idr:
+            self._idr_seq = self._reference_seq
+        pose: Pose = render.plan.predicted.pose
+        message = ReferenceFrame(render.plan.frame, self._reference_seq, pose, render.intrinsics, render.idr)
+        deadline_us = self._clock.to_server(render.plan.display_us)
+        return ev.Outgoing(message, render.access_unit, 0, deadline_us)
+
+    def _frame_ends(self, frame: int) -> list[ev.Outgoing]:
+        """The ends of every frame up to ``frame`` that has not been ended: skipped ones too, for their removed ids."""
+        first = self._library.gof_start(frame) if self._ended is None else self._ended + 1
+        self._ended = frame
+        reader = self._library.reader
+        return [ev.Outgoing(FrameEnd(at), reader.removed_payload(at), BASE_PRIORITY) for at in range(first, frame + 1)]
+
+    def _counted(self, outgoing: list[ev.Outgoing]) -> list[ev.Outgoing]:
+        for each in outgoing:
+            size = len(each.payload)
+            self._outstanding_bytes += size
+            if isinstance(each.message, TileLayers):
+                self.stats.bytes_tiles += size
+            elif isinstance(each.message, ReferenceFrame):
+                self.stats.bytes_reference += size
+            else:
+                self.stats.bytes_other += size
+        return outgoing
