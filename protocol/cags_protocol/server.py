@@ -118,7 +118,7 @@ class ServerSession(Session[ev.ServerEvent]):
     def data_to_send(self, now_us: int, max_bytes: int | None = None) -> list[bytes]:
         """Packets that may be written now, most valuable first; about ``max_bytes`` of data if given.
 
-        One packet comes at least, credit allowing. Write them before asking again: the order is decided as late as possible.
+        One packet comes at least, credit allowing. Write them before asking again: order is decided late.
         """
         self._now_us = now_us
         self._queue.expire(now_us)

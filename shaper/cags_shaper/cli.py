@@ -1,0 +1,120 @@
+"""``cags-shaper``: a TCP proxy with the rate, delay and queue of a recorded network."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from cags_common.cli import command_parser, run_command
+from cags_common.errors import ConfigError
+from cags_common.settings import add_settings, check_settings, load_settings, setting
+
+if TYPE_CHECKING:
+    from cags_shaper.link import LinkSettings
+    from cags_shaper.trace import Trace
+
+EXAMPLES = """\
+  cags-shaper --listen 127.0.0.1:9000 --to 127.0.0.1:8765 --trace traces/5g-mmwave.csv
+  cags-shaper --listen 127.0.0.1:0 --to 127.0.0.1:8765 --trace generated:steady-30 --delay-ms 20 --queue-bytes 150000
+  cags-shaper --listen 127.0.0.1:9000 --to 127.0.0.1:8765 --trace down.csv --uplink-trace up.mahi --log shaper.jsonl
+
+a trace is a mahimahi file (one 1,504-byte opportunity a line, ms), rows `time_s,mbps`, rows `time mbps` (Pensieve), or
+generated:NAME[:seed=N][:duration_s=N] with NAME 5g-mmwave, lte-driving, step, sawtooth, blackout, steady-N (N Mbps)
+"""
+
+
+@dataclass(frozen=True)
+class ShaperSettings:
+    """Settings of ``cags-shaper``."""
+
+    listen: str = setting("127.0.0.1:0", "HOST:PORT to listen on; port 0 picks a free one")
+    to: str = setting("127.0.0.1:8765", "HOST:PORT to connect to")
+    trace: str | None = setting(None, "trace of the direction towards the client; none: no rate limit")
+    uplink_trace: str | None = setting(None, "trace of the direction towards the server; none: no rate limit")
+    delay_ms: float = setting(0.0, "propagation delay each way, ms", low=0, high=60_000)
+    jitter_ms: float = setting(0.0, "mean extra delay, exponential, order kept, ms", low=0, high=60_000)
+    queue_bytes: int = setting(300_000, "bound of each queue; full, it holds the sender back", low=2000, high=2**31)
+    loop: bool = setting(True, "start the trace again at its end")
+    seed: int = setting(0, "seed of the jitter", low=0, high=2**31)
+    log: str | None = setting(None, "write JSON lines of rate, queue and delay every 100 ms to this file")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    def link(self) -> LinkSettings:
+        """What both links do besides their traces."""
+        from cags_shaper.link import LinkSettings
+
+        us = (round(self.delay_ms * 1000), round(self.jitter_ms * 1000))
+        return LinkSettings(delay_us=us[0], jitter_us=us[1], queue_bytes=self.queue_bytes, seed=self.seed)
+
+
+def parse_address(flag: str, text: str) -> tuple[str, int]:
+    """``HOST:PORT`` (an IPv6 host in brackets). Raises :class:`ConfigError`."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise ConfigError(f"--{flag} {text}: must be HOST:PORT, such as 127.0.0.1:8765")
+    return host.strip("[]"), int(port)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of ``cags-shaper``."""
+    return run_command("cags-shaper", _run, argv)
+
+
+def _run(argv: Sequence[str]) -> int:
+    parser = command_parser(
+        "cags-shaper", "A TCP proxy with the rate, delay and queue of a recorded network.", EXAMPLES
+    )
+    add_settings(parser, ShaperSettings)
+    parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
+    arguments = parser.parse_args(argv)
+    settings = load_settings(ShaperSettings, arguments)
+    listen, to = parse_address("listen", settings.listen), parse_address("to", settings.to)
+    from cags_shaper.trace import open_trace
+
+    traces = [
+        open_trace(spec, loop=settings.loop) if spec else None for spec in (settings.trace, settings.uplink_trace)
+    ]
+
+    import asyncio
+    import logging
+
+    logging.basicConfig(format="cags-shaper: %(message)s", stream=sys.stderr)
+    asyncio.run(_serve(settings, traces, listen, to, arguments.json))
+    return 0
+
+
+async def _serve(
+    settings: ShaperSettings,
+    traces: list[Trace | None],
+    listen: tuple[str, int],
+    to: tuple[str, int],
+    as_json: bool,
+) -> None:
+    import asyncio
+    import contextlib
+    import signal
+    import time
+
+    from cags_shaper.link import Link
+    from cags_shaper.log import LogWriter, open_log
+    from cags_shaper.proxy import ShaperProxy
+
+    proxy = ShaperProxy(to, Link(traces[0], settings.link()), Link(traces[1], settings.link()))
+    stop = asyncio.Event()
+    with open_log(settings.log) if settings.log else contextlib.nullcontext() as file:
+        host, port = await proxy.start(*listen, lambda: time.monotonic_ns() // 1000)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        ready = json.dumps({"ready": True, "host": host, "port": port}) if as_json else f"listening on {host}:{port}"
+        print(ready, flush=True)
+        try:
+            if file is not None:
+                await LogWriter(file, settings).follow(proxy, stop)
+            await stop.wait()
+        finally:
+            await proxy.close()

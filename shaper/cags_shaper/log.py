@@ -1,0 +1,78 @@
+"""The shaper's log: JSON lines that describe themselves. The first line names the units and the settings."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from cags_common.errors import ConfigError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    from cags_shaper.proxy import ShapedDirection, ShaperProxy
+
+INTERVAL_US = 100_000
+
+FIELDS = {
+    "t_us": "end of the interval since the start of the link, microseconds",
+    "direction": "down (towards the client) or up",
+    "capacity_bytes": "what the trace allowed in the interval (null: no limit)",
+    "accepted_bytes": "bytes that entered the link in the interval, TCP/IP headers included",
+    "delivered_bytes": "bytes that left it in the interval",
+    "queued_bytes": "bytes in its queue at the end of the interval",
+    "next_delivery_us": "how long until the next delivery, microseconds (null: none on its way)",
+}
+
+
+class LogWriter:
+    """Writes one line a direction and interval."""
+
+    def __init__(self, file: TextIO, settings: DataclassInstance) -> None:
+        self._file = file
+        self._last: dict[str, tuple[int, int, int]] = {}
+        header = {"log": "cags-shaper", "version": 1, "interval_us": INTERVAL_US, "fields": FIELDS}
+        self._line({**header, "settings": dataclasses.asdict(settings)})
+
+    def sample(self, name: str, direction: ShapedDirection) -> None:
+        """Write what passed ``direction`` since the last sample."""
+        link, now_us = direction.link, direction.now_us()
+        before_us, accepted, delivered = self._last.get(name, (0, 0, 0))
+        counts, coming_us = link.counts, link.next_delivery_us()
+        capacity = link.trace and round(link.trace.mean_bps(before_us, now_us) * (now_us - before_us) / 8e6)
+        self._line(
+            {
+                "t_us": now_us,
+                "direction": name,
+                "capacity_bytes": capacity,
+                "accepted_bytes": counts.accepted_bytes - accepted,
+                "delivered_bytes": counts.delivered_bytes - delivered,
+                "queued_bytes": link.queued_bytes(now_us),
+                "next_delivery_us": None if coming_us is None else coming_us - now_us,
+            }
+        )
+        self._last[name] = now_us, counts.accepted_bytes, counts.delivered_bytes
+
+    async def follow(self, proxy: ShaperProxy, stop: asyncio.Event) -> None:
+        """Sample both directions every :data:`INTERVAL_US` until ``stop``."""
+        while not stop.is_set():
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(INTERVAL_US / 1e6):
+                    await stop.wait()
+            self.sample("down", proxy.downlink)
+            self.sample("up", proxy.uplink)
+
+    def _line(self, record: dict[str, object]) -> None:
+        self._file.write(json.dumps(record) + "\n")
+
+
+def open_log(path: str) -> TextIO:
+    """A new log file. Raises :class:`ConfigError` when it cannot be written."""
+    try:
+        return Path(path).open("w", encoding="utf-8", buffering=1)
+    except OSError as error:
+        raise ConfigError(f"--log {path}: cannot be written ({error.strerror}); give another file") from error

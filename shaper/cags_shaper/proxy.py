@@ -1,0 +1,198 @@
+"""A TCP proxy whose two directions run through links, shared by all connections like a real bottleneck.
+
+A stream cannot lose bytes, so a full queue pushes back instead of dropping: the proxy stops reading and the sender's
+window closes. Kernel buffers would be a queue of their own beside the link's, so they are kept small.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cags_common.errors import NetworkError
+from cags_shaper.link import SEGMENT_BYTES, Link, tcp_wire_bytes
+
+log = logging.getLogger("cags_shaper")
+
+RECEIVE_BUFFER_BYTES = 32 * 1024
+"""Kernel receive buffer of a shaped connection (Linux doubles it)."""
+
+WRITE_BACKLOG_BYTES = 256 * 1024
+"""Delivered bytes that a slow receiver may leave unread before its sender is held back."""
+
+READ_BYTES = 16 * SEGMENT_BYTES
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Bytes on their way to ``to``; empty: the end of the stream, whose delivery sets ``ended``."""
+
+    data: bytes
+    to: asyncio.StreamWriter
+    ended: asyncio.Event | None = None
+
+
+class ShapedDirection:
+    """One link and the task that delivers what it lets through. ``clock`` returns microseconds, never falling."""
+
+    def __init__(self, link: Link[Piece], clock: Callable[[], int]) -> None:
+        self.link = link
+        self._clock, self._start_us = clock, clock()
+        self._wake = asyncio.Event()
+        self._room = asyncio.Event()
+        self._task = asyncio.create_task(self._deliver())
+
+    def now_us(self) -> int:
+        """Time since the link started."""
+        return self._clock() - self._start_us
+
+    async def carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Pump one connection's stream through the link, until its end has been delivered."""
+        with contextlib.suppress(ConnectionError):  # a reset is an end: what is under way still arrives
+            while data := await reader.read(READ_BYTES):
+                for start in range(0, len(data), SEGMENT_BYTES):
+                    await self._push(Piece(data[start : start + SEGMENT_BYTES], writer))
+                await writer.drain()
+        ended = asyncio.Event()
+        await self._push(Piece(b"", writer, ended))
+        await ended.wait()
+
+    async def close(self) -> None:
+        """Stop delivering."""
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+
+    async def _push(self, piece: Piece) -> None:
+        size = tcp_wire_bytes(len(piece.data)) if piece.data else 1
+        while not self.link.push(self.now_us(), piece, size):
+            self._room.clear()
+            await self._room.wait()
+        self._wake.set()
+
+    async def _deliver(self) -> None:
+        while True:
+            self._wake.clear()
+            for piece in self.link.pop_due(self.now_us()):
+                _write(piece)
+            self._room.set()
+            await self._sleep()
+
+    async def _sleep(self) -> None:
+        """Until the link has something to deliver or room to give, or something is pushed."""
+        times = [t for t in (self.link.next_delivery_us(), self.link.next_room_us()) if t is not None]
+        timeout = None if not times else max(min(times) - self.now_us(), 0) / 1e6
+        try:
+            async with asyncio.timeout(timeout):
+                await self._wake.wait()
+        except TimeoutError:
+            pass
+
+
+def _write(piece: Piece) -> None:
+    if piece.ended is not None:
+        piece.ended.set()
+    if piece.to.is_closing():
+        return
+    if piece.data:
+        piece.to.write(piece.data)
+    elif piece.to.can_write_eof():
+        piece.to.write_eof()
+
+
+class ShaperProxy:
+    """Listens, connects each client to the target, and carries both directions through their links."""
+
+    def __init__(self, target: tuple[str, int], downlink: Link[Piece], uplink: Link[Piece]) -> None:
+        self._target = target
+        self._links = downlink, uplink
+        self._connections: set[asyncio.Task[None]] = set()
+        self._server: asyncio.Server | None = None
+
+    async def start(self, host: str, port: int, clock: Callable[[], int]) -> tuple[str, int]:
+        """Start listening; the address in use (``port`` 0 picks a free one). Raises :class:`NetworkError`."""
+        listener = _listener(host, port)
+        self.downlink, self.uplink = (ShapedDirection(link, clock) for link in self._links)
+        self._server = await asyncio.start_server(self._accept, sock=listener, limit=READ_BYTES)
+        name = listener.getsockname()
+        return str(name[0]), int(name[1])
+
+    async def close(self) -> None:
+        """Stop listening and hang up all connections."""
+        if self._server is None:
+            return
+        self._server.close()
+        for task in list(self._connections):
+            task.cancel()
+        await asyncio.gather(*self._connections, return_exceptions=True)
+        await asyncio.gather(self.downlink.close(), self.uplink.close())
+
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._connections.add(task)
+        task.add_done_callback(self._connections.discard)
+        try:
+            await self._connect(reader, writer)
+        except OSError as error:
+            log.warning("connection to %s:%d: %s", *self._target, error.strerror or error)
+        finally:
+            writer.close()
+
+    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        upstream = await _dial(*self._target)
+        up_reader, up_writer = await asyncio.open_connection(sock=upstream, limit=READ_BYTES)
+        for side in (writer, up_writer):
+            side.transport.set_write_buffer_limits(high=WRITE_BACKLOG_BYTES)
+        try:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self.uplink.carry(reader, up_writer))
+                group.create_task(self.downlink.carry(up_reader, writer))
+        finally:
+            up_writer.close()
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    """A listening socket whose connections have small receive buffers and Ethernet's segments."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise NetworkError(
+            f"--listen {host}:{port}: {error.strerror or error}; give an address of this machine"
+        ) from error
+    try:
+        _make_small(listener)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(128)
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
+        raise NetworkError(f"--listen {host}:{port} {reason}; give another port, or 0 for a free one") from error
+    return listener
+
+
+async def _dial(host: str, port: int) -> socket.socket:
+    loop = asyncio.get_running_loop()
+    family, kind, protocol, _, address = (await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM))[0]
+    upstream = socket.socket(family, kind, protocol)
+    try:
+        _make_small(upstream)
+        upstream.setblocking(False)
+        await loop.sock_connect(upstream, address)
+    except BaseException:
+        upstream.close()
+        raise
+    return upstream
+
+
+def _make_small(sock: socket.socket) -> None:
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, SEGMENT_BYTES)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
