@@ -40,15 +40,17 @@ def basis(directions: F64, degree: int) -> F64:
 
 @cache
 def lobe_bands(sharpness: float, degree: int) -> tuple[float, ...]:
-    """Factors of the bands of ``max(0, cos)^sharpness``: by Funk and Hecke, 2 pi times its Legendre integrals.
+    """Factors of the bands of ``max(0, cos)^sharpness``: by Funk and Hecke, its Legendre integrals, scaled to peak 1.
 
-    The higher bands are damped (Hann's window) so that a truncated lobe does not ring.
+    The higher bands are damped (Hann's window) so that a truncated lobe rings less.
     """
     cosine, weight = np.polynomial.legendre.leggauss(128)
     lobe = weight * np.maximum(cosine, 0.0) ** sharpness
     legendre = np.polynomial.legendre.legvander(cosine, degree)
     window = 0.5 + 0.5 * np.cos(np.pi * np.arange(degree + 1) / (degree + 2))
-    return tuple(float(v) for v in 2 * np.pi * window * (lobe @ legendre))
+    bands = window * (lobe @ legendre)
+    peak = np.sum(bands * (2 * np.arange(degree + 1) + 1)) / (4 * np.pi)
+    return tuple(float(v) for v in bands / peak)
 
 
 def lobe(axes: F64, sharpness: float, degree: int) -> F64:

@@ -24,13 +24,13 @@ def open_scene(spec: str) -> FrameSource:
     Raises :class:`SceneError` for scenes that cannot be read and :class:`ConfigError` for unknown options and values
     out of range.
     """
-    if Path(spec).exists():  # a path wins, whatever characters it holds
-        return open_files(Path(spec), FileOptions())
     head, options = split_options(spec)
     if head == "procedural":
         return ProceduralScene(parse_options(ProceduralSettings, spec, options))
     if head.startswith(MOTION):
         return _open_motion(spec, head.removeprefix(MOTION), options)
+    if Path(spec).exists():  # an existing path wins over options, whatever characters it holds
+        return open_files(Path(spec), FileOptions())
     if not head:
         raise ConfigError(f"scene {spec!r} names nothing; give a file, a folder, or 'procedural'")
     return open_files(Path(head), parse_options(FileOptions, spec, options))

@@ -71,4 +71,5 @@ def turned(quats: F32, by: F64) -> F32:
 
 
 def _unit(vectors: F64) -> F64:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+    units: F64 = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+    return units

@@ -70,12 +70,14 @@ class FrameSource(Protocol):
 def focus_of(splats: Splats) -> Focus:
     """A robust ball around the bulk of ``splats``.
 
-    The centre is the median of the splats weighted by opacity, the radius holds four fifths of that weight: many splats
-    are where there is detail to look at, and single floaters, plain ground or a far background do not move it.
+    Splats count by their opacity. The centre is halfway between the first and the last tenth on each axis, the radius
+    holds four fifths of the splats: many splats are where there is detail to look at, and single floaters, plain ground
+    or a far background do not move it far.
     """
     weight = 1.0 / (1.0 + np.exp(-splats.logit_opacities.astype(np.float64))) + 1e-12
     means = splats.means.astype(np.float64)
-    centre = np.array([_weighted_quantile(means[:, axis], weight, 0.5) for axis in range(3)])
+    ends = [[_weighted_quantile(means[:, axis], weight, q) for q in (0.1, 0.9)] for axis in range(3)]
+    centre = np.mean(ends, axis=1)
     distance = np.linalg.norm(means - centre, axis=1)
     radius = max(_weighted_quantile(distance, weight, 0.8), 1e-3)
     return Focus((float(centre[0]), float(centre[1]), float(centre[2])), radius)

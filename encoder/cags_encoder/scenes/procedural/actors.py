@@ -1,0 +1,365 @@
+"""What does not keep still: a ball, a mobile, curtains, a plant, a picture that changes, bubbles.
+
+An actor's patches are placed and divided with the room's, at rest. An :class:`Act` then rewrites the rows of its splats for
+any moment; it works from the resting splats alone, so frames can be made in any order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeAlias
+
+import numpy as np
+
+from cags_common.geometry import F32, F64, Vec3
+from cags_common.splats import SH_C0, SH_REST_OF_DEGREE, Splats
+from cags_encoder.scenes import rotations
+from cags_encoder.scenes.harmonics import lobe
+from cags_encoder.scenes.procedural import textures as tex
+from cags_encoder.scenes.procedural.light import Lighting, shown
+from cags_encoder.scenes.procedural.patches import Finish, Patch, ball, box, leaf, quad
+from cags_encoder.scenes.procedural.splatting import SHARPNESS, Surfel
+from cags_encoder.scenes.procedural.textures import Noise, Rgb
+
+Columns: TypeAlias = dict[str, F32]
+Act: TypeAlias = Callable[[float, Columns], None]
+"""Given a time in seconds, rewrites its rows of a frame's columns."""
+
+UNLIT = Finish(gloss=0.5, emission=1.0, detail=2.5)
+"""Rigid things carry their own colour; light is put on where they are at each moment."""
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Patches at rest, and how to set them in motion once they have been divided into ``rows``."""
+
+    patches: list[Patch]
+    act: Callable[[_Stage], Act]
+
+    def prepared(self, rows: slice, surfels: Surfel, light: Lighting, degree: int) -> Act:
+        """The act for the splats at ``rows``."""
+        part = Surfel(*(getattr(surfels, name)[rows] for name in Surfel.__dataclass_fields__))
+        return self.act(_Stage(rows, part, light, degree))
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """What an act knows: its rows, its splats' surfaces at rest, and the room's light."""
+
+    rows: slice
+    surfels: Surfel
+    light: Lighting
+    degree: int
+
+
+def cast(noise: Noise, rng: np.random.Generator) -> list[Actor]:
+    """All actors but the bubbles."""
+    return [_beach_ball(), _ball_shadow(), _mobile(noise), *_curtains(noise), _plant(noise, rng), _screen(noise)]
+
+
+# ---- rigid things -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Rigid:
+    """Turns and carries its rows, and lights them anew where they are."""
+
+    stage: _Stage
+    gloss: float
+    pivot: Vec3
+    path: Callable[[float], tuple[F64, F64]]  # time, s -> turn (wxyz) and position of the pivot
+
+    def __call__(self, time_s: float, columns: Columns) -> None:
+        turn, position = self.path(time_s)
+        matrix = rotations.matrices(turn)
+        surfels, rows = self.stage.surfels, self.stage.rows
+        points = (surfels.points - self.pivot) @ matrix.T + position
+        normals = surfels.normals @ matrix.T
+        columns["means"][rows] = points
+        columns["quats"][rows] = rotations.turned(columns["quats"][rows], turn)
+        columns["sh0"][rows], columns["sh_rest"][rows] = _lit(self.stage, surfels.rgb, points, normals, self.gloss)
+
+
+def _lit(stage: _Stage, rgb: F64, points: F64, normals: F64, gloss: float) -> tuple[F64, F64]:
+    """Harmonics [M, 3], [M, K, 3] of surfaces of colour ``rgb`` as they look under the room's light at ``points``."""
+    light = stage.light.at_moving(points, normals) + stage.light.sunlight(points, normals)
+    sh = np.zeros((len(points), 1 + SH_REST_OF_DEGREE[stage.degree], 3))
+    sh[:, 0] = (shown(rgb**2.2 * light) - 0.5) / SH_C0
+    axes, strength = stage.light.highlight_axes(points, normals)
+    sh += (lobe(axes, SHARPNESS, stage.degree) * (gloss * strength)[:, None])[:, :, None]
+    return sh[:, 0], sh[:, 1:]
+
+
+BALL_RADIUS = 0.17
+_ORBIT, _ORBIT_S, _HOP_S, _HOP = 0.98, 6.0, 0.75, 0.55
+
+
+def _ball_place(time_s: float) -> tuple[float, float, float, float]:
+    """Angle on its round, and position x, y, z, of the ball's centre."""
+    angle = 2 * np.pi * time_s / _ORBIT_S + 0.6
+    hop = (time_s / _HOP_S) % 1.0
+    height = BALL_RADIUS + 0.012 + 4 * _HOP * hop * (1 - hop)
+    return angle, _ORBIT * np.cos(angle), height, _ORBIT * np.sin(angle)
+
+
+def _ball_path(time_s: float) -> tuple[F64, F64]:
+    angle, x, y, z = _ball_place(time_s)
+    rolling = np.array([-np.cos(angle), 0.35, -np.sin(angle)])  # about the line to the table, a little tilted
+    roll = rotations.about(rolling / np.linalg.norm(rolling), np.array(_ORBIT / BALL_RADIUS * (angle - 0.6)))
+    return roll, np.array([x, y, z])
+
+
+def _beach_ball() -> Actor:
+    girth = np.pi * 2 * BALL_RADIUS
+    colours: tuple[Rgb, ...] = ((0.92, 0.20, 0.14), (0.95, 0.93, 0.88), (0.12, 0.42, 0.75), (0.95, 0.93, 0.88), (0.98, 0.76, 0.14), (0.95, 0.93, 0.88))  # fmt: skip
+    patch = ball((0.0, 0.0, 0.0), BALL_RADIUS, tex.stripes(colours, girth), UNLIT)
+    return Actor([patch], partial(_Rigid, gloss=0.5, pivot=(0.0, 0.0, 0.0), path=_ball_path))
+
+
+@dataclass(frozen=True)
+class _Shadow:
+    """Dark, faint splats on the floor below the ball: wider and fainter the higher it is."""
+
+    stage: _Stage
+
+    def __call__(self, time_s: float, columns: Columns) -> None:
+        _, x, y, z = _ball_place(time_s)
+        height = y - BALL_RADIUS
+        spread, dark = 1.0 + 1.2 * height, 0.62 / (1.0 + 4.0 * height)
+        rows = self.stage.rows
+        columns["means"][rows] = self.stage.surfels.points * [spread, 1.0, spread] + [x, 0.0, z]
+        columns["log_scales"][rows, :2] += np.float32(np.log(1.9 * spread))
+        columns["logit_opacities"][rows] = np.log(dark / (1 - dark))
+
+
+def _ball_shadow() -> Actor:
+    r = 0.6 * BALL_RADIUS
+    black = tex.plain((0.03, 0.02, 0.02), Noise(np.random.default_rng(0)), 0.0)
+    patch = quad((-r / 2, 0.02, r / 2), (r, 0, 0), (0, 0, -r), black, Finish(emission=1.0, detail=1e-4))
+    return Actor([patch], _Shadow)
+
+
+_HOOK = (0.0, 2.47, 0.0)
+
+
+def _mobile_path(time_s: float) -> tuple[F64, F64]:
+    swing = 0.9 * time_s + 0.5 * np.sin(1.3 * time_s)
+    return rotations.about(np.array([0.0, 1.0, 0.0]), np.array(swing)), np.asarray(_HOOK)
+
+
+def _mobile(noise: Noise) -> Actor:
+    """Coloured balls on threads under two crossed bars."""
+    wood, thread = tex.wood((0.7, 0.5, 0.3), noise), tex.plain((0.85, 0.85, 0.85), noise)
+    colours: tuple[Rgb, ...] = (
+        (0.90, 0.22, 0.18),
+        (0.98, 0.75, 0.16),
+        (0.20, 0.55, 0.36),
+        (0.16, 0.38, 0.72),
+        (0.72, 0.30, 0.62),
+    )
+    fine = Finish(emission=1.0, detail=0.5)
+    patches = box((-0.42, -0.28, -0.01), (0.42, -0.265, 0.01), wood, finish=fine)
+    patches += box((-0.01, -0.26, -0.42), (0.01, -0.245, 0.42), wood, finish=fine)
+    patches += box((-0.004, -0.26, -0.004), (0.004, 0.0, 0.004), thread, sides="xXzZ", finish=fine)
+    arms = [(-0.4, 0.0, 0.26), (0.4, 0.0, 0.40), (0.0, -0.4, 0.34), (0.0, 0.4, 0.20), (0.0, 0.0, 0.30)]
+    for (x, z, drop), rgb in zip(arms, colours, strict=True):
+        patches += box(
+            (x - 0.003, -0.27 - drop, z - 0.003), (x + 0.003, -0.27, z + 0.003), thread, sides="xXzZ", finish=fine
+        )
+        patches.append(ball((x, -0.33 - drop, z), 0.075, tex.plain(rgb, noise, 0.1), UNLIT))
+    return Actor(patches, partial(_Rigid, gloss=0.45, pivot=(0.0, 0.0, 0.0), path=_mobile_path))
+
+
+# ---- things that bend ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Sway:
+    """Leans its rows about a foot, further the higher they are, and flutters the ends."""
+
+    stage: _Stage
+    foot: Vec3
+
+    def __call__(self, time_s: float, columns: Columns) -> None:
+        rows = self.stage.rows
+        offsets = self.stage.surfels.points - self.foot
+        height = np.maximum(offsets[:, 1], 0.0)
+        gust = 0.6 * np.sin(2 * np.pi * time_s / 2.6) + 0.4 * np.sin(2 * np.pi * time_s / 1.1 + 1.0)
+        flutter = 0.08 * np.sin(7.0 * time_s + 9.0 * np.hypot(offsets[:, 0], offsets[:, 2]) + 5.0 * offsets[:, 0])
+        turns = rotations.about(np.array([0.45, 0.0, 0.893]), 0.13 * gust * height + flutter * height)
+        columns["means"][rows] = np.einsum("nij,nj->ni", rotations.matrices(turns), offsets) + self.foot
+        columns["quats"][rows] = rotations.turned(columns["quats"][rows], turns)
+
+
+def _plant(noise: Noise, rng: np.random.Generator) -> Actor:
+    foot = (-1.85, 0.36, 1.6)
+    patches = []
+    for k in range(17):
+        azimuth, reach, rise = 2.4 * k, rng.uniform(0.22, 0.46), rng.uniform(0.35, 1.05)
+        root = np.array(foot) + [0.03 * np.cos(azimuth), 0.25 * rise, 0.03 * np.sin(azimuth)]
+        tip = np.array(foot) + [reach * np.cos(azimuth), rise, reach * np.sin(azimuth)]
+        green: Rgb = (0.16 + 0.14 * rng.uniform(), 0.40 + 0.16 * rng.uniform(), 0.16)
+        patches.append(leaf(tuple(root), tuple(tip), 0.17, 0.12, _veins(green, noise), Finish(gloss=0.12, detail=1.6)))
+        stalk = tex.plain((0.30, 0.42, 0.18), noise)
+        patches.append(leaf(foot, tuple(root), 0.02, 0.0, stalk, Finish(detail=0.5)))
+    return Actor(patches, partial(_Sway, foot=foot))
+
+
+def _veins(rgb: Rgb, noise: Noise) -> tex.Pattern:
+    def pattern(x: F64, y: F64) -> F64:
+        from_rib = np.abs(y - 0.085)
+        vein = np.cos(2 * np.pi * (x - 0.9 * from_rib) / 0.045)
+        colour = tex.mix(rgb, (0.55, 0.68, 0.36), 0.5 * tex.step(0.9, vein, 0.2))
+        colour = tex.mix(colour, (0.62, 0.72, 0.42), tex.step(0.0, 0.005 - from_rib, 0.004))
+        return colour * (0.85 + 0.3 * noise.fractal(x, y, 0.08))[..., None]
+
+    return pattern
+
+
+@dataclass(frozen=True)
+class _Wave:
+    """A hanging cloth whose folds travel, more towards its free lower end."""
+
+    stage: _Stage
+    rail: float  # height of the fixed upper edge, metres
+
+    def __call__(self, time_s: float, columns: Columns) -> None:
+        rows, points = self.stage.rows, self.stage.surfels.points
+        free = np.clip((self.rail - points[:, 1]) / 2.0, 0.0, 1.0) ** 1.5
+        phase = 9.0 * points[:, 2] + 2.2 * points[:, 1]
+        billow = 0.5 + 0.5 * np.sin(2 * np.pi * time_s / 3.1 + 0.8 * points[:, 2])
+        columns["means"][rows, 0] = points[:, 0] + free * (0.05 * np.sin(phase - 3.2 * time_s) + 0.10 * billow)
+        slope = free * 0.05 * 9.0 * np.cos(phase - 3.2 * time_s)
+        turns = rotations.about(np.array([0.0, 1.0, 0.0]), np.arctan(slope))
+        columns["quats"][rows] = rotations.turned(columns["quats"][rows], turns)
+
+
+def _curtains(noise: Noise) -> list[Actor]:
+    rail = 2.34
+    actors = []
+    for z in (1.42, -1.08):
+
+        def shape(u: F64, v: F64, z: float = z) -> F64:
+            fold = 0.035 * np.sin(2 * np.pi * 5 * u)
+            return np.stack([-2.27 + fold, 0.14 + (rail - 0.14) * v, z - 0.56 * u + 0.0 * v], axis=-1)
+
+        cloth = _border(tex.fabric((0.80, 0.78, 0.70), noise), noise)
+        patch = Patch(shape, (0.75, rail - 0.14), cloth, Finish(detail=0.55), (20, 8))
+        actors.append(Actor([patch], partial(_Wave, rail=rail)))
+    return actors
+
+
+def _border(cloth: tex.Pattern, noise: Noise) -> tex.Pattern:
+    def pattern(x: F64, y: F64) -> F64:
+        motif = np.cos(2 * np.pi * x / 0.15) * np.cos(2 * np.pi * y / 0.2)
+        rgb = tex.mix(cloth(x, y), (0.62, 0.30, 0.24), 0.75 * tex.step(0.55, motif, 0.15))
+        return tex.mix(rgb, (0.45, 0.18, 0.16), tex.step(0.0, 0.02 - np.abs(y - 0.1), 0.01))
+
+    return pattern
+
+
+# ---- things that change colour ------------------------------------------------------------------------------------------
+
+_TILES = (8, 4)
+_HOLD_S = 0.4
+
+
+@dataclass(frozen=True)
+class _Slides:
+    """A panel of coloured tiles; every tile keeps its colour for a while, so that only some change in a frame."""
+
+    stage: _Stage
+
+    def __call__(self, time_s: float, columns: Columns) -> None:
+        uv = self.stage.surfels.uv
+        column, row = np.floor(uv[:, 0] * _TILES[0]), np.floor(uv[:, 1] * _TILES[1])
+        beat = np.floor(time_s / _HOLD_S + (0.37 * column + 0.61 * row) % 1.0)  # tiles do not all change at once
+        hue = 0.31 * column + 0.17 * row + 0.23 * beat
+        rgb = 0.55 + 0.42 * np.cos(2 * np.pi * (hue[:, None] + np.array([0.0, 0.33, 0.67])))
+        edge = np.minimum(_from_edge(uv[:, 0] * _TILES[0]), _from_edge(uv[:, 1] * _TILES[1]))
+        shape = _from_edge(uv[:, 0] * _TILES[0]) + _from_edge(uv[:, 1] * _TILES[1])
+        rgb = np.where((shape > 0.6)[:, None] & (beat % 2 > 0)[:, None], 1.0 - 0.6 * rgb, rgb)
+        rgb = np.where((edge < 0.06)[:, None], 0.05, rgb)
+        columns["sh0"][self.stage.rows] = (rgb - 0.5) / SH_C0
+
+
+def _from_edge(t: F64) -> F64:
+    """Distance from the nearest whole number."""
+    return np.abs(t - np.round(t))
+
+
+def _screen(noise: Noise) -> Actor:
+    corner, width, height = (2.365, 1.30, -0.75), 1.5, 0.75
+
+    def tiles(x: F64, y: F64) -> F64:  # only to share out splats: edges where the tiles have theirs
+        edge = np.minimum(_from_edge(x / width * _TILES[0]), _from_edge(y / height * _TILES[1]))
+        checker = (np.floor(x / width * _TILES[0]) + np.floor(y / height * _TILES[1])) % 2
+        return tex.mix((0.0, 0.0, 0.0), tex.mix((0.9, 0.5, 0.2), (0.2, 0.5, 0.9), checker), tex.step(0.05, edge))
+
+    panel = quad(corner, (0, 0, width), (0, height, 0), tiles, Finish(emission=1.0, detail=1.2))
+    return Actor([panel], _Slides)
+
+
+# ---- things that appear and vanish --------------------------------------------------------------------------------------
+
+_SLOTS = 6
+_LIFE_S, _PAUSE_S = 1.5, 0.7
+
+
+class Bubbles:
+    """Soap bubbles that leave the vase one after the other, rise, and burst; each is a new thing with new identities."""
+
+    def __init__(self, count: int, degree: int, light: Lighting) -> None:
+        each = max(count // _SLOTS, 8)
+        k = np.arange(each) + 0.5
+        y, azimuth = 1 - 2 * k / each, np.pi * (1 + 5**0.5) * k
+        ring = np.sqrt(1 - y * y)
+        self._normals = np.stack([ring * np.cos(azimuth), y, ring * np.sin(azimuth)], axis=1)
+        self._stage = _Stage(slice(0, each), _no_surfels(), light, degree)
+        tangent = np.stack([-np.sin(azimuth), np.zeros(each), np.cos(azimuth)], axis=1)
+        self._quats = rotations.of_frames(tangent, np.cross(self._normals, tangent))
+        self._each = each
+
+    @property
+    def most(self) -> int:
+        """Most splats of bubbles that a frame can hold."""
+        return _SLOTS * self._each
+
+    def ids(self, time_s: float) -> F64:
+        """Identities [M] of the splats of :meth:`splats`, from 0."""
+        births = [slot + _SLOTS * life for slot, life, _ in self._alive(time_s)]
+        return (np.array(births, np.int64)[:, None] * self._each + np.arange(self._each)).ravel()
+
+    def splats(self, time_s: float) -> Splats:
+        """All bubbles alive at ``time_s``."""
+        return Splats.concatenate([self._bubble(slot, life, age) for slot, life, age in self._alive(time_s)])
+
+    def _alive(self, time_s: float) -> list[tuple[int, int, float]]:
+        """Slot, number of its life and age (s) of each bubble. The slots' lives are staggered: some are always there."""
+        period = _LIFE_S + _PAUSE_S
+        turns = [(slot, time_s / period + slot / _SLOTS) for slot in range(_SLOTS)]
+        return [(slot, int(t), (t % 1.0) * period) for slot, t in turns if (t % 1.0) * period < _LIFE_S]
+
+    def _bubble(self, slot: int, life: int, age: float) -> Splats:
+        turn = 2.4 * (slot + 2.6 * life)
+        drift = 0.12 * age
+        centre = np.array([
+            -0.28 + drift * np.cos(turn) + 0.03 * np.sin(5 * age + turn),
+            0.80 + 0.55 * age,
+            0.02 + drift * np.sin(turn) + 0.03 * np.cos(4 * age + turn),
+        ])  # fmt: skip
+        radius = (0.055 + 0.03 * ((0.37 * turn) % 1.0)) * min(1.0, 0.3 + 2.5 * age)
+        film = 0.55 + 0.35 * np.cos(2 * np.pi * (self._normals[:, 1:2] + turn + np.array([0.0, 0.33, 0.67])))
+        points = centre + radius * self._normals
+        sh0, rest = _lit(self._stage, film, points, self._normals, 0.9)
+        spacing = radius * np.sqrt(4 * np.pi / self._each)
+        rim = np.full(self._each, -1.2)
+        scales = np.log(np.tile([0.6 * spacing, 0.6 * spacing, 0.05 * spacing], (self._each, 1)))
+        arrays = (points, self._quats, scales, rim, sh0, rest)
+        return Splats(*(np.ascontiguousarray(array, np.float32) for array in arrays))
+
+
+def _no_surfels() -> Surfel:
+    return Surfel(np.zeros(0, np.int64), *(np.zeros((0, 3)) for _ in range(5)), np.zeros((0, 2)))
