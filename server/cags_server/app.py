@@ -12,9 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from aiohttp import web
 
 from cags_common.errors import NetworkError
+from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from cags_server.client_task import WRITE_BUFFER_BYTES, ClientTask, now_us, tune_socket
+from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
 from cags_server.library import SceneLibrary
 from cags_server.metrics import Totals, exposition
@@ -78,20 +79,15 @@ class App:
     async def _stream(self, request: web.Request) -> web.StreamResponse:
         if self._draining:
             return web.json_response({"error": "the server is shutting down"}, status=503)
-        ws = web.WebSocketResponse(
-            protocols=(SUBPROTOCOL,),
-            max_msg_size=MAX_CLIENT_MESSAGE_BYTES,
-            compress=False,
-            writer_limit=WRITE_BUFFER_BYTES,
+        transport = await ServerWebSocket.accept(
+            request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
         )
-        await ws.prepare(request)
-        tune_socket(request)
         name = f"s{next(self._names)}"
         connection = Connection(self._library, self._settings, name=name, now_us=now_us())
-        task = ClientTask(ws, connection, self._executor)
+        task = ClientTask(transport, connection, self._executor)
         self._clients[name] = task, connection
         self._empty.clear()
-        log.info("%s: joined from %s", name, request.remote)
+        log.info("%s: joined from %s", name, transport.peer)
         try:
             await task.run()
         finally:
@@ -101,7 +97,7 @@ class App:
             self._ended.add(connection.stats)
             ending = connection.ending
             log.info("%s: left (%s)", name, f"{ending.code}: {ending.reason}" if ending else "lost")
-        return ws
+        return transport.response
 
 
 async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int], None]) -> None:

@@ -1,4 +1,4 @@
-"""Moves one client's bytes: a WebSocket on one side, a :class:`~cags_server.connection.Connection` on the other.
+"""Moves one client's bytes: a transport on one side, a :class:`~cags_server.connection.Connection` on the other.
 
 Three coroutines share the connection: one reads, one writes, one plans frames and runs their jobs in an executor. All
 run in one event loop, so the connection needs no lock; only jobs leave the loop.
@@ -9,20 +9,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import socket
 import time
 from concurrent.futures import Executor
 
-from aiohttp import WSMsgType, web
-
+from cags_common.transport.base import ConnectionEndedError, Transport
 from cags_server.connection import Connection
 from cags_server.reference import FrameJob
-
-WRITE_BUFFER_BYTES = 8 * 1024
-"""Bytes that asyncio may hold for a client: what is written cannot be overtaken by a newer picture."""
-
-NOTSENT_LOWAT_BYTES = 16 * 1024
-"""Bytes that the kernel may hold unsent, for the same reason."""
 
 BATCH_BYTES = 64 * 1024
 """Bytes taken from the session at once; the rest is decided later, when more is known."""
@@ -40,8 +32,8 @@ def now_us() -> int:
 class ClientTask:
     """One client's coroutines. ``run`` returns when the session is over."""
 
-    def __init__(self, ws: web.WebSocketResponse, connection: Connection, executor: Executor) -> None:
-        self._ws, self._connection, self._executor = ws, connection, executor
+    def __init__(self, transport: Transport, connection: Connection, executor: Executor) -> None:
+        self._transport, self._connection, self._executor = transport, connection, executor
         self._to_send = asyncio.Event()
         self._to_plan = asyncio.Event()
 
@@ -58,7 +50,7 @@ class ClientTask:
                 task.cancel()
             results = await asyncio.gather(*tasks, return_exceptions=True)
             for result in results:
-                if isinstance(result, Exception) and not isinstance(result, ConnectionError):
+                if isinstance(result, Exception) and not isinstance(result, ConnectionEndedError):
                     log.error("%s: %s", self._connection.name, result, exc_info=result)
 
     def say_goodbye(self, reason: str) -> None:
@@ -67,21 +59,16 @@ class ClientTask:
         self._wake()
 
     async def _read(self) -> None:
-        async for message in self._ws:
-            if message.type is WSMsgType.BINARY:
-                self._connection.receive(message.data, now_us())
-            elif message.type is WSMsgType.TEXT:
-                self._connection.session.refuse("malformed", "", "messages are binary, not text", now_us=now_us())
+        while not self._connection.closed:
+            self._connection.receive(await self._transport.recv(), now_us())
             self._wake()
-            if self._connection.closed:
-                return
 
     async def _write(self) -> None:
         while not self._connection.closed:
             self._to_send.clear()
             packets = self._connection.data_to_send(now_us(), BATCH_BYTES)
             for packet in packets:
-                await self._ws.send_bytes(packet)
+                await self._transport.send(packet)
             if not packets:
                 await self._to_send.wait()
 
@@ -120,25 +107,15 @@ class ClientTask:
         try:
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 for packet in self._connection.data_to_send(now_us()):
-                    await self._ws.send_bytes(packet)
-                await self._ws.close()
-        except (TimeoutError, ConnectionError):
+                    await self._transport.send(packet)
+                await self._transport.close(self._farewell())
+        except (TimeoutError, ConnectionEndedError):
             log.info("%s: gone before the goodbye", self._connection.name)
+
+    def _farewell(self) -> str:
+        ending = self._connection.ending
+        return ending.reason if ending else ""
 
     def _wake(self) -> None:
         self._to_send.set()
         self._to_plan.set()
-
-
-def tune_socket(request: web.Request) -> None:
-    """Keep little data where it cannot be taken back: in asyncio's and the kernel's buffers."""
-    transport = request.transport
-    if transport is None:
-        return
-    transport.set_write_buffer_limits(high=WRITE_BUFFER_BYTES)
-    raw = transport.get_extra_info("socket")
-    if raw is None or raw.family not in (socket.AF_INET, socket.AF_INET6):
-        return
-    raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    if hasattr(socket, "TCP_NOTSENT_LOWAT"):
-        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, NOTSENT_LOWAT_BYTES)
