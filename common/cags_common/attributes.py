@@ -47,7 +47,7 @@ def split_attributes(splats: Splats) -> dict[str, F32]:
     }
     for degree in range(1, splats.sh_degree + 1):
         band = splats.sh_rest[:, SH_REST_OF_DEGREE[degree - 1] : SH_REST_OF_DEGREE[degree]]
-        out[f"sh{degree}"] = band.reshape(n, -1)
+        out[f"sh{degree}"] = band.reshape(n, band.shape[1] * 3)
     return out
 
 
@@ -63,7 +63,7 @@ def join_attributes(means: F32, values: Mapping[str, F32]) -> Splats:
         raise DecodeError(
             f"attribute {missing[0]!r} is missing; a splat needs {', '.join(attributes_of_degree(degree))}"
         )
-    bands = [values[name].reshape(n, -1, 3) for name in SH_REST_ATTRIBUTES[:degree]]
+    bands = [values[name].reshape(n, ATTRIBUTE_DIMS[name] // 3, 3) for name in SH_REST_ATTRIBUTES[:degree]]
     return Splats(
         means=means,
         quats=unit_quaternions(np.concatenate([values["rotation_real"], values["rotation_imag"]], axis=1)),

@@ -91,17 +91,22 @@ class SourceState:
         return SourceFrame(ids, _splats(self._rows[ids]))
 
 
+def empty_splats(sh_degree: int) -> Splats:
+    """No splats, of this SH degree."""
+    return _splats(np.zeros((0, 14 + 3 * SH_REST_OF_DEGREE[sh_degree]), np.float32))
+
+
 def _matrix(splats: Splats) -> F32:
     """All values of each splat in one row [n, 14 + 3 K]."""
-    n = len(splats)
-    return np.concatenate([array.reshape(n, -1) for _, array in splats.arrays()], axis=1)
+    columns = (array.reshape(len(splats), int(np.prod(array.shape[1:], dtype=int))) for _, array in splats.arrays())
+    return np.concatenate(list(columns), axis=1)
 
 
 def _splats(rows: F32) -> Splats:
     def part(first: int, end: int | None) -> F32:
         return np.ascontiguousarray(rows[:, first:end])
 
-    rest = part(14, None).reshape(len(rows), -1, 3) if rows.shape[1] > 14 else np.zeros((len(rows), 0, 3), np.float32)
+    rest = part(14, None).reshape(len(rows), (rows.shape[1] - 14) // 3, 3)
     return Splats(part(0, 3), part(3, 7), part(7, 10), part(10, 11)[:, 0].copy(), part(11, 14), rest)
 
 

@@ -47,6 +47,7 @@ class BundleWriter:
         self._url = str(url)
         self._target = local_path(self._url)
         self._gofs: list[GofFiles] = []
+        self._open: GofWriter | None = None
         self._committed = False
         if self._target is not None:
             self._check_target(self._target)
@@ -64,12 +65,15 @@ class BundleWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._open is not None:
+            self._open.abort()
         if not self._committed:
             self._discard()
 
     def open_gof(self, first_frame: int, lods: int) -> GofWriter:
         """Begin the next group of frames; close it before the next is opened."""
-        return GofWriter(self, len(self._gofs), first_frame, lods)
+        self._open = GofWriter(self, len(self._gofs), first_frame, lods)
+        return self._open
 
     def codebooks(self, data: bytes) -> None:
         """Write the serialised codebooks."""
@@ -95,6 +99,7 @@ class BundleWriter:
 
     def add_gof(self, files: GofFiles) -> None:
         """Record a closed group."""
+        self._open = None
         self._gofs.append(files)
 
     def _check_target(self, target: Path) -> None:
@@ -142,18 +147,6 @@ class GofWriter:
         self._sources: list[tuple[int, int]] = []
         self._offset = len(TILES_MAGIC)
 
-    def __enter__(self) -> GofWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is None:
-            self._close()
-        else:
-            for file in self._files:
-                file.close()
-
     def frame(self, tiles: Sequence[TilePayloads], removed: Ids, source: bytes) -> FrameEntry:
         """Append the next frame: its tiles, the ids it removes, and its encoded source frame."""
         removed_bytes = encode_ids(removed)
@@ -177,10 +170,16 @@ class GofWriter:
         self._offset += entry.size_bytes
         return entry
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Write the indices and record the group in the bundle."""
         tiles = self._finish(0, self._offset, encode_tile_index(self._entries, self._lods))
         source_end = len(SOURCE_MAGIC) + sum(size for size, _ in self._sources)
         self._bundle.add_gof(GofFiles(tiles, self._finish(1, source_end, encode_source_index(self._sources))))
+
+    def abort(self) -> None:
+        """Close the files without an index."""
+        for file in self._files:
+            file.close()
 
     def _finish(self, which: int, offset: int, index: bytes) -> FileEntry:
         self._files[which].write(index)

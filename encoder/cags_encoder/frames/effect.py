@@ -1,0 +1,32 @@
+"""How visible the difference between two versions of the same splats is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cags_common.geometry import F64
+from cags_common.splats import SH_C0, Splats
+
+
+def visible_effect(a: Splats, b: Splats) -> F64:
+    """Upper estimate [n] of the change of a pixel's colour (0..1) when splats ``a`` are drawn instead of ``b``.
+
+    A shift by a splat's own radius, a scaling by e, a turn by a radian of a long splat, or a full change of colour
+    count as one, weighed by opacity. An order of magnitude, meant for thresholds.
+    """
+    opacity_a, opacity_b = _opacity(a), _opacity(b)
+    radius = np.exp(np.clip(b.log_scales.astype(np.float64), -30, 30))
+    shift = np.linalg.norm(a.means.astype(np.float64) - b.means, axis=1) / np.maximum(radius.mean(axis=1), 1e-12)
+    scaling = np.abs(a.log_scales - b.log_scales).max(axis=1)
+    stretch = np.minimum(np.ptp(b.log_scales, axis=1), 1.0)
+    turn = 2 * np.arccos(np.clip(np.abs(np.einsum("ij,ij->i", a.quats, b.quats, dtype=np.float64)), 0, 1)) * stretch
+    colour = SH_C0 * np.abs(a.sh0 - b.sh0).max(axis=1)
+    if a.sh_rest.shape[1]:
+        colour = colour + 0.5 * np.abs(a.sh_rest - b.sh_rest).max(axis=2).sum(axis=1)
+    effect: F64 = np.abs(opacity_a - opacity_b) + np.maximum(opacity_a, opacity_b) * (shift + scaling + turn + colour)
+    return effect
+
+
+def _opacity(splats: Splats) -> F64:
+    opacity: F64 = 1.0 / (1.0 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -30, 30)))
+    return opacity

@@ -1,0 +1,98 @@
+"""Which splat of one frame is which of the next.
+
+Sources that know identities give them. For others rows are compared with the frame before: by row when most rows agree,
+else by nearest attributes. Frames that share too little start a new group of frames.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cags_common.errors import SceneError
+from cags_common.geometry import F32, F64
+from cags_common.splats import SH_C0, Splats
+from cags_encoder.frames.rows import same_rows
+
+MIN_OVERLAP = 0.5
+"""Share of rows that must be found again; with fewer a key frame costs no more than the differences."""
+
+NEAR_RADII = 3.0
+"""A splat found again lies within this many of its own radii, or it is taken for a new one."""
+
+COLOUR_WEIGHT = 4.0
+"""Radii that a full change of colour counts for when splats are matched by attributes."""
+
+
+class IdentityTracker:
+    """Gives every row of every frame a persistent identity. Frames must come in order."""
+
+    def __init__(self) -> None:
+        self._previous: Splats | None = None
+        self._ids: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._next = 0
+
+    def identify(self, splats: Splats, known: NDArray[np.int32] | None, source: str) -> tuple[NDArray[np.int64], bool]:
+        """Identities [n] of this frame's rows, and whether enough of the frame before was found again.
+
+        ``known`` are identities that the source gives; ``source`` names the frame in errors. Raises :class:`SceneError`
+        for identities that repeat.
+        """
+        if known is not None:
+            ids = known.astype(np.int64)
+            if len(np.unique(ids)) != len(splats) or ids.min(initial=0) < 0:
+                raise SceneError(f"{source}: its splat identities must be distinct and not negative, one a splat")
+        else:
+            ids = self._matched(splats)
+        continuous = bool(np.isin(ids, self._ids, assume_unique=True).sum() >= MIN_OVERLAP * len(ids))
+        self._previous, self._ids = splats, ids
+        return ids, continuous
+
+    def _matched(self, splats: Splats) -> NDArray[np.int64]:
+        rows = np.full(len(splats), -1, np.int64)
+        if self._previous is not None:
+            rows = match_rows(self._previous, splats)
+        ids = np.where(rows >= 0, self._ids[rows] if len(self._ids) else -1, -1)
+        fresh = np.flatnonzero(rows < 0)
+        ids[fresh] = np.arange(self._next, self._next + len(fresh))
+        self._next += len(fresh)
+        return ids
+
+
+def match_rows(before: Splats, after: Splats) -> NDArray[np.int64]:
+    """For each splat of ``after`` [n] the row in ``before`` that it continues, or -1; no row is used twice."""
+    if len(before) == len(after):
+        agree = _agree(before, after)
+        if agree.mean() >= MIN_OVERLAP:
+            return np.where(agree, np.arange(len(after)), -1)
+    return _nearest(before, after)
+
+
+def _radii(splats: Splats) -> F64:
+    """Mean standard deviation of each splat [n], metres."""
+    radii: F64 = np.exp(np.clip(splats.log_scales.astype(np.float64), -30, 30)).mean(axis=1)
+    return radii
+
+
+def _agree(before: Splats, after: Splats) -> NDArray[np.bool_]:
+    shift = np.linalg.norm(after.means.astype(np.float64) - before.means, axis=1)
+    colour = np.abs(after.sh0 - before.sh0).max(axis=1) * SH_C0
+    near: NDArray[np.bool_] = shift + colour * COLOUR_WEIGHT * _radii(before) <= NEAR_RADII * _radii(before)
+    return near | same_rows(before, after)
+
+
+def _nearest(before: Splats, after: Splats) -> NDArray[np.int64]:
+    """Mutually nearest neighbours in position and colour, in units of the typical radius."""
+    unit = float(np.median(_radii(before))) or 1.0
+    tree = cKDTree(_features(before, unit))
+    distance, row = tree.query(_features(after, unit), workers=1)
+    back = cKDTree(_features(after, unit)).query(_features(before, unit), workers=1)[1]
+    mutual = back[row] == np.arange(len(after))
+    near = distance * unit <= NEAR_RADII * np.maximum(_radii(before)[row], unit)
+    matched: NDArray[np.int64] = np.where(mutual & near, row, -1)
+    return matched
+
+
+def _features(splats: Splats, unit: float) -> F32:
+    return np.concatenate([splats.means / unit, splats.sh0 * (SH_C0 * COLOUR_WEIGHT)], axis=1)

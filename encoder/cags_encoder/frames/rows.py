@@ -1,0 +1,69 @@
+"""Splats by id: arrays of rows that grow."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32
+from cags_common.splats import Ids, Splats
+
+
+def same_rows(a: Splats, b: Splats) -> NDArray[np.bool_]:
+    """Whether row i [n] of both has the same bits."""
+    pairs = zip(a.arrays(), b.arrays(), strict=True)
+    same: NDArray[np.bool_] = np.logical_and.reduce([_same_bits(mine, other) for (_, mine), (_, other) in pairs])
+    return same
+
+
+def _same_bits(a: F32, b: F32) -> NDArray[np.bool_]:
+    columns = int(np.prod(a.shape[1:], dtype=int))
+    bits = a.reshape(len(a), columns).view(np.uint32), b.reshape(len(b), columns).view(np.uint32)
+    same: NDArray[np.bool_] = (bits[0] == bits[1]).all(axis=1)
+    return same
+
+
+class SplatTable:
+    """Rows of splats by id, and which ids are alive."""
+
+    def __init__(self, first: Splats) -> None:
+        self._arrays = {name: array.copy() for name, array in first.arrays()}
+        self.alive: NDArray[np.bool_] = np.ones(len(first), bool)
+
+    @property
+    def capacity(self) -> int:
+        """One more than the largest id."""
+        return len(self.alive)
+
+    def take(self, ids: Ids) -> Splats:
+        """Rows of ``ids``."""
+        return Splats(**{name: array[ids] for name, array in self._arrays.items()})
+
+    def put(self, ids: Ids, splats: Splats) -> None:
+        """Replace or add the rows of ``ids`` and make them alive."""
+        top = int(ids.max(initial=-1)) + 1
+        if top > self.capacity:
+            self._grow(top)
+        for name, array in splats.arrays():
+            self._arrays[name][ids] = array
+        self.alive[ids] = True
+
+    def holds(self, ids: Ids) -> NDArray[np.bool_]:
+        """Whether each of ``ids`` is alive."""
+        out = np.zeros(len(ids), bool)
+        known = ids < self.capacity
+        out[known] = self.alive[ids[known]]
+        return out
+
+    def differs(self, ids: Ids, splats: Splats) -> NDArray[np.bool_]:
+        """Whether any bit of row ``ids[i]`` is not that of ``splats[i]``; ids beyond the capacity differ."""
+        out = np.ones(len(ids), bool)
+        known = ids < self.capacity
+        out[known] = ~same_rows(self.take(ids[known]), splats.take(known))
+        return out
+
+    def _grow(self, capacity: int) -> None:
+        more = capacity - self.capacity
+        for name, array in self._arrays.items():
+            self._arrays[name] = np.concatenate([array, np.zeros((more, *array.shape[1:]), np.float32)])
+        self.alive = np.concatenate([self.alive, np.zeros(more, bool)])

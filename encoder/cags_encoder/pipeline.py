@@ -1,0 +1,169 @@
+"""Encoding a scene into a bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cags_common.bundle import BundleWriter, Manifest
+from cags_common.bundle.source import encode_source
+from cags_common.bundle.writer import GofWriter
+from cags_common.errors import SceneError
+from cags_common.geometry import DEFAULT_NEAR, F64, Vec3
+from cags_common.splats import Splats
+from cags_encoder.frames.differential import DifferentialFrame, GofEncoder
+from cags_encoder.frames.identity import IdentityTracker
+from cags_encoder.frames.tiling import Tiler
+from cags_encoder.lod_order import order_of
+from cags_encoder.quantiser.configs import quantiser_config
+from cags_encoder.quantiser.training import train
+from cags_encoder.sampling import LOOKS, training_splats
+from cags_encoder.scenes import Focus, FrameSource, focus_of
+from cags_encoder.settings import EncodeSettings
+
+Progress = Callable[[str, int, int], None]
+"""Called with the stage's name, steps done and steps in all."""
+
+
+@dataclass(frozen=True)
+class SplatSequence:
+    """Frames held in memory, as a :class:`FrameSource`. Row order and counts may differ between frames."""
+
+    held: tuple[Splats, ...]
+    name: str = "splats"
+    fps: float = 30.0
+    up: Vec3 = (0.0, 1.0, 0.0)
+    focus: Focus = field(default=Focus((0.0, 0.0, 0.0), 1.0))
+
+    def __len__(self) -> int:
+        return len(self.held)
+
+    def frame(self, index: int) -> Splats:
+        """Frame ``index``."""
+        return self.held[index]
+
+    def ids(self, index: int) -> None:
+        """Unknown: rows are matched."""
+
+
+def encode(
+    frames: FrameSource | Iterable[Splats],
+    settings: EncodeSettings,
+    out_url: str,
+    progress: Progress | None = None,
+) -> Manifest:
+    """Encode ``frames`` into a bundle at ``out_url`` (a folder or an fsspec URL) and return its manifest.
+
+    The same frames and settings give the same bytes. Nothing is left behind on failure. Raises :class:`SceneError`,
+    :class:`ConfigError` or :class:`BundleError`.
+    """
+    source = _as_source(frames)
+    count = len(source) if settings.frames is None else min(settings.frames, len(source))
+    tell = progress or (lambda stage, done, total: None)
+    with BundleWriter(out_url) as writer:
+        tiler = _train(source, count, settings, tell)
+        writer.codebooks(tiler.quantiser.books.to_bytes())
+        run = _ClipEncoder(source, settings, tiler, writer)
+        for index in range(count):
+            run.add(index)
+            tell("encode", index + 1, count)
+        return writer.commit(run.manifest(count))
+
+
+def _as_source(frames: FrameSource | Iterable[Splats]) -> FrameSource:
+    if not isinstance(frames, Iterable):
+        return frames
+    held = tuple(splats.checked(f"frame {i}") for i, splats in enumerate(frames))
+    if not held:
+        raise SceneError("splats: there are no frames; give at least one")
+    return SplatSequence(held, focus=focus_of(held[0]))
+
+
+def _train(source: FrameSource, count: int, settings: EncodeSettings, tell: Progress) -> Tiler:
+    looks, done = min(LOOKS, count), 0
+
+    def on_frame() -> None:
+        nonlocal done
+        done += 1
+        tell("sample", done, looks)
+
+    samples = training_splats(source, count, settings.train_splats, settings.seed, on_frame)
+    tell("codebooks", 0, 1)
+    quantiser = train(samples, quantiser_config(settings.quantiser), settings.seed)
+    tell("codebooks", 1, 1)
+    return Tiler(quantiser, order_of(settings.lod_order, quantiser.books), settings.position_bits)
+
+
+class _ClipEncoder:
+    """Takes frames in order; starts a group where one is due or where nothing connects to the frame before."""
+
+    def __init__(self, source: FrameSource, settings: EncodeSettings, tiler: Tiler, writer: BundleWriter) -> None:
+        self._source, self._settings, self._tiler, self._writer = source, settings, tiler, writer
+        self._tracker = IdentityTracker()
+        self._starts: list[int] = []
+        self._capacity: list[int] = []
+        self._gof: GofWriter | None = None
+        self._encoder = GofEncoder(tiler, settings.change_threshold)
+        self._low: F64 = np.full(3, np.inf)
+        self._high: F64 = np.full(3, -np.inf)
+        self._degree: int | None = None
+
+    def add(self, index: int) -> DifferentialFrame:
+        """Encode frame ``index`` and append it to the bundle."""
+        where = f"{self._source.name}, frame {index}"
+        splats = self._source.frame(index)
+        self._check_degree(splats, where)
+        identities, continuous = self._tracker.identify(splats, self._source.ids(index), where)
+        if not self._starts or not continuous or index - self._starts[-1] >= self._settings.gof_frames:
+            self._open_gof(index)
+        assert self._gof is not None
+        frame = self._encoder.encode(splats, identities)
+        self._gof.frame(frame.tiles, frame.removed, encode_source(frame.source))
+        self._low = np.minimum(self._low, splats.means.min(axis=0))
+        self._high = np.maximum(self._high, splats.means.max(axis=0))
+        return frame
+
+    def manifest(self, frames: int) -> Manifest:
+        """Close the last group and describe the clip."""
+        self._close_gof()
+        source, focus = self._source, self._source.focus
+        return Manifest(
+            name=source.name,
+            fps=self._settings.fps or source.fps,
+            frames=frames,
+            gof_starts=tuple(self._starts),
+            capacity=tuple(self._capacity),
+            sh_degree=self._degree or 0,
+            bounds=(_vector(self._low), _vector(self._high)),
+            lod_order=self._tiler.lod_order,
+            lod_gains_db=(),
+            codec=self._settings.quantiser,
+            up=_vector(np.asarray(source.up)),
+            focus_centre=_vector(np.asarray(focus.centre)),
+            focus_radius=float(focus.radius),
+            near=min(DEFAULT_NEAR, float(focus.radius) / 10),
+        )
+
+    def _open_gof(self, index: int) -> None:
+        self._close_gof()
+        self._gof = self._writer.open_gof(index, len(self._tiler.lod_order) + 1)
+        self._encoder = GofEncoder(self._tiler, self._settings.change_threshold)
+        self._starts.append(index)
+
+    def _close_gof(self) -> None:
+        if self._gof is not None:
+            self._gof.close()
+            self._capacity.append(self._encoder.capacity)
+
+    def _check_degree(self, splats: Splats, where: str) -> None:
+        if self._degree is None:
+            self._degree = splats.sh_degree
+        if splats.sh_degree != self._degree:
+            raise SceneError(f"{where}: SH degree {splats.sh_degree}, but {self._degree} before; make the frames equal")
+
+
+def _vector(values: np.ndarray) -> Vec3:
+    x, y, z = (float(v) for v in values)
+    return (x, y, z)

@@ -1,0 +1,28 @@
+"""A progress bar on stderr."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from cags_encoder.pipeline import Progress as Tell
+
+_TITLES = {"sample": "looking at frames", "codebooks": "training codebooks", "encode": "encoding frames"}
+
+
+@contextmanager
+def progress_bar() -> Iterator[Tell]:
+    """Yield the callback that :func:`~cags_encoder.pipeline.encode` takes; one bar a stage, gone when all is done."""
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        tasks = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(_TITLES.get(stage, stage), total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield tell

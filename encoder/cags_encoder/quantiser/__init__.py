@@ -1,0 +1,1 @@
+"""Training Scalable Vector Quantisation codebooks and assigning codes (paper, section of that name)."""

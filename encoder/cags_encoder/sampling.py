@@ -1,0 +1,55 @@
+"""The random subset of a clip's splats that codebooks are trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cags_common.splats import Splats
+from cags_encoder.scenes import FrameSource
+
+LOOKS = 12
+"""Frames looked at, evenly over the clip."""
+
+FIRST_SHARE = 0.5
+"""Share of the subset from the first frame, of which viewers see every splat."""
+
+
+def training_splats(source: FrameSource, frames: int, count: int, seed: int, on_frame: Callable[[], None]) -> Splats:
+    """At most ``count`` splats: from the first frame, and of later ones those that are not bit-identical to it.
+
+    Deterministic for a seed. ``on_frame`` is called after each frame looked at.
+    """
+    random = np.random.default_rng(seed)
+    looks = np.unique(np.linspace(0, frames - 1, min(LOOKS, frames)).astype(int))
+    first = source.frame(0)
+    on_frame()
+    seen, changed = _row_keys(first), []
+    for index in looks[1:]:
+        splats = source.frame(int(index))
+        fresh = np.flatnonzero(~np.isin(_row_keys(splats), seen))
+        changed.append(_draw(splats.take(fresh), count // (len(looks) - 1), random))
+        on_frame()
+    later = Splats.concatenate(changed) if changed else first.take(slice(0, 0))
+    base = _draw(first, max(int(count * FIRST_SHARE), count - len(later)), random)
+    return Splats.concatenate([base, _draw(later, count - len(base), random)])
+
+
+def _draw(splats: Splats, count: int, random: np.random.Generator) -> Splats:
+    if len(splats) <= count:
+        return splats
+    return splats.take(np.sort(random.choice(len(splats), count, replace=False)))
+
+
+def _row_keys(splats: Splats) -> np.ndarray:
+    """A 64-bit mix of each splat's bits (but not its place): equal rows have equal keys."""
+    n = len(splats)
+    keys = np.zeros(n, np.uint64)
+    for name, array in splats.arrays():
+        if name == "means":
+            continue
+        for column in array.reshape(n, -1).view(np.uint32).T:
+            keys = (keys ^ column.astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
+            keys ^= keys >> np.uint64(29)
+    return keys

@@ -1,0 +1,31 @@
+"""Settings of the encoder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cags_common.settings import check_settings, setting
+
+QUANTISERS = ("paper-66", "paper-76")
+
+
+@dataclass(frozen=True)
+class EncodeSettings:
+    """How a scene is encoded; the names are the command's flags and the TOML file's keys."""
+
+    fps: float | None = setting(None, "frames a second; the scene's own when not given", low=0.1, high=240)
+    frames: int | None = setting(None, "encode this many frames at most; all when not given", low=1)
+    gof_frames: int = setting(
+        60, "frames a group: clients join and seek at group starts, each of which sends all splats again", low=1
+    )
+    quantiser: str = setting("paper-66", "quantiser configuration", choices=QUANTISERS)
+    lod_order: str = setting("paper", "'paper' (scale, rotation, SH, opacity) or a file of 'attribute layer' lines")
+    position_bits: int = setting(16, "bits an axis of positions, over each tile's own cube", low=4, high=22)
+    change_threshold: float = setting(
+        0.01, "visible effect (0..1 of a pixel's colour) by which a splat must be wrong to be sent again", low=0, high=1
+    )
+    train_splats: int = setting(65_536, "splats that codebooks are trained on, drawn over the clip", low=256)
+    seed: int = setting(0, "seed of the random subset and of k-means", low=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
