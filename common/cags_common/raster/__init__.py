@@ -50,7 +50,13 @@ def _cpu() -> Rasteriser:
     return CpuRasteriser()
 
 
-FACTORIES: dict[str, Callable[[], Rasteriser]] = {"reference": _reference, "cpu": _cpu}
+def _cuda() -> Rasteriser:
+    from cags_common.raster.cuda import CudaRasteriser
+
+    return CudaRasteriser()
+
+
+FACTORIES: dict[str, Callable[[], Rasteriser]] = {"reference": _reference, "cpu": _cpu, "cuda": _cuda}
 """Backends by name. A factory raises :class:`ConfigError` with the reason when its backend cannot run here."""
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import F32, Camera
@@ -37,6 +40,29 @@ def drawable(splats: Splats, source: str = "splats") -> Splats:
             f"{source}: quats[{int(np.argmin(norms))}] is zero: it has no direction; give a unit quaternion"
         )
     return Splats(**arrays)
+
+
+def replacements(
+    rows: NDArray[np.integer], splats: Splats, count: int, harmonics: int
+) -> tuple[Splats, NDArray[np.int64]]:
+    """``splats`` and ``rows`` as they replace those of a scene of ``count`` splats with ``harmonics`` a channel.
+
+    Missing harmonics are zero. Raises ``ValueError`` for more of them than the scene has and for rows that are not one
+    for each splat, ``IndexError`` for rows outside the scene, and what :func:`drawable` raises.
+    """
+    new, indices = drawable(splats), np.ascontiguousarray(rows, dtype=np.int64)
+    if indices.shape != (len(new),):
+        raise ValueError(f"{len(new)} splats for rows of shape {indices.shape}; give one row for each")
+    if indices.size and (indices.min() < 0 or indices.max() >= count):
+        raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {count} splats")
+    rest = new.sh_rest
+    if rest.shape[1] > harmonics:
+        raise ValueError(f"splats of SH degree {new.sh_degree} do not fit a scene with {harmonics} harmonics a channel")
+    if rest.shape[1] < harmonics:
+        padded = np.zeros((len(new), harmonics, 3), np.float32)
+        padded[:, : rest.shape[1]] = rest
+        new = replace(new, sh_rest=padded)
+    return new, indices
 
 
 def check_camera(camera: Camera) -> None:

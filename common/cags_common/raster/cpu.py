@@ -11,8 +11,7 @@ import cags_kernels
 from cags_common.errors import CagsError, ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable
-from cags_common.raster.reference import fit_harmonics
+from cags_common.raster.checks import check_camera, check_residual, drawable, replacements
 from cags_common.splats import Splats
 
 if TYPE_CHECKING:
@@ -50,13 +49,8 @@ class CpuScene:
         return self._native.count
 
     def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
-        """Replace the splats at ``rows`` [M]. Raises ``IndexError`` for rows outside the scene."""
-        new = fit_harmonics(drawable(splats), self._harmonics)
-        indices = np.ascontiguousarray(rows, dtype=np.int64)
-        if indices.shape != (len(new),):
-            raise ValueError(f"{len(new)} splats for rows of shape {indices.shape}; give one row for each")
-        if indices.size and not (indices.min() >= 0 and indices.max() < len(self)):
-            raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {len(self)} splats")
+        """Replace the splats at ``rows`` [M]."""
+        new, indices = replacements(rows, splats, len(self), self._harmonics)
         self._native.update(indices, _arrays(new))
 
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:

@@ -31,7 +31,7 @@ def content_hash(splats: Splats) -> NDArray[np.uint32]:
     """
     state = np.full(len(splats), 2166136261, np.uint32)
     for _, array in splats.arrays():
-        for column in array.reshape(len(splats), -1).T:
+        for column in array.reshape(len(splats), array[:1].size if len(splats) else 0).T:
             state = (state ^ np.ascontiguousarray(column, np.float32).view(np.uint32)) * np.uint32(16777619)
     state = (state ^ (state >> np.uint32(15))) * np.uint32(0x2C1B3C6D)
     return state ^ (state >> np.uint32(12))

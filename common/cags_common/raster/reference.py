@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable
+from cags_common.raster.checks import check_camera, check_residual, drawable, replacements
 from cags_common.raster.definition import ALPHA_CUT, ALPHA_MAX, JACOBIAN_MARGIN, MAX_DEPTH, MAX_SCALE, content_hash
 from cags_common.raster.harmonics import harmonics
 from cags_common.splats import SH_C0, SH_REST_OF_DEGREE, Splats
@@ -64,7 +64,7 @@ class ReferenceScene:
 
     def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
         """Replace the splats at ``rows`` [M]."""
-        new = fit_harmonics(drawable(splats), self._splats.sh_rest.shape[1])
+        new, rows = replacements(rows, splats, len(self), self._splats.sh_rest.shape[1])
         columns = {name: array.copy() for name, array in self._splats.arrays()}
         for name, array in new.arrays():
             columns[name][rows] = array
@@ -110,18 +110,6 @@ class ReferenceScene:
             weighted[row] = np.tensordot(weight, image[step.window], 2)
             total[row] = weight.sum()
         return BackProjection(weighted.astype(np.float32), total.astype(np.float32))
-
-
-def fit_harmonics(splats: Splats, count: int) -> Splats:
-    """``splats`` with ``count`` view-dependent harmonics: missing ones are zero. Raises ``ValueError`` for more."""
-    rest = splats.sh_rest
-    if rest.shape[1] == count:
-        return splats
-    if rest.shape[1] > count:
-        raise ValueError(f"splats of SH degree {splats.sh_degree} do not fit a scene with {count} harmonics a channel")
-    padded = np.zeros((len(splats), count, 3), np.float32)
-    padded[:, : rest.shape[1]] = rest
-    return Splats(splats.means, splats.quats, splats.log_scales, splats.logit_opacities, splats.sh0, padded)
 
 
 def project(splats: Splats, camera: Camera, options: RenderOptions) -> ProjectedSplats:
