@@ -78,7 +78,7 @@ async def play(
     live: LiveSettings | None = None,
     on_frame: Callable[[dict[str, Any]], None] | None = None,
 ) -> Playback:
-    """Play from ``url`` to the clip's end or ``settings.duration``. Raises :class:`CagsError` for what ends it early."""
+    """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for what ends it early."""
     transport = await websocket.connect(url)
     player = Player(
         ClientSession(now_us=now_us()), settings, poses, now_us=now_us(), near=near, live=live, clock=time.perf_counter

@@ -1,0 +1,243 @@
+"""The store's rules, under every order of arrival that a link can make."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from cags_client.tile_store import ABSENT_LOGIT, TileStore
+from cags_common.bundle.manifest import Manifest
+from cags_common.errors import DecodeError
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.lod import LodLayer
+from cags_common.svq import Codebook, CodebookSet
+from cags_common.tiles import PositionGrid, encode_base, encode_layer
+
+CAPACITY = 12
+ATTRIBUTES = {"scale": 3, "rotation_real": 1, "rotation_imag": 3, "opacity": 1, "sh0": 3}
+ORDER = (LodLayer("sh0", 1), LodLayer("opacity", 1))
+
+
+def books() -> CodebookSet:
+    """Two-bit bases, one-bit enhancements; the value is the code, so that tests can read it back."""
+    made = {}
+    for name, dim in ATTRIBUTES.items():
+        bits = (2, 1) if name in ("sh0", "opacity") else (2,)
+        tables = [
+            np.repeat(np.arange(1 << total, dtype=np.float32)[:, None], dim, axis=1)
+            for total in itertools.accumulate(bits)
+        ]
+        made[name] = Codebook(name, bits, tuple(tables))
+    return CodebookSet(made)
+
+
+def manifest(frames: int = 8, starts: tuple[int, ...] = (0, 4)) -> Manifest:
+    return Manifest(
+        name="test",
+        fps=30.0,
+        frames=frames,
+        gof_starts=starts,
+        capacity=(CAPACITY,) * len(starts),
+        sh_degree=0,
+        bounds=((0, 0, 0), (1, 1, 1)),
+        lod_order=ORDER,
+        lod_gains_db=(),
+        codec="test",
+    )
+
+
+def base(ids: list[int], value: float, code: int = 1) -> memoryview:
+    """LoD 0 of splats at x = value."""
+    means = np.full((len(ids), 3), value, np.float32)
+    codes = {name: np.full(len(ids), code, np.uint32) for name in ATTRIBUTES}
+    grid = PositionGrid(np.zeros(3, np.float32), 1.0, 16)
+    return memoryview(encode_base(np.array(ids, np.int32), means, codes, grid, id_range=False))
+
+
+def layer(count: int, bit: int) -> memoryview:
+    return memoryview(encode_layer(np.full(count, bit, np.uint32), 1))
+
+
+def removed(*ids: int) -> np.ndarray:
+    return np.array(ids, np.int32)
+
+
+@pytest.fixture
+def store() -> TileStore:
+    return TileStore(manifest(), books())
+
+
+def xs(store: TileStore, frame: int) -> list[float]:
+    """x of every row after committing ``frame``; -1 where there is no splat."""
+    gof, _ = store.commit(frame)
+    alive = gof.splats.logit_opacities > ABSENT_LOGIT
+    return np.where(alive, gof.splats.means[:, 0], -1.0).tolist()
+
+
+def test_a_frame_appears_all_at_once_and_not_before_its_time(store: TileStore) -> None:
+    store.add(0, 0, 0, [base([0, 1], 1)])
+    assert xs(store, 0)[:2] == [-1, -1]  # its end has not come
+    store.end(0, removed())
+    store.add(1, 0, 0, [base([1], 2)])
+    store.end(1, removed())
+    assert xs(store, 0)[:2] == [1, 1]  # frame 1 has come, but is not shown yet
+    assert xs(store, 1)[:2] == [1, 2]
+
+
+def test_the_end_of_a_later_frame_makes_earlier_ones_whole(store: TileStore) -> None:
+    store.add(0, 0, 0, [base([0], 1)])
+    store.end(2, removed())
+    _, committed = store.commit(1)
+    assert committed.missed
+    assert xs(store, 2)[0] == 1
+
+
+def test_rows_that_changed_are_reported_and_no_others(store: TileStore) -> None:
+    store.add(0, 0, 0, [base([0, 1, 2], 1)])
+    store.end(0, removed())
+    _, first = store.commit(0)
+    assert (first.fresh, first.rows.tolist(), first.missed) == (True, [0, 1, 2], False)
+    store.add(1, 0, 0, [base([2], 2)])
+    store.end(1, removed(0))
+    _, second = store.commit(1)
+    assert (second.fresh, second.rows.tolist()) == (False, [0, 2])
+    assert store.commit(1)[1].rows.tolist() == []
+
+
+def test_any_order_of_arrival_ends_in_the_same_splats() -> None:
+    arrivals = (
+        ("add", 0, 0, 0, [base([0, 1, 2, 3], 1)]),
+        ("add", 1, 0, 0, [base([1, 2], 2)]),
+        ("add", 2, 0, 0, [base([2], 3)]),
+        ("end", 1, removed(3)),
+        ("end", 2, removed(0)),
+        ("add", 0, 0, 1, [layer(4, 1)]),
+    )
+    for order in itertools.permutations(arrivals):
+        store = TileStore(manifest(), books())
+        for name, *arguments in order:
+            getattr(store, name)(*arguments)
+        assert xs(store, 2)[:4] == [-1, 2, 3, -1], [item[:3] for item in order]
+
+
+@pytest.mark.parametrize("shown_between", [False, True])
+def test_a_layer_changes_only_the_splats_that_its_tile_still_owns(store: TileStore, shown_between: bool) -> None:
+    store.add(0, 0, 0, [base([0, 1], 1, code=1)])
+    store.add(1, 0, 0, [base([1], 2, code=3)])
+    store.end(1, removed())
+    if shown_between:
+        store.commit(1)
+    store.add(0, 0, 1, [layer(2, 1)])
+    gof, _ = store.commit(1)
+    assert gof.splats.sh0[:2, 0].tolist() == [0b11, 3]  # refined; the newer splat's base code stays
+
+
+def test_layers_may_come_before_their_base_and_twice(store: TileStore) -> None:
+    store.add(0, 0, 2, [layer(1, 0)])
+    store.add(0, 0, 1, [layer(1, 1)])
+    store.add(0, 0, 0, [base([5], 1, code=2)])
+    store.add(0, 0, 0, [base([5], 1, code=2), layer(1, 1)])
+    store.end(0, removed())
+    gof, _ = store.commit(0)
+    assert gof.splats.sh0[5, 0] == 0b101
+    assert gof.splats.logit_opacities[5] == 0b100
+    assert gof.full
+
+
+def test_a_removed_id_may_be_used_again(store: TileStore) -> None:
+    store.add(0, 0, 0, [base([0], 1)])
+    store.end(0, removed())
+    store.commit(0)
+    store.add(1, 0, 0, [base([0], 2)])  # removed and used again in the same frame
+    store.end(1, removed(0))
+    assert xs(store, 1)[0] == 2
+    store.end(2, removed(0))
+    assert xs(store, 2)[0] == -1
+    store.add(1, 1, 0, [base([0], 9)])  # late: from before the removal
+    assert xs(store, 3)[0] == -1
+
+
+def test_the_next_group_of_frames_replaces_the_ids(store: TileStore) -> None:
+    store.add(0, 0, 0, [base([0, 1], 1)])
+    store.end(0, removed())
+    store.add(4, 0, 0, [base([0], 7)])
+    store.end(4, removed())
+    assert xs(store, 3)[:2] == [1, 1]
+    gof, committed = store.commit(4)
+    assert committed.fresh
+    assert gof.splats.means[0, 0] == 7
+    assert gof.splats.logit_opacities[1] == ABSENT_LOGIT
+    store.add(3, 0, 0, [base([1], 5)])  # late, of the group that is over
+    assert xs(store, 5)[:2] == [7, -1]
+
+
+def test_the_old_group_stays_on_display_until_something_of_the_new_one_is_whole(store: TileStore) -> None:
+    store.add(0, 0, 0, [base([0], 1)])
+    store.end(0, removed())
+    store.commit(3)
+    gof, committed = store.commit(4)
+    assert committed.missed
+    assert gof.splats.means[0, 0] == 1
+    store.add(4, 0, 0, [base([0], 7)])
+    store.end(4, removed())
+    gof, committed = store.commit(5)
+    assert committed.fresh
+    assert gof.splats.means[0, 0] == 7
+
+
+def test_damage_is_refused_and_what_was_held_stays(store: TileStore) -> None:
+    store.add(0, 0, 0, [base([0], 1)])
+    store.end(0, removed())
+    for bad in (b"", b"\x00" * 10, bytes(base([0], 1))[:-5]):
+        with pytest.raises(DecodeError):
+            store.add(0, 1, 0, [memoryview(bad)])
+    with pytest.raises(DecodeError, match="outside the group's capacity"):
+        store.add(0, 2, 0, [base([CAPACITY], 1)])
+    with pytest.raises(DecodeError, match="outside the group's capacity"):
+        store.end(1, removed(CAPACITY))
+    with pytest.raises(DecodeError, match="outside the clip"):
+        store.add(99, 0, 0, [base([0], 1)])
+    assert xs(store, 0)[0] == 1
+
+
+def test_layers_that_wait_for_their_base_are_bounded(store: TileStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cags_client.tile_store.MAX_WAITING_BYTES", 100)
+    for tile in range(1000):
+        store.add(0, tile, 1, [layer(4, 1)])
+    gof, _ = store.commit(0)
+    assert gof._waiting_bytes <= 100
+
+
+def test_tiles_without_splats_left_are_forgotten(store: TileStore) -> None:
+    for frame in range(4):
+        store.add(frame, 0, 0, [base([0, 1], frame + 1)])
+        store.end(frame, removed())
+        gof, _ = store.commit(frame)
+    assert sum(held is not None for held in gof._tiles.values()) == 1
+    store.add(0, 0, 1, [layer(2, 1)])  # late, for a forgotten one
+    assert gof.commit(3)[0].tolist() == []
+
+
+def test_lod_mean_counts_what_is_in_view(store: TileStore) -> None:
+    store.add(0, 0, 0, [base([0, 1, 2], 5), layer(3, 0), layer(3, 0)])
+    store.add(0, 1, 0, [base([3], 60)])
+    store.end(0, removed())
+    gof, _ = store.commit(0)
+    view = Intrinsics.of_fov(40, 30, 0.5, 0.4)
+    near = Camera(view, Pose.looking_at((5, 5, 2), (5, 5, 5)))
+    both = Camera(view, Pose.looking_at((0, 0, 0.0), (5, 5, 5)))
+    away = Camera(view, Pose.looking_at((0, 0, 0.0), (-5, -5, -5)))
+    assert gof.lod_mean(near) == 2
+    assert gof.lod_mean(both) == pytest.approx(1.5)
+    assert np.isnan(gof.lod_mean(away))
+    assert not gof.full
+
+
+def test_a_reset_forgets_and_starts_anywhere(store: TileStore) -> None:
+    store.add(4, 0, 0, [base([0], 7)])
+    store.end(4, removed())
+    store.commit(4)
+    store.reset(0)
+    store.add(0, 0, 0, [base([0], 1)])
+    store.end(0, removed())
+    assert xs(store, 0)[0] == 1
