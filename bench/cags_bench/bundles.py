@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from cags_common.geometry import Vec3
+    from cags_common.splats import Ids, Splats
     from cags_encoder import EncodeSettings
+    from cags_encoder.scenes import Focus, FrameSource
 
 
 def default_cache() -> Path:
@@ -16,17 +20,64 @@ def default_cache() -> Path:
     return Path(root) / "cags-stream" / "bundles"
 
 
-def cached_bundle(scene: str, cache: str = "", settings: EncodeSettings | None = None) -> Path:
-    """Folder of the bundle of ``scene``, encoded now unless the same scene and settings were encoded before."""
-    from cags_encoder.progress import terminal_progress
+def cached_bundle(scene: str, cache: str, settings: EncodeSettings) -> Path:
+    """Folder of the bundle of ``scene``, encoded now unless the same scene and settings were encoded before.
 
-    from cags_encoder import EncodeSettings, content_key, encode, open_scene
+    ``cache`` names the folder of bundles; empty: :func:`default_cache`. A scene of fewer than ``settings.frames``
+    frames is encoded over and over until there are as many.
+    """
+    from cags_encoder import content_key, encode
+    from cags_encoder.progress import progress_bar
+    from cags_encoder.scenes import open_scene
 
-    settings = settings or EncodeSettings()
     folder = Path(cache) if cache else default_cache()
     bundle = folder / content_key(scene, settings)
     if not (bundle / "manifest.json").exists():
         folder.mkdir(parents=True, exist_ok=True)
-        with terminal_progress() as progress:
-            encode(open_scene(scene), settings, str(bundle), progress=progress)
+        with progress_bar() as tell:
+            encode(looped(open_scene(scene), settings.frames), settings, str(bundle), tell)
     return bundle
+
+
+@dataclass(frozen=True)
+class LoopedSource:
+    """A scene that starts again when it ends."""
+
+    source: FrameSource
+    length: int
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self.source.name
+
+    @property
+    def fps(self) -> float:
+        """Frames a second."""
+        return self.source.fps
+
+    @property
+    def up(self) -> Vec3:
+        """Up direction of the scene."""
+        return self.source.up
+
+    @property
+    def focus(self) -> Focus:
+        """Where the scene is."""
+        return self.source.focus
+
+    def __len__(self) -> int:
+        return self.length
+
+    def frame(self, index: int) -> Splats:
+        """Frame ``index`` of the loop."""
+        return self.source.frame(index % len(self.source))
+
+    def ids(self, index: int) -> Ids | None:
+        """Identities of the frame's splats; the same every time round."""
+        return self.source.ids(index % len(self.source))
+
+
+def looped(source: FrameSource, frames: int | None) -> FrameSource:
+    """``source``, or a loop of it that has ``frames`` frames."""
+    return source if frames is None or frames <= len(source) else LoopedSource(source, frames)

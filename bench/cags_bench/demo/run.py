@@ -11,10 +11,11 @@ from typing import IO, Any
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.demo.processes import Process, ProcessGroup
-from cags_bench.demo.report import plot_stream, read_lines, write_strip
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.jsonl import provenance
+from cags_bench.stream_report import capacity_series, plot_stream, read_lines, write_strip
 from cags_common.errors import CagsError, NetworkError
+from cags_encoder import EncodeSettings
 
 DEFAULT_FRAMES = 90
 STAGES_EVERY = 15
@@ -47,7 +48,7 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
     out = Path(settings.out)
     check_replaceable(out)
     out.parent.mkdir(parents=True, exist_ok=True)
-    bundle = cached_bundle(spec, settings.cache, max_frames=settings.frames or DEFAULT_FRAMES)
+    bundle = cached_bundle(spec, settings.cache, EncodeSettings(frames=settings.frames or DEFAULT_FRAMES))
     with tempfile.TemporaryDirectory(prefix=".cags-demo-", dir=out.parent) as scratch:
         report = Path(scratch) / "report"
         report.mkdir()
@@ -123,13 +124,6 @@ def write_report(report: Path, settings: DemoSettings) -> dict[str, Any]:
     merged = {**summary, "benchmark": "demo", "trace": settings.trace, **provenance()}
     (report / "summary.json").write_text(json.dumps(merged, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     return merged
-
-
-def capacity_series(trace: Any, seconds: float) -> tuple[list[float], list[float]]:
-    """The link's capacity over the session, in steps of 100 ms: (times in s, Mbps)."""
-    step_us = 100_000
-    starts = range(0, int(seconds * 1e6) + step_us, step_us)
-    return [start / 1e6 for start in starts], [trace.mean_bps(start, start + step_us) / 1e6 for start in starts]
 
 
 def check_replaceable(out: Path) -> None:

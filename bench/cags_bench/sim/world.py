@@ -1,8 +1,8 @@
 """Two peers and two links under one virtual clock.
 
 The peers are the very cores that the processes run (:class:`cags_server.connection.Connection`,
-:class:`cags_client.player.Player`); only the outermost shell differs. Work takes no virtual time unless a cost table says
-so, nothing is dropped for being late on a busy machine, and two runs are byte-identical.
+:class:`cags_client.player.Player`); only the outermost shell differs. Work takes no virtual time, nothing is dropped for
+being late on a busy machine, and two runs are byte-identical.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from cags_common.errors import NetworkError
-from cags_shaper.link import Link
+from cags_shaper.link import WEBSOCKET_OVERHEAD_BYTES, Link, tcp_wire_bytes
 
 MAX_STEPS_WITHOUT_TIME = 10_000
 """A peer that always has something to do at one instant is broken; better to say so than to hang."""
@@ -22,20 +22,26 @@ MAX_STEPS_WITHOUT_TIME = 10_000
 class Peer(Protocol):
     """What the world drives: a sans-IO core and the work that it hands out."""
 
-    def receive(self, data: bytes, *, now_us: int) -> None: ...
-    def data_to_send(self, now_us: int) -> list[bytes]: ...
-    def next_timer_us(self) -> int | None: ...
-    def handle_timer(self, *, now_us: int) -> None: ...
+    def receive(self, data: bytes, now_us: int) -> None:
+        """Take one message."""
+
+    def data_to_send(self, now_us: int) -> list[bytes]:
+        """Messages to write now."""
+
+    def next_timer_us(self) -> int | None:
+        """When :meth:`handle_timer` wants to be called; None: not by time."""
+
+    def handle_timer(self, now_us: int) -> None:
+        """Do what is due."""
 
 
 @dataclass
 class Direction:
     """One direction of the connection: what the sender has written, and the link that carries it."""
 
-    link: Link
-    overhead_bytes: int
+    link: Link[bytes]
     on_delivery: Callable[[bytes, int], None]
-    carried_bytes: int = 0
+    header_bytes: int = WEBSOCKET_OVERHEAD_BYTES
     _backlog: deque[bytes] = field(default_factory=deque)
 
     def write(self, messages: list[bytes], now_us: int) -> bool:
@@ -53,17 +59,20 @@ class Direction:
         """Hand over what has arrived by ``now_us``; True when anything had."""
         arrived = self.link.pop_due(now_us)
         for data in arrived:
-            self.carried_bytes += len(data)
             self.on_delivery(data, now_us)
         self._push(now_us)
         return bool(arrived)
 
     def next_us(self) -> int | None:
-        """When the next message arrives."""
-        return self.link.next_delivery_us()
+        """When the next message arrives, or the full queue has room again."""
+        times = [self.link.next_delivery_us(), self.link.next_room_us() if self._backlog else None]
+        return min((time for time in times if time is not None), default=None)
 
     def _push(self, now_us: int) -> None:
-        while self._backlog and self.link.push(now_us, self._backlog[0], len(self._backlog[0]) + self.overhead_bytes):
+        while self._backlog:
+            data = self._backlog[0]
+            if not self.link.push(now_us, data, tcp_wire_bytes(len(data) + self.header_bytes)):
+                return
             self._backlog.popleft()
 
 
@@ -77,7 +86,7 @@ class World:
         self.now_us = 0
 
     def run(self, finished: Callable[[], bool], limit_us: int) -> None:
-        """Advance virtual time until ``finished()``. Raises :class:`NetworkError` on a standstill or past ``limit_us``."""
+        """Advance until ``finished()``. Raises :class:`NetworkError` on a standstill or past ``limit_us``."""
         while not finished():
             self._settle()
             if finished():
@@ -86,7 +95,9 @@ class World:
             if upcoming is None:
                 raise NetworkError(f"the simulated stream stands still at {self.now_us / 1e6:.3f} s; nothing is due")
             if upcoming > limit_us:
-                raise NetworkError(f"the simulated stream did not end within {limit_us / 1e6:.1f} s; give the link more capacity")
+                raise NetworkError(
+                    f"the simulated stream did not end within {limit_us / 1e6:.1f} s; give the link more capacity"
+                )
             self.now_us = max(self.now_us, upcoming)
 
     def _settle(self) -> None:
@@ -102,7 +113,7 @@ class World:
         for peer in (self.server, self.client):
             timer = peer.next_timer_us()
             if timer is not None and timer <= now:
-                peer.handle_timer(now_us=now)
+                peer.handle_timer(now)
                 busy = True
         busy |= self._work(now)
         for peer, direction in ((self.server, self.down), (self.client, self.up)):
@@ -112,5 +123,4 @@ class World:
 
     def _next_us(self) -> int | None:
         times = [self.server.next_timer_us(), self.client.next_timer_us(), self.down.next_us(), self.up.next_us()]
-        known = [time for time in times if time is not None]
-        return min(known) if known else None
+        return min((time for time in times if time is not None), default=None)

@@ -1,4 +1,4 @@
-"""The demo's report: a table, a plot over time, and a strip of pictures."""
+"""Reports of a stream: a plot over time, and a strip of pictures."""
 
 from __future__ import annotations
 
@@ -30,6 +30,13 @@ def read_lines(path: Path) -> tuple[list[JsonObject], JsonObject]:
 def series(frames: Sequence[JsonObject], key: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """One figure over frames [F]; NaN where a frame has none."""
     return np.array([np.nan if frame.get(key) is None else float(frame[key]) for frame in frames])
+
+
+def capacity_series(trace: Any, seconds: float) -> tuple[list[float], list[float]]:
+    """The link's capacity over the session, in steps of 100 ms: (times in s, Mbps)."""
+    step_us = 100_000
+    starts = range(0, int(seconds * 1e6) + step_us, step_us)
+    return [start / 1e6 for start in starts], [trace.mean_bps(start, start + step_us) / 1e6 for start in starts]
 
 
 def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, path: Path) -> None:

@@ -1,0 +1,150 @@
+"""One client's whole session in virtual time: server core, links, client core, and the score of every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cags_bench.sim.world import Direction, World
+from cags_client.pipeline import PresentedFrame
+from cags_client.player import Player, Present
+from cags_client.report import frame_stats, summary
+from cags_client.score import score
+from cags_client.settings import ClientSettings
+from cags_client.truth import BundleTruth
+from cags_common import raster
+from cags_common.bundle import BundleReader
+from cags_common.errors import ConfigError
+from cags_common.poses import Focus, open_poses
+from cags_protocol.client import ClientSession
+from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator, OracleEstimator
+from cags_server.connection import Connection
+from cags_server.library import SceneLibrary
+from cags_server.settings import ServerSettings
+from cags_shaper.link import Link, LinkSettings
+from cags_shaper.trace import Trace, open_trace
+
+ESTIMATORS = ("oracle", "measured")
+
+Watcher = Callable[[PresentedFrame, dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What is streamed, over what, to whom. Everything that decides the result."""
+
+    bundle: Path
+    trace: str
+    poses: str
+    server: ServerSettings = field(default_factory=ServerSettings)
+    client: ClientSettings = field(default_factory=ClientSettings)
+    estimator: str = "measured"
+    delay_us: int = 20_000
+    queue_bytes: int | None = None
+    scored: bool = True
+
+    def __post_init__(self) -> None:
+        if self.estimator not in ESTIMATORS:
+            raise ConfigError(f"estimator = {self.estimator!r} must be one of {', '.join(ESTIMATORS)}")
+
+
+@dataclass
+class SessionResult:
+    """Records of the presented frames, and their summary."""
+
+    frames: list[dict[str, Any]]
+    summary: dict[str, Any]
+
+
+def simulate(scenario: Scenario, watch: Watcher | None = None) -> SessionResult:
+    """Play ``scenario`` to its end. ``watch`` sees every presented frame and its record.
+
+    Deterministic: two runs give the same result. Raises :class:`CagsError` when a part fails.
+    """
+    trace = open_trace(scenario.trace)
+    reader = BundleReader.open(str(scenario.bundle))
+    try:
+        return _Simulation(scenario, trace, reader).run(watch)
+    finally:
+        reader.close()
+
+
+class _Simulation:
+    def __init__(self, scenario: Scenario, trace: Trace, reader: BundleReader) -> None:
+        self.scenario, self.trace, self.reader = scenario, trace, reader
+        library = SceneLibrary(reader, raster.create(scenario.server.rasteriser))
+        self.server = Connection(
+            library, scenario.server, name="simulated", now_us=0, estimator=make_estimator(scenario.estimator, trace)
+        )
+        self.player = Player(
+            ClientSession(now_us=0), self._client_settings(), self._poses(), now_us=0, near=reader.manifest.near
+        )
+        link = LinkSettings(delay_us=scenario.delay_us, queue_bytes=scenario.queue_bytes)
+        self.down = Direction(Link(trace, link), self.player.receive)
+        self.up = Direction(Link(None, LinkSettings(delay_us=scenario.delay_us)), self.server.receive)
+        self.world = World(self.server, self.player, self.down, self.up, self._work)
+        self.truth = BundleTruth(str(scenario.bundle), scenario.client) if scenario.scored else None
+        self.frames: list[dict[str, Any]] = []
+        self._watch: Watcher | None = None
+
+    def run(self, watch: Watcher | None) -> SessionResult:
+        """Play to the end of the clip."""
+        self._watch = watch
+        clip_us = round(self.reader.manifest.frames * 1e6 / self.reader.manifest.fps)
+        join_us = round(self.scenario.client.join_timeout * 1e6)
+        self.world.run(lambda: self.player.finished, limit_us=clip_us + join_us + 10_000_000)
+        if self.player.error is not None:
+            raise self.player.error
+        return SessionResult(self.frames, self._summary())
+
+    def _client_settings(self) -> ClientSettings:
+        """Virtual time has no late frames: work takes none of it."""
+        from dataclasses import replace
+
+        return replace(self.scenario.client, drop_late=False)
+
+    def _poses(self) -> Any:
+        manifest = self.reader.manifest
+        focus = Focus(manifest.focus_centre, manifest.focus_radius, manifest.up)
+        clip_s = manifest.frames / manifest.fps
+        if self.scenario.client.duration is not None:
+            clip_s = min(clip_s, self.scenario.client.duration)
+        window_us = self.scenario.client.start_delay_ms * 1000 + round(clip_s * 1e6)
+        return open_poses(self.scenario.poses, focus, window_us=window_us)
+
+    def _work(self, now_us: int) -> bool:
+        busy = False
+        while (job := self.server.next_job(now_us)) is not None:
+            self.server.job_done(job.run(), now_us)
+            busy = True
+        while (action := self.player.next_action(now_us)) is not None:
+            result = action.run()
+            if isinstance(action, Present):
+                assert isinstance(result, PresentedFrame)
+                self._record(action, result, now_us)
+            self.player.done(action, result, now_us)
+            busy = True
+        return busy
+
+    def _record(self, action: Present, presented: PresentedFrame, now_us: int) -> None:
+        record = frame_stats(presented, action, now_us)
+        record = {key: value for key, value in record.items() if not key.startswith("ms_")}
+        if self.truth is not None:
+            record |= score(presented, *self.truth(presented.frame, presented.camera))
+        self.frames.append(record)
+        if self._watch is not None:
+            self._watch(presented, record)
+
+    def _summary(self) -> dict[str, Any]:
+        out = summary(self.frames, self.player.stats)
+        started_us = self.player.stats.started_us or 0
+        out["first_picture_ms"] = started_us / 1e3
+        out["capacity_mbps"] = self.trace.mean_bps(0, max(self.world.now_us, 1)) / 1e6
+        return out
+
+
+def make_estimator(name: str, trace: Trace) -> BandwidthEstimator:
+    """``oracle`` knows the trace, as in the paper; ``measured`` learns from acknowledgements."""
+    return OracleEstimator(trace) if name == "oracle" else MeasuredEstimator()

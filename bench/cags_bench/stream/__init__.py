@@ -1,0 +1,1 @@
+"""``cags-bench stream``: one scene over one trace, in virtual time."""

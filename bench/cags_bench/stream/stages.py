@@ -1,0 +1,36 @@
+"""The stages of some frames as pictures, the truth among them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+
+from cags_bench.sim.session import Scenario
+from cags_client.pipeline import PresentedFrame
+from cags_client.present import StagesSink
+from cags_client.present.files import bytes_of, stage_path, write_png
+from cags_client.truth import BundleTruth
+
+
+class StageSaver:
+    """Writes every ``every``-th frame's reference, distorted, aligned, restored and true picture to ``folder``."""
+
+    def __init__(self, folder: Path, every: int, scenario: Scenario) -> None:
+        self._folder, self._every = folder, every
+        self._sink = StagesSink(folder, every)
+        self._truth = BundleTruth(str(scenario.bundle), scenario.client)
+
+    def __enter__(self) -> StageSaver:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._sink.close(completed=error is None)
+
+    def save(self, presented: PresentedFrame) -> None:
+        """Write the frame's pictures if it is one of those."""
+        self._sink.show(presented, {})
+        if presented.frame % self._every == 0:
+            rgb, _ = self._truth(presented.frame, presented.camera)
+            write_png(stage_path(self._folder, presented.frame, "truth"), bytes_of(rgb))
