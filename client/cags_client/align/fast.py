@@ -35,7 +35,7 @@ class FastAligner:
         slack = np.float32(s.slope_cells * sx) * _slope(d, known, 1)
         slack += np.float32(s.slope_cells * sy) * _slope(d, known, 0)
         cell = y.astype(np.int32) * (w + 1) + x.astype(np.int32)
-        occluded, occluder = _occlusion(z, inside, cell, slack, s.depth_tolerance)
+        occluded, occluder = _occlusion(z, slack, inside, cell, (sx, sy), tolerance=s.depth_tolerance)
         rgb = sample(reference.rgb, x, y)
         rgb[~inside] = 0.0
         _erode(rgb, occluded, inside & ~occluded & ~occluder, s)
@@ -61,13 +61,23 @@ def _project(d: F32, camera: Camera, reference: Camera) -> tuple[F32, F32, F32]:
     return x, y, z
 
 
-def _occlusion(z: F32, inside: Mask, cell: NDArray[np.int32], slack: F32, tolerance: float) -> tuple[Mask, Mask]:
+def _occlusion(
+    z: F32, slack: F32, inside: Mask, cell: NDArray[np.int32], cell_px: tuple[float, float], *, tolerance: float
+) -> tuple[Mask, Mask]:
     """Pixels behind the nearest one of their reference pixel, and the ones in front of those."""
-    cells = int(cell.max()) + 1
-    nearest = np.full(cells, np.inf, np.float32)
-    np.minimum.at(nearest, cell[inside], z[inside])
-    occluded = inside & (z > nearest[cell] * np.float32(1 + tolerance) + slack)
-    shared = np.zeros(cells, dtype=bool)
+    width, (sx, sy) = z.shape[1], cell_px
+    # Positive floats order as their bits do, so that one minimum gives the nearest pixel and, of equals, the first.
+    index = np.arange(z.size, dtype=np.uint64).reshape(z.shape)
+    key = (np.where(inside, z, np.float32(0)).view(np.uint32).astype(np.uint64) << np.uint64(32)) | index
+    nearest = np.full(int(cell.max()) + 1, np.uint64(0x7F800000) << np.uint64(32))
+    np.minimum.at(nearest, cell[inside], key[inside])
+    depth = (nearest >> np.uint64(32)).astype(np.uint32).view(np.float32)
+    occluded = inside & (z > depth[cell] * np.float32(1 + tolerance) + slack)
+    rows, columns = np.nonzero(occluded)  # few: look closer at these alone
+    first = (nearest[cell[rows, columns]] & np.uint64(0xFFFFFFFF)).astype(np.int64)
+    away = (np.abs(columns - first % width) > sx) | (np.abs(rows - first // width) > sy)
+    occluded[rows[~away], columns[~away]] = False
+    shared = np.zeros(len(nearest), dtype=bool)
     shared[cell[occluded]] = True
     return occluded, inside & ~occluded & shared[cell]
 

@@ -1,10 +1,15 @@
 """The readable definition of alignment, in float64. Every other aligner is tested against this one.
 
-Differences from the paper's pseudocode, all deliberate: ``K_r`` in the projection; the *projected* depth is compared
-with the minimum at the same reference pixel; the threshold is relative to depth and allows for the surface's own slope;
-points behind the reference are invalid; pixels that share a reference pixel with an occluded one but are in front of it
-are clean to look at and yet not averaged from (the authors' "occluders"); each erosion step reads only the state
-before it, so its result does not depend on the order of writes.
+Differences from the paper's pseudocode, all deliberate:
+
+- ``K_r`` in the projection, and the *projected* depth compared with the minimum at the same reference pixel;
+- a threshold relative to depth, which allows for the surface's own slope;
+- two pixels that lie within one reference pixel in the *client's* view too do not hide each other: the reference sees
+  both, and an identity has no occlusion;
+- points behind the reference are invalid;
+- pixels that share a reference pixel with an occluded one but lie in front of it are seen, and yet not averaged from
+  (the authors' "occluders");
+- each erosion step reads only the state before it, so its result does not depend on the order of writes.
 """
 
 from __future__ import annotations
@@ -53,11 +58,17 @@ class ReferenceAligner:
         cells, cell = p.cells()
         nearest = np.full(cells, np.inf)
         np.minimum.at(nearest, cell[inside], z[inside])
+        row, column = np.indices(d.shape)
+        index = np.arange(d.size).reshape(d.shape)
+        first = np.full(cells, d.size)  # the nearest pixel itself; of equally near ones the first
+        is_nearest = inside & (z == nearest[cell])
+        np.minimum.at(first, cell[is_nearest], index[is_nearest])
         sx, sy = cell_px
+        away = (np.abs(column - first[cell] % d.shape[1]) > sx) | (np.abs(row - first[cell] // d.shape[1]) > sy)
         slack = self._settings.slope_cells * (sx * _slope(d, axis=1) + sy * _slope(d, axis=0))
         occluded = np.zeros(d.shape, dtype=bool)
         limit = nearest[cell] * (1 + self._settings.depth_tolerance) + slack
-        occluded[inside] = z[inside] > limit[inside]
+        occluded[inside] = (z[inside] > limit[inside]) & away[inside]
         shared = np.zeros(cells, dtype=bool)
         shared[cell[occluded]] = True
         return occluded, inside & ~occluded & shared[cell]
