@@ -19,7 +19,7 @@ from cags_common.splats import Ids, Splats
 from cags_common.tiles import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
 from cags_encoder.frames.effect import visible_effect
 from cags_encoder.frames.rows import SplatTable
-from cags_encoder.frames.tiling import CodedSplats, EncodedFrame, Tiler
+from cags_encoder.frames.tiling import CodedSplats, Tiler
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class GofEncoder:
         order = morton_order(splats.means)
         splats, self._identities = splats.take(order), identities[order]
         ids = np.arange(len(splats), dtype=np.int32)
-        frame = self._send(ids, splats, KEY_TILE_SPLATS, id_range=True)
+        frame = self._tiler.encode(self._coded(ids, splats), KEY_TILE_SPLATS, id_range=True)
         self._held = SplatTable(frame.decoded)
         self._source, self._considered = SplatTable(splats), SplatTable(splats)
         nobody = np.zeros(0, np.int32)
@@ -85,24 +85,23 @@ class GofEncoder:
         # A splat whose source is what it was when it was last weighed needs no second look.
         candidates = considered.differs(ids, splats) | fresh
         considered.put(ids[candidates], splats.take(candidates))
-        rows = np.flatnonzero(candidates)
-        rows = rows[fresh[rows] | self._worth_sending(ids[rows], splats.take(rows), held, fresh[rows])]
-        frame = self._send(ids[rows], splats.take(rows), DELTA_TILE_SPLATS, id_range=False)
+        coded = self._coded(ids[candidates], splats.take(candidates))
+        worth = fresh[candidates] | self._worth_sending(coded, splats.take(candidates), held)
+        frame = self._tiler.encode(coded.take(np.flatnonzero(worth)), DELTA_TILE_SPLATS, id_range=False)
         held.put(frame.ids, frame.decoded)
-        return DifferentialFrame(frame.tiles, removed, delta, len(rows))
+        return DifferentialFrame(frame.tiles, removed, delta, len(frame.ids))
 
-    def _send(self, ids: Ids, splats: Splats, largest: int, *, id_range: bool) -> EncodedFrame:
-        coded = CodedSplats(ids, splats.means, self._tiler.quantiser.encode(splats))
-        return self._tiler.encode(coded, largest, id_range=id_range)
+    def _coded(self, ids: Ids, splats: Splats) -> CodedSplats:
+        return CodedSplats(ids, splats.means, self._tiler.quantiser.encode(splats))
 
-    def _worth_sending(self, ids: Ids, splats: Splats, held: SplatTable, fresh: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        out = np.zeros(len(ids), bool)
-        known = ~fresh
-        true = splats.take(known)
-        quantiser = self._tiler.quantiser
-        renewed = join_attributes(true.means, quantiser.decode(quantiser.encode(true)))
-        now, then = visible_effect(held.take(ids[known]), true), visible_effect(renewed, true)
-        out[known] = now > then + self._threshold
+    def _worth_sending(self, coded: CodedSplats, true: Splats, held: SplatTable) -> NDArray[np.bool_]:
+        """Whether quantising anew is visibly nearer to the truth than what the decoder holds; False for unknown ids."""
+        out = held.holds(coded.ids)
+        rows = np.flatnonzero(out)
+        known, true = coded.take(rows), true.take(rows)
+        renewed = join_attributes(true.means, self._tiler.quantiser.decode(known.codes))
+        now, then = visible_effect(held.take(known.ids), true), visible_effect(renewed, true)
+        out[rows] = now > then + self._threshold
         return out
 
     def _place(self, identities: NDArray[np.int64], held: SplatTable) -> tuple[Ids, Ids]:

@@ -15,11 +15,17 @@ from cags_common.geometry import F32, F64
 from cags_common.splats import SH_C0, Splats
 from cags_encoder.frames.rows import same_rows
 
-MIN_OVERLAP = 0.5
+MIN_OVERLAP = 0.25
 """Share of rows that must be found again; with fewer a key frame costs no more than the differences."""
+
+MIN_AGREEMENT = 0.5
+"""Share of rows that must look like the same row of the frame before for rows to be taken as identities."""
 
 NEAR_RADII = 3.0
 """A splat found again lies within this many of its own radii, or it is taken for a new one."""
+
+SPACING_PROBES = 2_000
+"""Splats whose nearest neighbour is looked up to find the typical spacing."""
 
 COLOUR_WEIGHT = 4.0
 """Radii that a full change of colour counts for when splats are matched by attributes."""
@@ -43,28 +49,40 @@ class IdentityTracker:
             ids = known.astype(np.int64)
             if len(np.unique(ids)) != len(splats) or ids.min(initial=0) < 0:
                 raise SceneError(f"{source}: its splat identities must be distinct and not negative, one a splat")
+            found = int(np.isin(ids, self._ids, assume_unique=True).sum())
         else:
-            ids = self._matched(splats)
-        continuous = bool(np.isin(ids, self._ids, assume_unique=True).sum() >= MIN_OVERLAP * len(ids))
+            ids, found = self._matched(splats)
         self._previous, self._ids = splats, ids
-        return ids, continuous
+        return ids, found >= MIN_OVERLAP * len(ids)
 
-    def _matched(self, splats: Splats) -> NDArray[np.int64]:
-        rows = np.full(len(splats), -1, np.int64)
-        if self._previous is not None:
-            rows = match_rows(self._previous, splats)
-        ids = np.where(rows >= 0, self._ids[rows] if len(self._ids) else -1, -1)
-        fresh = np.flatnonzero(rows < 0)
-        ids[fresh] = np.arange(self._next, self._next + len(fresh))
-        self._next += len(fresh)
-        return ids
+    def _matched(self, splats: Splats) -> tuple[NDArray[np.int64], int]:
+        """Identities, and how many rows were found again. Rows that were not take over those of lost rows.
+
+        A splat that changes is sent whole, so that taking over an identity costs what a new one does, and nothing need
+        be removed.
+        """
+        if self._previous is None:
+            self._next = len(splats)
+            return np.arange(len(splats)), 0
+        rows = match_rows(self._previous, splats)
+        found = rows >= 0
+        ids = np.full(len(splats), -1, np.int64)
+        ids[found] = self._ids[rows[found]]
+        lost = np.delete(self._ids, rows[found])
+        fresh = np.flatnonzero(~found)
+        shared = min(len(lost), len(fresh))
+        ids[fresh[:shared]] = lost[:shared]
+        more = len(fresh) - shared
+        ids[fresh[shared:]] = np.arange(self._next, self._next + more)
+        self._next += more
+        return ids, int(found.sum())
 
 
 def match_rows(before: Splats, after: Splats) -> NDArray[np.int64]:
     """For each splat of ``after`` [n] the row in ``before`` that it continues, or -1; no row is used twice."""
     if len(before) == len(after):
         agree = _agree(before, after)
-        if agree.mean() >= MIN_OVERLAP:
+        if agree.mean() >= MIN_AGREEMENT:
             return np.where(agree, np.arange(len(after)), -1)
     return _nearest(before, after)
 
@@ -83,8 +101,8 @@ def _agree(before: Splats, after: Splats) -> NDArray[np.bool_]:
 
 
 def _nearest(before: Splats, after: Splats) -> NDArray[np.int64]:
-    """Mutually nearest neighbours in position and colour, in units of the typical radius."""
-    unit = float(np.median(_radii(before))) or 1.0
+    """Mutually nearest neighbours in position and colour, in units of the typical radius or spacing."""
+    unit = max(float(np.median(_radii(before))), _spacing(before), 1e-12)
     tree = cKDTree(_features(before, unit))
     distance, row = tree.query(_features(after, unit), workers=1)
     back = cKDTree(_features(after, unit)).query(_features(before, unit), workers=1)[1]
@@ -92,6 +110,14 @@ def _nearest(before: Splats, after: Splats) -> NDArray[np.int64]:
     near = distance * unit <= NEAR_RADII * np.maximum(_radii(before)[row], unit)
     matched: NDArray[np.int64] = np.where(mutual & near, row, -1)
     return matched
+
+
+def _spacing(splats: Splats) -> float:
+    """Typical distance between neighbours, metres."""
+    if len(splats) < 2:
+        return 0.0
+    distance = cKDTree(splats.means).query(splats.means[:: max(1, len(splats) // SPACING_PROBES)], k=2)[0][:, 1]
+    return float(np.median(distance))
 
 
 def _features(splats: Splats, unit: float) -> F32:

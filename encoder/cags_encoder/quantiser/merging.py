@@ -44,10 +44,11 @@ class _PrintedMerger:
 
     def _merge(self, keep: int, gone: int) -> None:
         first, second = (keep, gone) if len(self._members[keep]) >= len(self._members[gone]) else (gone, keep)
+        middle = self._common_mean(keep, gone)
         self._nodes[keep] = Fork(self._nodes[first], self._nodes[second])
         self._members[keep] = np.concatenate([self._members[keep], self._members[gone]])
         self._members[gone] = np.zeros((0, self._centres.shape[1]))
-        self._centres[keep] = self._members[keep].mean(axis=0)
+        self._centres[keep] = middle
         self._alive[gone] = False
         self._distance[gone, :] = self._distance[:, gone] = np.inf
         self._cost[gone] = np.inf
@@ -69,6 +70,12 @@ class _PrintedMerger:
                 reachable = np.isfinite(self._distance[row, other])
                 self._cost[row, column] = self._dispersion(int(row), int(other)) if reachable else np.inf
 
+    def _common_mean(self, a: int, b: int) -> F64:
+        mine, other = len(self._members[a]), len(self._members[b])
+        middle: F64 = (self._centres[a] * mine + self._centres[b] * other) / (mine + other)
+        return middle
+
     def _dispersion(self, a: int, b: int) -> float:
         union = np.concatenate([self._members[a], self._members[b]])
-        return float(np.linalg.norm(union - union.mean(axis=0), axis=1).mean())
+        away = union - self._common_mean(a, b)
+        return float(np.sqrt(np.einsum("ij,ij->i", away, away)).mean())

@@ -16,7 +16,7 @@ from cags_encoder.quantiser.kmeans import NearestCentre, kmeans
 from cags_encoder.quantiser.merging import merge_as_printed
 from cags_encoder.quantiser.tree import Node, assign_codes, code_length
 
-MERGE_SAMPLES = 32_768
+MERGE_SAMPLES = 16_384
 """Members that merge distances are taken over: the paper's distance costs time in proportion."""
 
 SLACK_BITS = 2
