@@ -24,6 +24,7 @@ from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.errors import CagsError, NetworkError
 from cags_common.transport import Transport, websocket
 from cags_protocol.client import ClientSession
+from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 
 INFO_TIMEOUT_S = 10.0
 SINK_BACKLOG = 8
@@ -79,7 +80,9 @@ async def play(
     on_frame: Callable[[dict[str, Any]], None] | None = None,
 ) -> Playback:
     """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for what ends it early."""
-    transport = await websocket.connect(url)
+    transport = await websocket.connect(
+        url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES, token=settings.token
+    )
     player = Player(
         ClientSession(now_us=now_us()), settings, poses, now_us=now_us(), near=near, live=live, clock=time.perf_counter
     )
