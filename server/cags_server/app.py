@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
+import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -114,7 +115,7 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
             await site.start()
         except OSError as error:
             raise NetworkError(
-                f"cannot listen on {settings.host}:{settings.port} ({error.strerror or error}); "
+                f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); "
                 "stop the program that uses it or give another --port"
             ) from error
         stop = _stop_on_signals()
@@ -124,6 +125,10 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
     finally:
         await runner.cleanup()
         app.close()
+
+
+def _reason(error: OSError) -> str:
+    return os.strerror(error.errno).lower() if error.errno and error.errno > 0 else str(error)
 
 
 def _stop_on_signals() -> asyncio.Event:

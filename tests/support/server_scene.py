@@ -1,0 +1,118 @@
+"""A small scene in memory, in place of a bundle: a wall of splats, some of which change in every frame."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from cags_common.bundle import FrameEntry, Manifest, SourceDelta, SourceFrame, TileEntry
+from cags_common.geometry import Intrinsics, Pose
+from cags_common.lod import LodLayer
+from cags_common.packing import crc32, encode_ids
+from cags_common.raster.base import RenderedView
+from cags_common.splats import Ids, Splats
+from cags_protocol.limits import PROTOCOL_VERSION
+from cags_protocol.messages import Hello
+from cags_server.library import SceneLibrary
+from cags_server.settings import ServerSettings
+
+FPS = 30.0
+CLIENT = Intrinsics.of_fov(160, 120, 1.2, 0.95)
+SETTINGS = ServerSettings(reference_width=64, reference_height=48, rasteriser="reference")
+
+
+def hello(pose: Pose | None = None, **changes: Any) -> Hello:
+    return Hello(PROTOCOL_VERSION, CLIENT, pose or Pose.identity(), **changes)
+
+
+def wall(count: int, frame: int = 0) -> Splats:
+    """Splats in a row along X, three metres ahead of the origin."""
+    means = np.zeros((count, 3), np.float32)
+    means[:, 0] = np.linspace(-2, 2, count)
+    means[:, 2] = 3.0 + 0.01 * frame
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+    ones = np.ones((count, 3), np.float32)
+    rest = np.zeros((count, 0, 3), np.float32)
+    return Splats(means, quats, -3 * ones, np.full(count, 3, np.float32), 0.5 * ones, rest)
+
+
+class FakeReader:
+    """The part of :class:`~cags_common.bundle.BundleReader` that the server uses."""
+
+    def __init__(self, splats: int = 40, frames: int = 12, gof: int = 6, tile_splats: int = 10, lods: int = 4) -> None:
+        starts = tuple(range(0, frames, gof))
+        order = tuple(LodLayer("scale", layer) for layer in range(1, lods))
+        self.manifest = Manifest(
+            "wall", FPS, frames, starts, (splats,) * len(starts), 0, ((-2, 0, 3), (2, 0, 4)), order,
+            tuple(1.0 / (1 + i) for i in range(lods - 1)), "paper-66",
+        )  # fmt: skip
+        self._count, self._lods, self._tile_splats = splats, lods, tile_splats
+        self._entries = [self._entry(f) for f in range(frames)]
+
+    def codebooks(self) -> bytes:
+        return b"codebooks"
+
+    def frame(self, frame: int) -> FrameEntry:
+        return self._entries[frame]
+
+    def payload(self, frame: int, tile: int, lod: int) -> bytes:
+        return bytes([frame % 251, tile, lod]) * (40 if lod == 0 else 10)
+
+    def tile_ids(self, frame: int, tile: int) -> Ids:
+        first = tile * self._tile_splats
+        if frame in self.manifest.gof_starts:
+            return np.arange(first, min(first + self._tile_splats, self._count), dtype=np.int32)
+        return np.array([frame % self._count], np.int32)
+
+    def removed_ids(self, frame: int) -> Ids:
+        return np.array([self._count - 1], np.int32) if frame == 2 else np.zeros(0, np.int32)
+
+    def removed_payload(self, frame: int) -> bytes:
+        return encode_ids(self.removed_ids(frame))
+
+    def source(self, frame: int) -> SourceFrame:
+        return SourceFrame(np.arange(self._count, dtype=np.int32), wall(self._count, frame))
+
+    def source_delta(self, frame: int) -> SourceDelta:
+        ids = np.arange(self._count if frame in self.manifest.gof_starts else 1, dtype=np.int32)
+        return SourceDelta(ids, wall(len(ids), frame), self.removed_ids(frame))
+
+    def _entry(self, frame: int) -> FrameEntry:
+        key = frame in self.manifest.gof_starts
+        count = -(-self._count // self._tile_splats) if key else 1
+        tiles = tuple(self._tile(frame, tile) for tile in range(count))
+        return FrameEntry(frame, key, self.manifest.gof_of(frame), tiles, len(self.removed_ids(frame)), 0, 0, 0)
+
+    def _tile(self, frame: int, tile: int) -> TileEntry:
+        ids = self.tile_ids(frame, tile)
+        means = wall(self._count, frame).means[ids].astype(float)
+        low, high = tuple(means.min(axis=0).tolist()), tuple(means.max(axis=0).tolist())
+        payloads = [self.payload(frame, tile, lod) for lod in range(self._lods)]
+        sizes, crcs = tuple(map(len, payloads)), tuple(map(crc32, payloads))
+        return TileEntry(tile, len(ids), int(ids[0]), (low, high), sizes, crcs)
+
+
+class FakeScene:
+    """Every splat that projects into the picture contributes one pixel."""
+
+    def __init__(self, splats: Splats) -> None:
+        self._splats = splats
+
+    def __len__(self) -> int:
+        return len(self._splats)
+
+    def render(self, camera: Any, options: Any) -> RenderedView:
+        rotation, translation = camera.world_to_camera
+        x, y, z = (self._splats.means @ rotation.T + translation).T
+        k = camera.intrinsics
+        seen = (z > camera.near) & (abs(x / z * k.fx_px) < k.width_px / 2) & (abs(y / z * k.fy_px) < k.height_px / 2)
+        image = np.full((k.height_px, k.width_px, 3), 0.5, np.float32)
+        return RenderedView(image, image[..., 0], None, seen.astype(np.float32))
+
+
+def library(**options: int) -> SceneLibrary:
+    reader: Any = FakeReader(**options)
+    rasteriser: Any = SimpleNamespace(name="fake", load=FakeScene)
+    return SceneLibrary(reader, rasteriser)

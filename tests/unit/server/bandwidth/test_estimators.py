@@ -1,0 +1,74 @@
+import pytest
+
+from cags_protocol.events import AckSample
+from cags_server.bandwidth import MeasuredEstimator, OracleEstimator
+
+RTT_US = 40_000
+
+
+def feed(estimator: MeasuredEstimator, mbps: float, *, start_ms: int, ms: int, queued: bool, app_limited: bool) -> None:
+    """Acknowledgements every 5 ms of a link (or an application) of this rate."""
+    for t in range(start_ms, start_ms + ms, 5):
+        rtt = RTT_US + (40_000 if queued else 0)
+        estimator.on_ack(AckSample(t * 1000, int(mbps * 625), rtt, app_limited, delivery_rate_bps=mbps * 1e6))
+
+
+def mbps(estimator: MeasuredEstimator) -> float:
+    return estimator.estimate_bps(0) / 1e6
+
+
+def busy(estimator: MeasuredEstimator, rate: float, start_ms: int, ms: int) -> None:
+    feed(estimator, rate, start_ms=start_ms, ms=ms, queued=True, app_limited=False)
+
+
+def idle(estimator: MeasuredEstimator, rate: float, start_ms: int, ms: int) -> None:
+    feed(estimator, rate, start_ms=start_ms, ms=ms, queued=False, app_limited=True)
+
+
+def test_a_loaded_link_is_measured() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    busy(estimator, 20, 5, 1000)
+    assert mbps(estimator) == pytest.approx(20, rel=0.1)
+
+
+def test_a_fall_is_followed_within_two_round_trips() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    busy(estimator, 20, 5, 1000)
+    busy(estimator, 2, 1005, 2 * 80 + 10)
+    assert mbps(estimator) < 2.5
+
+
+def test_an_application_that_sends_little_does_not_pull_the_estimate_down() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    busy(estimator, 20, 5, 1000)
+    idle(estimator, 0.5, 1005, 20_000)
+    assert mbps(estimator) >= 0.9 * 20
+
+
+def test_sending_what_the_estimate_allows_finds_a_faster_link_within_two_seconds() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    busy(estimator, 5, 5, 500)
+    for t in range(505, 2505, 50):
+        idle(estimator, min(50.0, mbps(estimator)), t, 50)
+    assert mbps(estimator) > 40
+
+
+def test_samples_without_a_rate_change_nothing() -> None:
+    estimator = MeasuredEstimator(5e6)
+    before = estimator.estimate_bps(0)
+    estimator.on_ack(AckSample(0, 0, RTT_US, False, None))
+    assert estimator.estimate_bps(0) == before
+
+
+def test_the_oracle_reads_the_trace_ahead() -> None:
+    class Step:
+        def mean_bps(self, start_us: int, end_us: int) -> float:
+            return float(start_us)
+
+    oracle = OracleEstimator(Step(), origin_us=1_000_000, share=0.5)
+    assert oracle.estimate_bps(5_000_000) == 2_000_000
+    assert oracle.estimate_bps(0) == 1000  # before the trace, and never zero

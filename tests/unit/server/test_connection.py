@@ -1,0 +1,113 @@
+"""Server and client sessions joined back to back: the whole server core without IO."""
+
+from support.server_scene import SETTINGS, hello, library
+
+from cags_common.geometry import Pose
+from cags_protocol import ClientSession
+from cags_protocol import events as ev
+from cags_protocol.messages import Control, FrameEnd, PoseSample
+from cags_server.connection import Connection
+
+STEP_US = 5_000
+
+
+class Pair:
+    """A connection and a client, exchanging everything every 5 ms of virtual time."""
+
+    def __init__(self, **options: object) -> None:
+        self.now_us = 0
+        self.connection = Connection(library(), SETTINGS, name="s1", now_us=0, **options)
+        self.client = ClientSession(now_us=0)
+        self.client.hello(hello(), now_us=0)
+        self.events: list[ev.ClientEvent] = []
+
+    def step(self) -> None:
+        now = self.now_us
+        timer = self.connection.next_timer_us()
+        if timer is not None and timer <= now:
+            self.connection.handle_timer(now)
+        job = self.connection.next_job(now)
+        if job is not None:
+            self.connection.job_done(job.run(), now)
+        for data in self.connection.data_to_send(now):
+            self.client.receive(data, now_us=now)
+        self.client.handle_timer(now_us=now)
+        for data in self.client.data_to_send(now):
+            self.connection.receive(data, now)
+        while (event := self.client.next_event()) is not None:
+            self.events.append(event)
+        self.now_us += STEP_US
+
+    def run(self, ms: int) -> None:
+        for _ in range(ms * 1000 // STEP_US):
+            if self.now_us % 20_000 == 0 and self.events:
+                self.client.send_poses([PoseSample(self.now_us, Pose.identity())], now_us=self.now_us)
+            self.step()
+
+    def of(self, kind: type) -> list:
+        return [event for event in self.events if isinstance(event, kind)]
+
+
+def test_a_client_joins_plays_to_the_end_and_leaves() -> None:
+    pair = Pair()
+    pair.run(100)
+    assert pair.of(ev.Welcomed)[0].welcome.frames == 12
+    assert [(b.name, b.data) for b in pair.of(ev.BlobReceived)] == [("codebooks", b"codebooks")]
+    assert pair.of(ev.FrameEnded)[0].message == FrameEnd(0)
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(1000)
+    assert [r.message.frame for r in pair.of(ev.ReferenceReceived)] == list(range(12))
+    assert [e.message.frame for e in pair.of(ev.FrameEnded)] == list(range(12))
+    pair.client.bye("done", now_us=pair.now_us)
+    pair.run(20)
+    assert pair.connection.closed
+    assert pair.connection.ending is not None
+    assert pair.connection.ending.code == "bye"
+    assert pair.connection.next_timer_us() is None
+    assert pair.connection.next_job(pair.now_us) is None
+
+
+def test_two_runs_send_the_same() -> None:
+    runs = []
+    for _ in range(2):
+        pair = Pair()
+        pair.run(60)
+        pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+        pair.run(700)
+        runs.append([(r.message, bytes(r.payload)) for r in pair.of(ev.ReferenceReceived) + pair.of(ev.TileReceived)])
+    assert runs[0] == runs[1]
+
+
+def test_a_refused_client_is_told_why() -> None:
+    pair = Pair(admit=lambda hello: ("full", "", "16 clients are here already; try again later"))
+    pair.run(30)
+    assert pair.of(ev.Refused)[0].refusal.code == "full"
+    assert pair.connection.closed
+    assert pair.connection.streamer is None
+
+
+def test_a_goodbye_of_the_server_reaches_the_client() -> None:
+    pair = Pair()
+    pair.run(50)
+    pair.connection.close("the server is shutting down", pair.now_us)
+    pair.run(20)
+    assert pair.of(ev.Closed)[0].reason == "the server is shutting down"
+
+
+def test_a_seek_drops_what_waits() -> None:
+    pair = Pair()
+    pair.run(60)
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(300)
+    pair.client.control(Control("seek", 8, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.events.clear()
+    pair.run(400)
+    assert [e.message.frame for e in pair.of(ev.FrameEnded)] == [6, 7, 8, 9, 10, 11]
+
+
+def test_a_lost_connection_ends_the_session() -> None:
+    pair = Pair()
+    pair.run(30)
+    pair.connection.connection_lost("reset by peer", pair.now_us)
+    assert pair.connection.closed
+    assert pair.connection.ending.code == "lost"

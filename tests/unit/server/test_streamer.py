@@ -1,0 +1,290 @@
+"""The per-client core over a scene in memory and a link that this file plays."""
+
+import pytest
+from support.server_scene import CLIENT, FPS, SETTINGS, hello, library
+
+from cags_common.geometry import Pose
+from cags_common.video.h264 import H264Decoder
+from cags_protocol import events as ev
+from cags_protocol.messages import Blob, Control, FrameEnd, HeldTile, PoseSample, ReferenceFrame, TileLayers
+from cags_server.bandwidth import MeasuredEstimator
+from cags_server.settings import ServerSettings
+from cags_server.streamer import Streamer
+
+PERIOD_US = 1e6 / FPS
+OFFSET_US = 5_000_000  # the client's clock is this far behind the server's
+
+
+class Rig:
+    """A streamer, its clock, and everything it sent."""
+
+    def __init__(self, settings: ServerSettings = SETTINGS, initial_bps: float = 50e6, **scene: int) -> None:
+        self.library = library(**scene)
+        estimator = MeasuredEstimator(initial_bps)
+        self.streamer = Streamer(self.library, settings, hello(), estimator=estimator, now_us=OFFSET_US)
+        self.sent: list[ev.Outgoing] = []
+        self.opening = self.streamer.opening(OFFSET_US)
+        self.deliver(self.opening)
+
+    def deliver(self, outgoing: list[ev.Outgoing]) -> None:
+        for each in outgoing:
+            self.streamer.on_event(ev.Delivered(each, 0), 0)
+
+    def control(self, action: str, frame: int = 0, at_us: int = 300_000, **more: object) -> None:
+        control = Control(action, frame, at_us, **more)
+        self.streamer.on_event(ev.ControlReceived(control, OFFSET_US + 10_000), OFFSET_US + 10_000)
+
+    def poses(self, *times_us: int, pose: Pose | None = None) -> None:
+        samples = tuple(PoseSample(t, pose or Pose.identity()) for t in times_us)
+        self.streamer.on_event(ev.PosesReceived(samples, OFFSET_US + times_us[-1]), OFFSET_US + times_us[-1])
+
+    def step(self, late_us: int = 0, *, deliver: bool = True) -> list[ev.Outgoing]:
+        """Plan and finish the next due frame."""
+        due = self.streamer.next_due_us()
+        assert due is not None
+        job = self.streamer.begin(due + late_us)
+        assert job is not None
+        out = self.streamer.finish(job.run(), due + late_us)
+        if deliver:
+            self.deliver(out)
+        return out
+
+    def play(self) -> None:
+        self.poses(0, 20_000)
+        self.control("play")
+
+
+def of(kind: type, outgoing: list[ev.Outgoing]) -> list:
+    return [each.message for each in outgoing if isinstance(each.message, kind)]
+
+
+def test_the_opening_is_codebooks_then_base_layers_then_the_first_frames_end() -> None:
+    opening = Rig().opening
+    assert isinstance(opening[0].message, Blob)
+    assert opening[0].message.name == "codebooks"
+    tiles = of(TileLayers, opening)
+    assert {t.tile for t in tiles} == {0, 1, 2, 3}
+    assert all((t.frame, t.from_lod, t.to_lod) == (0, 0, 1) for t in tiles)
+    assert [e.frame for e in of(FrameEnd, opening)] == [0]
+
+
+def test_what_is_out_of_view_comes_after_the_first_frames_end() -> None:
+    scene = library()
+    away = hello(Pose.looking_at((0, 0, 0), (-3, 0, 3)))
+    opening = Streamer(scene, SETTINGS, away, estimator=MeasuredEstimator(), now_us=0).opening(0)
+    ranked = sorted(range(len(opening)), key=lambda i: (opening[i].priority, i))
+    kinds = [type(opening[i].message).__name__ for i in ranked]
+    after_end = kinds[kinds.index("FrameEnd") + 1 :]
+    assert 0 < len(after_end) < 4
+    assert set(after_end) == {"TileLayers"}
+
+
+def test_joining_within_a_group_brings_the_changes_so_far() -> None:
+    streamer = Streamer(library(), SETTINGS, hello(start_frame=9), estimator=MeasuredEstimator(), now_us=0)
+    opening = streamer.opening(0)
+    assert [e.frame for e in of(FrameEnd, opening)] == [6, 7, 8, 9]
+    assert {t.frame for t in of(TileLayers, opening)} == {6, 7, 8, 9}
+
+
+def test_nothing_is_planned_before_play() -> None:
+    rig = Rig()
+    assert rig.streamer.next_due_us() is None
+    assert rig.streamer.begin(OFFSET_US + 9_000_000) is None
+
+
+def test_frames_are_planned_a_lead_before_their_display_in_the_servers_clock() -> None:
+    rig = Rig()
+    rig.play()
+    lead_us = SETTINGS.lead_frames * PERIOD_US
+    assert rig.streamer.next_due_us() == pytest.approx(OFFSET_US + 300_000 - lead_us, abs=1)
+    rig.step()
+    assert rig.streamer.next_due_us() == pytest.approx(OFFSET_US + 300_000 + PERIOD_US - lead_us, abs=1)
+
+
+def test_a_frame_is_a_reference_tiles_and_an_end() -> None:
+    rig = Rig()
+    rig.play()
+    out = rig.step()
+    (reference,), (end,) = of(ReferenceFrame, out), of(FrameEnd, out + rig.opening)
+    assert (reference.frame, reference.seq, reference.idr, end.frame) == (0, 1, True, 0)
+    assert reference.intrinsics.fov_rad[0] == pytest.approx(CLIENT.fov_rad[0] * 1.1)
+    unit = next(o.payload for o in out if o.message is reference)
+    assert H264Decoder().decode(bytes(unit)) is not None
+    assert of(TileLayers, out)
+
+
+def test_only_tiles_that_own_visible_splats_are_raised() -> None:
+    rig = Rig()
+    rig.poses(0, 20_000, pose=Pose.looking_at((0, 0, 0), (-3, 0, 3)))
+    rig.control("play")
+    assert {t.tile for t in of(TileLayers, rig.step())} < {0, 1, 2, 3}
+
+
+def test_changed_splats_belong_to_the_tile_of_their_newest_frame() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    assert 1 in {t.frame for t in of(TileLayers, rig.step()) if t.from_lod == 0}
+
+
+def test_base_layers_go_before_the_frames_end_and_details_after() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    out = sorted(rig.step(), key=lambda o: o.priority)
+    kinds = [(type(o.message).__name__, getattr(o.message, "from_lod", 0) > 0) for o in out]
+    end = kinds.index(("FrameEnd", False))
+    assert ("TileLayers", True) not in kinds[:end]
+    assert ("TileLayers", False) not in kinds[end:]
+
+
+def test_nothing_held_is_sent_again() -> None:
+    rig = Rig()
+    rig.play()
+    seen: set[tuple[int, int, int]] = set()
+    for message in of(TileLayers, rig.opening):
+        seen.add((message.frame, message.tile, 0))
+    for _ in range(6):
+        for message in of(TileLayers, rig.step()):
+            for lod in range(message.from_lod, message.to_lod):
+                assert (message.frame, message.tile, lod) not in seen
+                seen.add((message.frame, message.tile, lod))
+
+
+def test_dropped_and_evicted_layers_are_sent_again() -> None:
+    rig = Rig()
+    rig.play()
+    first = rig.step(deliver=False)
+    for each in first:
+        rig.streamer.on_event(ev.Dropped(each, "stale", 0, 0), 0)
+    again = rig.step()
+    lost = {(m.frame, m.tile) for m in of(TileLayers, first)}
+    assert lost <= {(m.frame, m.tile) for m in of(TileLayers, again)}
+    rig.streamer.on_event(ev.Evicted((HeldTile(0, 1, 1),)), 0)
+    assert (0, 1, 1) in {(m.frame, m.tile, m.from_lod) for m in of(TileLayers, rig.step())}
+
+
+def test_the_budget_is_kept() -> None:
+    rig = Rig(initial_bps=200_000)
+    rig.play()
+    for _ in range(6):
+        rig.step()
+    for record in rig.streamer.stats.records:
+        assert record.tile_bytes <= record.budget_bytes
+        assert record.budget_bytes <= record.estimate_bps / FPS / 8
+
+
+def test_undelivered_data_takes_from_the_budget() -> None:
+    rig = Rig(ServerSettings(**{**vars(SETTINGS), "queue_ms": 0.0}), initial_bps=2e6)
+    rig.play()
+    rig.step(deliver=False)
+    rig.step(deliver=False)
+    budgets = [r.budget_bytes for r in rig.streamer.stats.records]
+    assert budgets[1] < budgets[0]
+
+
+def test_an_idr_follows_a_lost_reference_and_a_request_but_only_once() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    assert [r.idr for r in of(ReferenceFrame, rig.step())] == [False]
+    rig.streamer.on_event(ev.KeyframeRequested(1), 0)
+    (asked,) = of(ReferenceFrame, rig.step())
+    assert asked.idr
+    rig.streamer.on_event(ev.KeyframeRequested(asked.seq - 1), 0)  # made before the new IDR arrived
+    assert [r.idr for r in of(ReferenceFrame, rig.step())] == [False]
+    out = rig.step(deliver=False)
+    reference = next(o for o in out if isinstance(o.message, ReferenceFrame))
+    rig.streamer.on_event(ev.Dropped(reference, "stale", 0, 0), 0)
+    assert [r.idr for r in of(ReferenceFrame, rig.step())] == [True]
+
+
+def test_late_frames_are_skipped_but_ended() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    out = rig.step(late_us=int(2.5 * PERIOD_US))
+    assert [r.frame for r in of(ReferenceFrame, out)] == [3]
+    assert [e.frame for e in of(FrameEnd, out)] == [1, 2, 3]
+    assert rig.streamer.stats.frames_skipped == 2
+
+
+def test_a_reference_past_its_display_is_not_sent() -> None:
+    rig = Rig()
+    rig.play()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    out = rig.streamer.finish(job.run(), due + 400_000)
+    assert of(ReferenceFrame, out) == []
+    assert rig.streamer.stats.references_late == 1
+    assert [r.idr for r in of(ReferenceFrame, rig.step())] == [True]
+
+
+def test_one_job_at_a_time_and_a_failed_one_does_not_end_the_stream() -> None:
+    rig = Rig()
+    rig.play()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    assert rig.streamer.begin(due + 100_000) is None
+    rig.streamer.abandon(job)
+    assert of(ReferenceFrame, rig.step())[0].idr
+
+
+def test_the_end_of_the_media_ends_the_planning_and_a_loop_goes_on() -> None:
+    rig = Rig()
+    rig.play()
+    for _ in range(12):
+        rig.step()
+    assert rig.streamer.next_due_us() is None
+    looped = Rig()
+    looped.poses(0)
+    looped.control("play", loop=True)
+    frames = [of(ReferenceFrame, looped.step())[0].frame for _ in range(14)]
+    assert frames == [*range(12), 0, 1]
+
+
+def test_a_new_group_starts_from_nothing() -> None:
+    rig = Rig()
+    rig.play()
+    for _ in range(6):
+        rig.step()
+    tiles = of(TileLayers, rig.step())
+    assert {(t.frame, t.tile) for t in tiles if t.from_lod == 0} >= {(6, 0), (6, 1), (6, 2), (6, 3)}
+
+
+def test_a_seek_voids_what_is_being_rendered_and_starts_from_nothing() -> None:
+    rig = Rig()
+    rig.play()
+    job = rig.streamer.begin(rig.streamer.next_due_us())
+    rig.control("seek", 8, 400_000)
+    assert rig.streamer.finish(job.run(), OFFSET_US) == []
+    out = rig.step()
+    assert [e.frame for e in of(FrameEnd, out)] == [6, 7, 8]
+    assert {t.frame for t in of(TileLayers, out) if t.from_lod == 0} == {6, 7, 8}
+    assert of(ReferenceFrame, out)[0].idr
+
+
+def test_a_paused_viewer_still_gets_references_and_detail() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    rig.control("pause", 0, 330_000)
+    outs = [rig.step() for _ in range(3)]
+    assert [of(ReferenceFrame, out)[0].frame for out in outs] == [0, 0, 0]
+
+
+def test_the_true_pose_settles_the_record() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    record = rig.streamer.stats.records[0]
+    assert record.angular_error_rad is None
+    rig.poses(290_000, 310_000, pose=Pose((0.3, 0.0, 0.0), (1, 0, 0, 0)))
+    assert record.position_error_m == pytest.approx(0.3)
+    assert record.angular_error_rad == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_any_pose_the_one_of_the_hello_is_used() -> None:
+    rig = Rig()
+    rig.control("play", at_us=300_000)
+    assert of(ReferenceFrame, rig.step())[0].pose == Pose.identity()
