@@ -1,12 +1,11 @@
 """Server and client sessions joined back to back: the whole server core without IO."""
 
-from support.server_scene import SETTINGS, hello, library
-
 from cags_common.geometry import Pose
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
 from cags_protocol.messages import Control, FrameEnd, PoseSample
 from cags_server.connection import Connection
+from support.server_scene import SETTINGS, hello, library
 
 STEP_US = 5_000
 

@@ -1,7 +1,6 @@
 """The per-client core over a scene in memory and a link that this file plays."""
 
 import pytest
-from support.server_scene import CLIENT, FPS, SETTINGS, hello, library
 
 from cags_common.geometry import Pose
 from cags_common.video.h264 import H264Decoder
@@ -10,6 +9,7 @@ from cags_protocol.messages import Blob, Control, FrameEnd, HeldTile, PoseSample
 from cags_server.bandwidth import MeasuredEstimator
 from cags_server.settings import ServerSettings
 from cags_server.streamer import Streamer
+from support.server_scene import CLIENT, FPS, SETTINGS, hello, library
 
 PERIOD_US = 1e6 / FPS
 OFFSET_US = 5_000_000  # the client's clock is this far behind the server's

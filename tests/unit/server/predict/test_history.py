@@ -1,10 +1,10 @@
 import pytest
-from support.motion import PERIOD_US, history_of, swaying_pose, turning_pose
 
 from cags_common.geometry import Pose, angle_between
 from cags_protocol.messages import PoseSample
 from cags_server.predict import PoseHistory
 from cags_server.predict.history import CLOCK_RESTART_SAMPLES, HISTORY_US, MAX_SAMPLES
+from support.motion import PERIOD_US, history_of, swaying_pose, turning_pose
 
 
 def test_order_of_arrival_does_not_matter() -> None:

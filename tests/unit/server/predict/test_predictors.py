@@ -1,12 +1,12 @@
 import math
 
 import pytest
-from support.motion import history_of, swaying_pose, turning_pose
 
 from cags_common.errors import ConfigError
 from cags_common.geometry import Pose, angle_between
 from cags_protocol.messages import PoseSample
 from cags_server.predict import PREDICTORS, PoseHistory, create_predictor
+from support.motion import history_of, swaying_pose, turning_pose
 
 MOVING = [name for name in PREDICTORS if name != "hold"]
 
