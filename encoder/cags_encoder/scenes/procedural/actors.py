@@ -1,7 +1,7 @@
-"""What does not keep still: a ball, a mobile, curtains, a plant, a picture that changes, bubbles.
+"""What does not keep still: a ball, a mobile, curtains, a plant, a picture that changes.
 
-An actor's patches are placed and divided with the room's, at rest. An :class:`Act` then rewrites the rows of its splats for
-any moment; it works from the resting splats alone, so frames can be made in any order.
+An actor's patches are placed and divided with the room's, at rest. An :class:`Act` then rewrites the rows of its splats
+for any moment; it works from the resting splats alone, so frames can be made in any order.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from cags_common.geometry import F32, F64, Vec3
-from cags_common.splats import SH_C0, SH_REST_OF_DEGREE, Splats
+from cags_common.splats import SH_C0, SH_REST_OF_DEGREE
 from cags_encoder.scenes import rotations
 from cags_encoder.scenes.harmonics import lobe
 from cags_encoder.scenes.procedural import textures as tex
@@ -36,16 +36,16 @@ class Actor:
     """Patches at rest, and how to set them in motion once they have been divided into ``rows``."""
 
     patches: list[Patch]
-    act: Callable[[_Stage], Act]
+    act: Callable[[Stage], Act]
 
     def prepared(self, rows: slice, surfels: Surfel, light: Lighting, degree: int) -> Act:
         """The act for the splats at ``rows``."""
         part = Surfel(*(getattr(surfels, name)[rows] for name in Surfel.__dataclass_fields__))
-        return self.act(_Stage(rows, part, light, degree))
+        return self.act(Stage(rows, part, light, degree))
 
 
 @dataclass(frozen=True)
-class _Stage:
+class Stage:
     """What an act knows: its rows, its splats' surfaces at rest, and the room's light."""
 
     rows: slice
@@ -55,18 +55,18 @@ class _Stage:
 
 
 def cast(noise: Noise, rng: np.random.Generator) -> list[Actor]:
-    """All actors but the bubbles."""
+    """All actors; the bubbles of :mod:`.bubbles` come on top."""
     return [_beach_ball(), _ball_shadow(), _mobile(noise), *_curtains(noise), _plant(noise, rng), _screen(noise)]
 
 
-# ---- rigid things -------------------------------------------------------------------------------------------------------
+# ---- rigid things ----
 
 
 @dataclass(frozen=True)
 class _Rigid:
     """Turns and carries its rows, and lights them anew where they are."""
 
-    stage: _Stage
+    stage: Stage
     gloss: float
     pivot: Vec3
     path: Callable[[float], tuple[F64, F64]]  # time, s -> turn (wxyz) and position of the pivot
@@ -79,10 +79,10 @@ class _Rigid:
         normals = surfels.normals @ matrix.T
         columns["means"][rows] = points
         columns["quats"][rows] = rotations.turned(columns["quats"][rows], turn)
-        columns["sh0"][rows], columns["sh_rest"][rows] = _lit(self.stage, surfels.rgb, points, normals, self.gloss)
+        columns["sh0"][rows], columns["sh_rest"][rows] = lit(self.stage, surfels.rgb, points, normals, self.gloss)
 
 
-def _lit(stage: _Stage, rgb: F64, points: F64, normals: F64, gloss: float) -> tuple[F64, F64]:
+def lit(stage: Stage, rgb: F64, points: F64, normals: F64, gloss: float) -> tuple[F64, F64]:
     """Harmonics [M, 3], [M, K, 3] of surfaces of colour ``rgb`` as they look under the room's light at ``points``."""
     light = stage.light.at_moving(points, normals) + stage.light.sunlight(points, normals)
     sh = np.zeros((len(points), 1 + SH_REST_OF_DEGREE[stage.degree], 3))
@@ -113,7 +113,8 @@ def _ball_path(time_s: float) -> tuple[F64, F64]:
 
 def _beach_ball() -> Actor:
     girth = np.pi * 2 * BALL_RADIUS
-    colours: tuple[Rgb, ...] = ((0.92, 0.20, 0.14), (0.95, 0.93, 0.88), (0.12, 0.42, 0.75), (0.95, 0.93, 0.88), (0.98, 0.76, 0.14), (0.95, 0.93, 0.88))  # fmt: skip
+    white: Rgb = (0.95, 0.93, 0.88)
+    colours = ((0.92, 0.20, 0.14), white, (0.12, 0.42, 0.75), white, (0.98, 0.76, 0.14), white)
     patch = ball((0.0, 0.0, 0.0), BALL_RADIUS, tex.stripes(colours, girth), UNLIT)
     return Actor([patch], partial(_Rigid, gloss=0.5, pivot=(0.0, 0.0, 0.0), path=_ball_path))
 
@@ -122,7 +123,7 @@ def _beach_ball() -> Actor:
 class _Shadow:
     """Dark, faint splats on the floor below the ball: wider and fainter the higher it is."""
 
-    stage: _Stage
+    stage: Stage
 
     def __call__(self, time_s: float, columns: Columns) -> None:
         _, x, y, z = _ball_place(time_s)
@@ -172,14 +173,14 @@ def _mobile(noise: Noise) -> Actor:
     return Actor(patches, partial(_Rigid, gloss=0.45, pivot=(0.0, 0.0, 0.0), path=_mobile_path))
 
 
-# ---- things that bend ---------------------------------------------------------------------------------------------------
+# ---- things that bend ----
 
 
 @dataclass(frozen=True)
 class _Sway:
     """Leans its rows about a foot, further the higher they are, and flutters the ends."""
 
-    stage: _Stage
+    stage: Stage
     foot: Vec3
 
     def __call__(self, time_s: float, columns: Columns) -> None:
@@ -198,12 +199,13 @@ def _plant(noise: Noise, rng: np.random.Generator) -> Actor:
     patches = []
     for k in range(17):
         azimuth, reach, rise = 2.4 * k, rng.uniform(0.22, 0.46), rng.uniform(0.35, 1.05)
-        root = np.array(foot) + [0.03 * np.cos(azimuth), 0.25 * rise, 0.03 * np.sin(azimuth)]
-        tip = np.array(foot) + [reach * np.cos(azimuth), rise, reach * np.sin(azimuth)]
+        x, z = float(np.cos(azimuth)), float(np.sin(azimuth))
+        root = (foot[0] + 0.03 * x, foot[1] + 0.25 * rise, foot[2] + 0.03 * z)
+        tip = (foot[0] + reach * x, foot[1] + rise, foot[2] + reach * z)
         green: Rgb = (0.16 + 0.14 * rng.uniform(), 0.40 + 0.16 * rng.uniform(), 0.16)
-        patches.append(leaf(tuple(root), tuple(tip), 0.17, 0.12, _veins(green, noise), Finish(gloss=0.12, detail=1.6)))
+        patches.append(leaf((root, tip), 0.17, 0.12, _veins(green, noise), Finish(gloss=0.12, detail=1.6)))
         stalk = tex.plain((0.30, 0.42, 0.18), noise)
-        patches.append(leaf(foot, tuple(root), 0.02, 0.0, stalk, Finish(detail=0.5)))
+        patches.append(leaf((foot, root), 0.02, 0.0, stalk, Finish(detail=0.5)))
     return Actor(patches, partial(_Sway, foot=foot))
 
 
@@ -222,7 +224,7 @@ def _veins(rgb: Rgb, noise: Noise) -> tex.Pattern:
 class _Wave:
     """A hanging cloth whose folds travel, more towards its free lower end."""
 
-    stage: _Stage
+    stage: Stage
     rail: float  # height of the fixed upper edge, metres
 
     def __call__(self, time_s: float, columns: Columns) -> None:
@@ -246,7 +248,7 @@ def _curtains(noise: Noise) -> list[Actor]:
             return np.stack([-2.27 + fold, 0.14 + (rail - 0.14) * v, z - 0.56 * u + 0.0 * v], axis=-1)
 
         cloth = _border(tex.fabric((0.80, 0.78, 0.70), noise), noise)
-        patch = Patch(shape, (0.75, rail - 0.14), cloth, Finish(detail=0.55), (20, 8))
+        patch = Patch(shape, (0.75, rail - 0.14), cloth, Finish(detail=0.8), (20, 8))
         actors.append(Actor([patch], partial(_Wave, rail=rail)))
     return actors
 
@@ -260,7 +262,7 @@ def _border(cloth: tex.Pattern, noise: Noise) -> tex.Pattern:
     return pattern
 
 
-# ---- things that change colour ------------------------------------------------------------------------------------------
+# ---- things that change colour ----
 
 _TILES = (8, 4)
 _HOLD_S = 0.4
@@ -270,7 +272,7 @@ _HOLD_S = 0.4
 class _Slides:
     """A panel of coloured tiles; every tile keeps its colour for a while, so that only some change in a frame."""
 
-    stage: _Stage
+    stage: Stage
 
     def __call__(self, time_s: float, columns: Columns) -> None:
         uv = self.stage.surfels.uv
@@ -300,66 +302,3 @@ def _screen(noise: Noise) -> Actor:
 
     panel = quad(corner, (0, 0, width), (0, height, 0), tiles, Finish(emission=1.0, detail=1.2))
     return Actor([panel], _Slides)
-
-
-# ---- things that appear and vanish --------------------------------------------------------------------------------------
-
-_SLOTS = 6
-_LIFE_S, _PAUSE_S = 1.5, 0.7
-
-
-class Bubbles:
-    """Soap bubbles that leave the vase one after the other, rise, and burst; each is a new thing with new identities."""
-
-    def __init__(self, count: int, degree: int, light: Lighting) -> None:
-        each = max(count // _SLOTS, 8)
-        k = np.arange(each) + 0.5
-        y, azimuth = 1 - 2 * k / each, np.pi * (1 + 5**0.5) * k
-        ring = np.sqrt(1 - y * y)
-        self._normals = np.stack([ring * np.cos(azimuth), y, ring * np.sin(azimuth)], axis=1)
-        self._stage = _Stage(slice(0, each), _no_surfels(), light, degree)
-        tangent = np.stack([-np.sin(azimuth), np.zeros(each), np.cos(azimuth)], axis=1)
-        self._quats = rotations.of_frames(tangent, np.cross(self._normals, tangent))
-        self._each = each
-
-    @property
-    def most(self) -> int:
-        """Most splats of bubbles that a frame can hold."""
-        return _SLOTS * self._each
-
-    def ids(self, time_s: float) -> F64:
-        """Identities [M] of the splats of :meth:`splats`, from 0."""
-        births = [slot + _SLOTS * life for slot, life, _ in self._alive(time_s)]
-        return (np.array(births, np.int64)[:, None] * self._each + np.arange(self._each)).ravel()
-
-    def splats(self, time_s: float) -> Splats:
-        """All bubbles alive at ``time_s``."""
-        return Splats.concatenate([self._bubble(slot, life, age) for slot, life, age in self._alive(time_s)])
-
-    def _alive(self, time_s: float) -> list[tuple[int, int, float]]:
-        """Slot, number of its life and age (s) of each bubble. The slots' lives are staggered: some are always there."""
-        period = _LIFE_S + _PAUSE_S
-        turns = [(slot, time_s / period + slot / _SLOTS) for slot in range(_SLOTS)]
-        return [(slot, int(t), (t % 1.0) * period) for slot, t in turns if (t % 1.0) * period < _LIFE_S]
-
-    def _bubble(self, slot: int, life: int, age: float) -> Splats:
-        turn = 2.4 * (slot + 2.6 * life)
-        drift = 0.12 * age
-        centre = np.array([
-            -0.28 + drift * np.cos(turn) + 0.03 * np.sin(5 * age + turn),
-            0.80 + 0.55 * age,
-            0.02 + drift * np.sin(turn) + 0.03 * np.cos(4 * age + turn),
-        ])  # fmt: skip
-        radius = (0.055 + 0.03 * ((0.37 * turn) % 1.0)) * min(1.0, 0.3 + 2.5 * age)
-        film = 0.55 + 0.35 * np.cos(2 * np.pi * (self._normals[:, 1:2] + turn + np.array([0.0, 0.33, 0.67])))
-        points = centre + radius * self._normals
-        sh0, rest = _lit(self._stage, film, points, self._normals, 0.9)
-        spacing = radius * np.sqrt(4 * np.pi / self._each)
-        rim = np.full(self._each, -1.2)
-        scales = np.log(np.tile([0.6 * spacing, 0.6 * spacing, 0.05 * spacing], (self._each, 1)))
-        arrays = (points, self._quats, scales, rim, sh0, rest)
-        return Splats(*(np.ascontiguousarray(array, np.float32) for array in arrays))
-
-
-def _no_surfels() -> Surfel:
-    return Surfel(np.zeros(0, np.int64), *(np.zeros((0, 3)) for _ in range(5)), np.zeros((0, 2)))

@@ -85,9 +85,9 @@ def cushion(centre: Vec3, half: Vec3, pattern: Pattern, power: float = 0.35, fin
     def shape(u: F64, v: F64) -> F64:
         azimuth, polar = -2 * np.pi * u, np.pi * (v - 0.5)
         ring = signed(np.cos(polar))
-        return c + h * np.stack(
-            [ring * signed(np.cos(azimuth)), signed(np.sin(polar)), ring * signed(np.sin(azimuth))], -1
-        )
+        unit = [ring * signed(np.cos(azimuth)), signed(np.sin(polar)), ring * signed(np.sin(azimuth))]
+        points: F64 = c + h * np.stack(unit, axis=-1)
+        return points
 
     girth = np.pi * (h[0] + h[2])
     return Patch(shape, (float(girth), float(np.pi * h[1] + 0.5 * (h[0] + h[2]))), pattern, finish, (12, 8))
@@ -107,14 +107,16 @@ def lathe(base: Vec3, profile: list[tuple[float, float]], pattern: Pattern, fini
     def shape(u: F64, v: F64) -> F64:
         azimuth, s = -2 * np.pi * u, v * along[-1]
         radius, height = np.interp(s, along, points[:, 0]), np.interp(s, along, points[:, 1])
-        return b + np.stack([radius * np.cos(azimuth), height, radius * np.sin(azimuth)], axis=-1)
+        surface: F64 = b + np.stack([radius * np.cos(azimuth), height, radius * np.sin(azimuth)], axis=-1)
+        return surface
 
     girth = 2 * np.pi * float(points[:, 0].mean())
     return Patch(shape, (girth, float(along[-1])), pattern, finish, (12, 2 * len(points)))
 
 
-def leaf(root: Vec3, tip: Vec3, width: float, droop: float, pattern: Pattern, finish: Finish = MATT) -> Patch:
-    """A leaf from ``root`` to ``tip``, pointed at both ends, bent down by ``droop`` metres and folded at its rib."""
+def leaf(ends: tuple[Vec3, Vec3], width: float, droop: float, pattern: Pattern, finish: Finish = MATT) -> Patch:
+    """A leaf from root to tip, pointed at both ``ends``, bent down by ``droop`` metres and folded at its rib."""
+    root, tip = ends
     r, t = np.asarray(root, np.float64), np.asarray(tip, np.float64)
     side = np.cross(t - r, (0.0, 1.0, 0.0))
     side = side / max(float(np.linalg.norm(side)), 1e-9)

@@ -21,8 +21,8 @@ BACKING = Finish(detail=0.04)
 """For surfaces that are seen only between the splats of others."""
 
 _BOOKS: tuple[Rgb, ...] = (
-    (0.55, 0.13, 0.12), (0.14, 0.25, 0.42), (0.16, 0.36, 0.26), (0.75, 0.62, 0.35), (0.82, 0.78, 0.70), (0.35, 0.20, 0.30),
-    (0.80, 0.42, 0.16), (0.20, 0.20, 0.22), (0.48, 0.55, 0.58),
+    (0.55, 0.13, 0.12), (0.14, 0.25, 0.42), (0.16, 0.36, 0.26), (0.75, 0.62, 0.35), (0.82, 0.78, 0.70),
+    (0.35, 0.20, 0.30), (0.80, 0.42, 0.16), (0.20, 0.20, 0.22), (0.48, 0.55, 0.58),
 )  # fmt: skip
 _OAK: Rgb = (0.66, 0.46, 0.29)
 _WALNUT: Rgb = (0.42, 0.27, 0.17)
@@ -72,7 +72,7 @@ def _balls() -> F64:
     return np.array([(-1.85, 1.05, 1.6, 0.38), (1.35, 0.80, -2.15, 0.09)], np.float64)
 
 
-def _shell(noise: Noise, _: np.random.Generator) -> list[Patch]:
+def _shell(noise: Noise, rng: np.random.Generator) -> list[Patch]:
     h, y = HALF, HEIGHT
     varnish = Finish(gloss=0.10)
     plaster = tex.plain((0.87, 0.83, 0.76), noise)
@@ -112,11 +112,14 @@ def _skirting(noise: Noise) -> list[Patch]:
     ]
 
 
-def _window(noise: Noise, _: np.random.Generator) -> list[Patch]:
+def _window(noise: Noise, rng: np.random.Generator) -> list[Patch]:
     (x, y0, z0), (_, y1, z1) = WINDOW_LOW, WINDOW_HIGH
     white = tex.plain((0.93, 0.92, 0.90), noise)
     view = tex.landscape(noise, 6.0, 3.6, ((0.45, 0.68, 0.95), (0.88, 0.94, 1.0)), (0.36, 0.50, 0.28))
-    patches = [quad((x - 0.9, -0.2, 2.9), (0, 0, -6.0), (0, 3.6, 0), view, Finish(emission=1.08, detail=0.35))]
+    patches = [
+        quad((x - 0.9 - back, -0.2, 2.9), (0, 0, -6.0), (0, 3.6, 0), view, Finish(emission=1.08, detail=detail))
+        for back, detail in ((0.0, 0.35), (0.1, 0.02))
+    ]
     patches += box((x - 0.12, y0 - 0.04, z0 - 0.06), (x + 0.14, y0, z1 + 0.06), white, sides="YXzZy")  # the sill
     patches += [
         quad((x - 0.12, y0, z0), (0.12, 0, 0), (0, y1 - y0, 0), white),
@@ -132,12 +135,12 @@ def _window(noise: Noise, _: np.random.Generator) -> list[Patch]:
     return patches
 
 
-def _rug(noise: Noise, _: np.random.Generator) -> list[Patch]:
-    return [quad((-1.3, 0.012, 0.95), (2.6, 0, 0), (0, 0, -1.9), tex.rug(noise, 1.3, 0.95), Finish(detail=1.6))]
+def _rug(noise: Noise, rng: np.random.Generator) -> list[Patch]:
+    return [quad((-1.3, 0.012, 0.95), (2.6, 0, 0), (0, 0, -1.9), tex.rug(noise, 1.3, 0.95), Finish(detail=2.6))]
 
 
 def _table(noise: Noise, rng: np.random.Generator) -> list[Patch]:
-    oak, gloss = tex.wood(_OAK, noise), Finish(gloss=0.22, detail=1.5)
+    oak, gloss = tex.wood(_OAK, noise), Finish(gloss=0.22, detail=2.0)
     patches = box((-0.56, 0.405, -0.33), (0.56, 0.45, 0.33), oak, finish=gloss)
     patches += box((-0.48, 0.14, -0.26), (0.48, 0.16, 0.26), oak)
     for x, z in ((-0.5, -0.28), (-0.5, 0.24), (0.46, -0.28), (0.46, 0.24)):
@@ -167,14 +170,12 @@ def _table(noise: Noise, rng: np.random.Generator) -> list[Patch]:
     patches += [ball(at, r, tex.plain(rgb, noise, 0.15), Finish(gloss=0.35, detail=3.0)) for at, r, rgb in fruit]
     for k in range(3):
         rgb, turn = _BOOKS[int(rng.integers(len(_BOOKS)))], 0.02 * k
-        cover = tex.plain(rgb, noise)
-        patches += box(
-            (-0.10 + turn, 0.45 + 0.03 * k, 0.08), (0.12 - turn, 0.479 + 0.03 * k, 0.29 - turn), cover, sides="xXYzZ"
-        )
+        low, high = (-0.10 + turn, 0.45 + 0.03 * k, 0.08), (0.12 - turn, 0.479 + 0.03 * k, 0.29 - turn)
+        patches += box(low, high, tex.plain(rgb, noise), sides="xXYzZ", finish=Finish(detail=3.0))
     return patches
 
 
-def _sofa(noise: Noise, _: np.random.Generator) -> list[Patch]:
+def _sofa(noise: Noise, rng: np.random.Generator) -> list[Patch]:
     cloth, red = tex.fabric((0.78, 0.60, 0.28), noise), tex.fabric((0.55, 0.16, 0.14), noise)
     soft = Finish(detail=1.2)
     patches = box((1.47, 0.1, -1.0), (2.36, 0.40, 1.0), cloth, sides="xYzZ")
@@ -234,7 +235,7 @@ def _spine(rgb: Rgb, label: float, height: float) -> tex.Pattern:
     return pattern
 
 
-def _sideboard(noise: Noise, _: np.random.Generator) -> list[Patch]:
+def _sideboard(noise: Noise, rng: np.random.Generator) -> list[Patch]:
     oak, lines = tex.wood(_OAK, noise), _doors(noise)
     patches = box((0.05, 0.06, -2.39), (1.55, 0.70, -1.96), oak, sides="xXY", finish=Finish(gloss=0.12))
     patches.append(quad((0.05, 0.06, -1.96), (1.50, 0, 0), (0, 0.64, 0), lines, Finish(gloss=0.12)))
@@ -262,7 +263,7 @@ def _doors(noise: Noise) -> tex.Pattern:
     return pattern
 
 
-def _pictures(noise: Noise, _: np.random.Generator) -> list[Patch]:
+def _pictures(noise: Noise, rng: np.random.Generator) -> list[Patch]:
     gold, black = tex.wood((0.80, 0.62, 0.30), noise), tex.plain((0.12, 0.11, 0.11), noise)
     sunset = tex.landscape(noise, 1.2, 0.8, ((0.25, 0.24, 0.45), (0.98, 0.62, 0.36)), (0.30, 0.20, 0.32))
     fine = Finish(detail=2.0)
@@ -298,7 +299,7 @@ def _frame_front(corner: Vec3, width: float, height: float, pattern: tex.Pattern
     ]
 
 
-def _lamp(noise: Noise, _: np.random.Generator) -> list[Patch]:
+def _lamp(noise: Noise, rng: np.random.Generator) -> list[Patch]:
     x, y, z = LAMP
     brass = tex.plain((0.70, 0.55, 0.28), noise)
     pole = [(0.0, 0.0), (0.16, 0.0), (0.16, 0.02), (0.015, 0.03), (0.015, y - 0.12)]
@@ -310,6 +311,6 @@ def _lamp(noise: Noise, _: np.random.Generator) -> list[Patch]:
     ]
 
 
-def _pot(noise: Noise, _: np.random.Generator) -> list[Patch]:
+def _pot(noise: Noise, rng: np.random.Generator) -> list[Patch]:
     clay = [(0.0, 0.0), (0.14, 0.0), (0.19, 0.32), (0.21, 0.32), (0.21, 0.38), (0.18, 0.38), (0.175, 0.34), (0.0, 0.34)]
     return [lathe((-1.85, 0.0, 1.6), clay, tex.plain((0.70, 0.38, 0.25), noise, 0.15), Finish(detail=1.5))]

@@ -9,7 +9,8 @@ import numpy as np
 from cags_common.geometry import Vec3
 from cags_common.settings import check_settings, setting
 from cags_common.splats import Ids, Splats
-from cags_encoder.scenes.procedural.actors import Bubbles, cast
+from cags_encoder.scenes.procedural.actors import cast
+from cags_encoder.scenes.procedural.bubbles import Bubbles
 from cags_encoder.scenes.procedural.room import furnish, lighting
 from cags_encoder.scenes.procedural.splatting import divide, splats_of
 from cags_encoder.scenes.procedural.textures import Noise

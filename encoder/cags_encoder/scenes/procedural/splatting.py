@@ -1,7 +1,7 @@
-"""Patches to splats: surfaces are divided where their colour varies most until there are as many cells as splats.
+"""Patches to splats: surfaces are divided where their colour varies most, until every splat has its cell.
 
-The division is greedy over all surfaces at once: each round halves the cells of the greatest error (colour variance times
-area) along the side that lowers it more, so edges get small, elongated splats and plain walls get large ones.
+The division is greedy over all surfaces at once: each round halves the cells of the greatest error (colour variance
+times area) along the side that lowers it more, so edges get small, elongated splats and plain walls get large ones.
 """
 
 from __future__ import annotations
@@ -24,10 +24,19 @@ TEXELS_PER_SPLAT = 8
 FLAT = 0.0012
 """Colour variance that even a plain surface is taken to have, so that it is divided too."""
 
-SIGMA = 0.52
+FINE = 0.12
+"""Share of the variance that division would leave which still counts."""
+
+EDGE = 0.02
+"""Colour variance that the end of a surface counts for: splats there must be small not to stick out."""
+
+SIGMA = 0.50
 """Standard deviation of a splat in widths of its cell: enough overlap to look solid, little enough to stay sharp."""
 
-MAX_ASPECT = 5.0
+SHARPEN = 0.7
+"""Share of the difference from the surroundings that is added to a splat's colour."""
+
+MAX_ASPECT = 4.0
 ROUND_FROM = 12_000
 """From this many splats on, curved things get all the cells that they ask for."""
 
@@ -62,7 +71,9 @@ class _Grid:
         if patch.finish.emission:
             rgb = np.clip(rgb * patch.finish.emission, 0.0, 1.0)
         else:
-            sun = light.sunlight(patch.shape(u, v).reshape(-1, 3), patch.normals(u, v).reshape(-1, 3)).reshape(rgb.shape)
+            sun = light.sunlight(patch.shape(u, v).reshape(-1, 3), patch.normals(u, v).reshape(-1, 3)).reshape(
+                rgb.shape
+            )
             rgb = shown(rgb**2.2 * (_resample(soft, u[0], v[:, 0]) + sun))
         values = np.concatenate([rgb, np.sum(rgb * rgb, axis=2, keepdims=True)], axis=2)
         self.sums = np.zeros((self.height + 1, self.width + 1, 4))
@@ -113,23 +124,46 @@ class _Cells:
         )
         self._detail = np.array([p.finish.detail for p in patches])
 
-    def means(self, cells: Ints) -> F64:
-        """Mean colour [N, 3] of ``cells`` [N, 5]: patch, left, top, right, bottom."""
-        mean: F64 = self._moments(cells)[:, :3]
-        return mean
+    def colours(self, cells: Ints) -> F64:
+        """Colours [N, 3] for splats at ``cells`` [N, 5]: patch, left, top, right, bottom.
+
+        The mean over the cell, moved away from the mean around it: splats overlap and would blur it otherwise.
+        """
+        mean = self._moments(cells)[:, :3]
+        return np.clip(mean + SHARPEN * (mean - self._moments(self._grown(cells))[:, :3]), 0.0, 1.0)
 
     def errors(self, cells: Ints) -> F64:
-        """Colour variance, of a surrounding half as wide again, times area and detail: what dividing a cell is worth."""
+        """What dividing a cell is worth: the variance that goes, and a little of what stays, times area and detail.
+
+        Variance that stays is texture too fine for any splat; that around the cell grades the sizes of neighbours.
+        """
+        around = self._variance(self._grown(cells))
+        left = np.minimum(*(self._left(cells, axis) for axis in (0, 1)))
+        beyond = 1.0 - self.areas(self._grown(cells)) / (4.0 * self.areas(cells))
+        worth = np.maximum(around - left, 0.0) + FINE * left + FLAT + EDGE * np.maximum(beyond, 0.0)
+        errors: F64 = worth * self.areas(cells) * self._detail[cells[:, 0]]
+        return errors
+
+    def _left(self, cells: Ints, axis: int) -> F64:
+        """Mean variance [N] of the halves of ``cells`` cut across ``axis``."""
+        first, second = _cut(cells, axis)
+        a, b = self.areas(first), self.areas(second)
+        left: F64 = (self._variance(first) * a + self._variance(second) * b) / np.maximum(a + b, 1e-12)
+        return left
+
+    def _grown(self, cells: Ints) -> Ints:
+        """``cells`` with half their width more on each side, within their patches."""
         grown = cells.copy()
-        margin = (cells[:, 3:] - cells[:, 1:3] + 2) // 4
+        margin = (cells[:, 3:] - cells[:, 1:3] + 1) // 2
         limit = np.stack([self.widths, self.heights], axis=1)[cells[:, 0]]
         grown[:, 1:3] = np.maximum(cells[:, 1:3] - margin, 0)
         grown[:, 3:] = np.minimum(cells[:, 3:] + margin, limit)
-        return (self._variance(grown) + FLAT) * self.areas(cells) * self._detail[cells[:, 0]]
+        return grown
 
     def areas(self, cells: Ints) -> F64:
         """Square metres of each cell."""
-        return self.sides(cells).prod(axis=1)
+        areas: F64 = self.sides(cells).prod(axis=1)
+        return areas
 
     def sides(self, cells: Ints) -> F64:
         """Metres [N, 2] along u and v."""
@@ -139,7 +173,7 @@ class _Cells:
     def halves(self, cells: Ints) -> tuple[Ints, Ints]:
         """Each cell cut in two, across the side whose cut leaves less variance, unless that makes it too long."""
         options = [_cut(cells, axis) for axis in (0, 1)]
-        left = [sum(self._variance(half) * self.areas(half) for half in option) for option in options]
+        left = [self._left(cells, axis) for axis in (0, 1)]
         sides = self.sides(cells)
         flat = np.abs(left[0] - left[1]) <= 0.05 * (left[0] + left[1] + 1e-9)
         across_v = np.where(flat, sides[:, 1] > sides[:, 0], left[1] < left[0])
@@ -151,16 +185,16 @@ class _Cells:
 
     def _variance(self, cells: Ints) -> F64:
         moments = self._moments(cells)
-        return np.maximum(moments[:, 3] - np.sum(moments[:, :3] ** 2, axis=1), 0.0)
+        variance: F64 = np.maximum(moments[:, 3] - np.sum(moments[:, :3] ** 2, axis=1), 0.0)
+        return variance
 
     def _moments(self, cells: Ints) -> F64:
         patch, left, top, right, bottom = cells.T
         stride, base = self.widths[patch] + 1, self._offsets[patch]
-        corner = [
-            self._sums[base + row * stride + column]
-            for row, column in ((top, left), (top, right), (bottom, left), (bottom, right))
-        ]
-        total = corner[3] - corner[2] - corner[1] + corner[0]
+        upper, lower = base + top * stride, base + bottom * stride
+        total = (
+            self._sums[lower + right] - self._sums[lower + left] - self._sums[upper + right] + self._sums[upper + left]
+        )
         moments: F64 = total / np.maximum((right - left) * (bottom - top), 1)[:, None]
         return moments
 
@@ -218,7 +252,7 @@ def _surfels(patches: list[Patch], table: _Cells, cells: Ints) -> Surfel:
         points[rows], normals[rows] = patch.shape(u, v), patch.normals(u, v)
         along_u[rows] = patch.shape(u1, v) - patch.shape(u0, v)
         along_v[rows] = patch.shape(u, v1) - patch.shape(u, v0)
-    return Surfel(cells[:, 0], points, normals, along_u, along_v, table.means(cells), middle)
+    return Surfel(cells[:, 0], points, normals, along_u, along_v, table.colours(cells), middle)
 
 
 def splats_of(patches: list[Patch], surfels: Surfel, light: Lighting, degree: int) -> Splats:

@@ -47,9 +47,7 @@ class Noise:
         mean: F64 = total / weight
         return mean
 
-    def _at(
-        self, i: Ints, j: Ints
-    ) -> F64:
+    def _at(self, i: Ints, j: Ints) -> F64:
         values: F64 = self._table[(i + 37 * (j >> 8)) % _TABLE, (j + 91 * (i >> 8)) % _TABLE]
         return values
 
@@ -66,7 +64,8 @@ def step(edge: float, x: F64, width: float = 0.02) -> F64:
 
 def mix(a: F64 | Rgb, b: F64 | Rgb, t: F64) -> F64:
     """``a`` where ``t`` is 0, ``b`` where it is 1."""
-    return np.asarray(a) + (np.asarray(b) - np.asarray(a)) * np.asarray(t)[..., None]
+    mixed: F64 = np.asarray(a) + (np.asarray(b) - np.asarray(a)) * np.asarray(t)[..., None]
+    return mixed
 
 
 def plain(rgb: Rgb, noise: Noise, grain: float = 0.04) -> Pattern:
@@ -166,8 +165,8 @@ def fabric(rgb: Rgb, noise: Noise) -> Pattern:
     """Woven cloth."""
 
     def pattern(x: F64, y: F64) -> F64:
-        weave = 0.06 * np.sin(2 * np.pi * x / 0.02) * np.sin(2 * np.pi * y / 0.02)
-        return np.asarray(rgb) * (0.88 + weave + 0.24 * noise.fractal(x, y, 0.15))[..., None]
+        weave = 0.03 * np.sin(2 * np.pi * x / 0.02) * np.sin(2 * np.pi * y / 0.02)
+        return np.asarray(rgb) * (0.94 + weave + 0.12 * noise.fractal(x, y, 0.3, 3))[..., None]
 
     return pattern
 
