@@ -131,11 +131,13 @@ class ShaperProxy:
         await asyncio.gather(*self._connections, return_exceptions=True)
         await asyncio.gather(self.downlink.close(), self.uplink.close())
 
-    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # A task of our own: asyncio's would report our cancelling it as an error.
+        task = asyncio.create_task(self._carry_both(reader, writer))
         self._connections.add(task)
         task.add_done_callback(self._connections.discard)
+
+    async def _carry_both(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             await self._connect(reader, writer)
         except OSError as error:
