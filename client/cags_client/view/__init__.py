@@ -4,9 +4,9 @@ The page needs no build step and no outside host. Pictures travel as H.264 for W
 has none. :class:`LiveView` is a frame sink and a pose source at once; see ``docs/how-to/live-page.md``.
 """
 
-from cags_client.view.controls import Controls, SceneInfo, ShownFrame, TileBox
+from cags_client.view.controls import Controls, SceneInfo, ShownFrame, SplatDetail
 from cags_client.view.live import LiveView
 from cags_client.view.poses import LivePoses
 from cags_client.view.settings import ViewSettings
 
-__all__ = ["Controls", "LivePoses", "LiveView", "SceneInfo", "ShownFrame", "TileBox", "ViewSettings"]
+__all__ = ["Controls", "LivePoses", "LiveView", "SceneInfo", "ShownFrame", "SplatDetail", "ViewSettings"]

@@ -1,11 +1,11 @@
-"""What the live page asks of the client: three small value types and one protocol.
+"""What the live page asks of the client: small value types and one protocol.
 
 The client's shell implements :class:`Controls`; tests and examples do with a few lines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -30,14 +30,13 @@ class SceneInfo:
     near: float = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class TileBox:
-    """One tile on display, for the overlay."""
+@dataclass(frozen=True, eq=False)
+class SplatDetail:
+    """What the client holds of the splats on display, for the overlays. N rows; rows without a splat have tile -1."""
 
-    low: Vec3
-    high: Vec3
-    lod: float
-    """Share of its layers that the client holds, 0 (base only) to 1."""
+    means: F32  # [N, 3] world, metres
+    tiles: NDArray[np.int32]  # [N] which tile a splat came with
+    detail: F32  # [N] share of its layers that the client holds, 0 (base only) to 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +59,7 @@ class ShownFrame:
 
 
 class Controls(Protocol):
-    """What a viewer may change while the clip runs. Called from the event loop's thread unless a method says otherwise."""
+    """What a viewer may change while the clip runs. Called from the event loop unless a method says otherwise."""
 
     @property
     def playing(self) -> bool:
@@ -119,9 +118,9 @@ class Controls(Protocol):
         """Change how exact the display path is from the next frame on."""
 
     def truth(self, frame: int, camera: Camera) -> F32:
-        """The unquantised scene [H, W, 3]. Called from the page's own worker thread, only while somebody looks at it."""
+        """The unquantised scene [H, W, 3]. Called from the page's worker thread, only while somebody looks."""
         ...
 
-    def tiles(self) -> Iterable[TileBox]:
-        """Tiles on display. Called from the page's own worker thread, only while the overlay is on."""
+    def detail(self) -> SplatDetail | None:
+        """What is held of the splats on display. Called from the page's own worker thread, only for an overlay."""
         ...

@@ -6,7 +6,7 @@ sharp at any size.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -14,11 +14,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.view.controls import ShownFrame, TileBox
-from cags_common.geometry import F64, Camera
+from cags_client.view.controls import ShownFrame, SplatDetail
+from cags_common.geometry import F32, F64, Camera
 
 GRID_PX = 4
 """Pixels of the picture a cell of a mask."""
+
+DETAIL_PX = 8
+"""Pixels of the picture a cell of the detail map."""
+
+SURFACE_TOLERANCE = 0.1
+"""A splat this share of the depth behind the surface still belongs to it."""
 
 EDGE_STEPS = 12
 """Points along each edge of the reference's outline; straight edges may bend where depth is bounded."""
@@ -60,21 +66,56 @@ def _shrunk(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def tile_boxes(tiles: Iterable[TileBox], camera: Camera) -> list[dict[str, object]]:
-    """Edges of the tiles in view: ``{"lod": share, "lines": [[x0, y0, x1, y1], ...]}`` in shares of the picture."""
+def detail_grid(held: SplatDetail, shown: ShownFrame) -> Grid:
+    """Mean detail of the splats seen in each cell: bytes [H/8, W/8], 0 where none is, 1 (base only) to 255 (all).
+
+    Splats behind what the picture shows there do not count.
+    """
+    i = shown.camera.intrinsics
+    width, height = max(1, i.width_px // DETAIL_PX), max(1, i.height_px // DETAIL_PX)
+    rotation, translation = shown.camera.world_to_camera
+    points = held.means @ rotation.T.astype(np.float32) + translation.astype(np.float32)
+    z = np.maximum(points[:, 2], np.float32(1e-6))
+    x = ((points[:, 0] / z * i.fx_px + i.cx_px) / DETAIL_PX).astype(np.int64)
+    y = ((points[:, 1] / z * i.fy_px + i.cy_px) / DETAIL_PX).astype(np.int64)
+    seen = (held.tiles >= 0) & (points[:, 2] > shown.camera.near) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    if shown.depth is not None:
+        surface = cv2.resize(shown.depth, (width, height), interpolation=cv2.INTER_NEAREST)
+        seen[seen] = z[seen] <= surface[y[seen], x[seen]] * np.float32(1 + SURFACE_TOLERANCE)
+    cells = y[seen] * width + x[seen]
+    count = np.bincount(cells, minlength=width * height)
+    total = np.bincount(cells, weights=held.detail[seen], minlength=width * height)
+    values = np.where(count > 0, 1 + 254 * total / np.maximum(count, 1), 0).astype(np.uint8)
+    return Grid("detail", values.reshape(height, width))
+
+
+def tile_boxes(held: SplatDetail, camera: Camera) -> list[dict[str, object]]:
+    """Edges of the tiles in view: ``{"detail": share, "lines": [[x0, y0, x1, y1], ...]}`` in shares of the picture."""
     rotation, translation = camera.world_to_camera
     boxes: list[tuple[float, dict[str, object]]] = []
-    for tile in tiles:
-        low, high = np.asarray(tile.low), np.asarray(tile.high)
+    for low, high, detail in _bounds(held):
         corners = (low + _CORNERS * (high - low)) @ rotation.T + translation
-        if float(corners[:, 2].max()) <= camera.near:
-            continue
         segments = (_clipped_segment(corners[a], corners[b], camera) for a, b in _EDGES)
         lines = [line for line in segments if line]
         if lines:
-            boxes.append((float(corners[:, 2].mean()), {"lod": round(tile.lod, 3), "lines": lines}))
+            boxes.append((float(corners[:, 2].mean()), {"detail": round(detail, 3), "lines": lines}))
     boxes.sort(key=lambda box: box[0])
     return [box for _, box in boxes[:MAX_BOXES]]
+
+
+def _bounds(held: SplatDetail) -> Iterator[tuple[F32, F32, float]]:
+    """Lowest and highest corner [3] and mean detail of each tile that still has splats."""
+    rows = np.nonzero(held.tiles >= 0)[0]
+    if not len(rows):
+        return
+    rows = rows[np.argsort(held.tiles[rows], kind="stable")]
+    starts = np.nonzero(np.diff(held.tiles[rows], prepend=-1))[0]
+    means = held.means[rows]
+    lows, highs = np.minimum.reduceat(means, starts), np.maximum.reduceat(means, starts)
+    counts = np.diff(starts, append=len(rows))
+    details = np.add.reduceat(held.detail[rows], starts) / counts
+    for low, high, detail in zip(lows, highs, details, strict=True):
+        yield low, high, float(detail)
 
 
 def reference_outline(shown: ShownFrame, depth: float) -> list[list[float]]:
