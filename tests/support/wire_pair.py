@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -32,7 +33,7 @@ def hello(**changes: Any) -> Hello:
 
 def tile(frame: int, number: int, size: int, **how: Any) -> Outgoing:
     """A tile of one LoD of ``size`` bytes."""
-    payload = bytes((frame + number + i) % 251 for i in range(size))
+    payload = random.Random(f"{frame} {number}").randbytes(size)  # noqa: S311
     return Outgoing(TileLayers(frame, number, 0, 1, (size,), (0,)), payload, **how)
 
 
