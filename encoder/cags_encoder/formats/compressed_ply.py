@@ -13,11 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.errors import SceneError
-from cags_common.geometry import F32
+from cags_common.geometry import F32, F64
+from cags_common.morton import morton_order
 from cags_common.splats import SH_C0, Splats
-from cags_encoder.formats.files import check_count, directed, logit_of_bytes, smallest_three
+from cags_encoder.formats.files import (
+    bytes_of_logits,
+    check_count,
+    directed,
+    logit_of_bytes,
+    smallest_three,
+    split_largest,
+)
 from cags_encoder.formats.ply import sh_rest_names
-from cags_encoder.formats.ply_container import PlyHeader, check_properties, columns, parse_header, read_rows
+from cags_encoder.formats.ply_container import (
+    PlyHeader,
+    check_properties,
+    columns,
+    header_bytes,
+    parse_header,
+    read_rows,
+)
 
 CHUNK = 256
 """Splats that share one row of bounds."""
@@ -110,3 +125,56 @@ def _sh_rest(rows: NDArray[np.void] | None, header: PlyHeader, count: int, sourc
     values = columns(rows, names)
     unit = np.where(values == 0, 0.0, np.where(values == 255, 1.0, (values + 0.5) / 256.0)).astype(np.float32)
     return ((unit - 0.5) * SH_RANGE).astype(np.float32).reshape(count, 3, -1).transpose(0, 2, 1)
+
+
+def compressed_ply_bytes(splats: Splats) -> bytes:
+    """A compressed PLY file of ``splats`` in Morton order: neighbours share chunks, so that bounds are tight.
+
+    Positions, scales and colours are off by at most half a step of their chunk's range (2047, 1023 or 255 steps),
+    rotations by half a step of 1.42/1023 in three components.
+    """
+    ordered = splats.take(morton_order(splats.means))
+    count = len(ordered)
+    colours = (ordered.sh0 * np.float32(SH_C0) + np.float32(0.5)).astype(np.float32)
+    bounds, words = [], []
+    for values, bits in ((ordered.means, (11, 10, 11)), (ordered.log_scales, (11, 10, 11)), (colours, (8, 8, 8))):
+        low, high, unit = _chunk_units(values)
+        bounds.append(np.concatenate([low, high], axis=1))
+        words.append(_pack_unit(unit, bits))
+    alpha = bytes_of_logits(ordered.logit_opacities).astype(np.uint32)
+    quats = _pack_quats(ordered.quats)
+    vertex = np.stack([words[0], quats, words[1], (words[2] << np.uint32(8)) | alpha], axis=1)
+    axes = (("", "xyz"), ("scale_", "xyz"), ("", "rgb"))
+    names = [f"{end}_{prefix}{axis}" for prefix, letters in axes for end in ("min", "max") for axis in letters]
+    header = [f"element chunk {-(-count // CHUNK)}", *(f"property float {name}" for name in names)]
+    header += [f"element vertex {count}", *(f"property uint {name}" for name in PACKED)]
+    body = np.concatenate(bounds, axis=1).astype("<f4").tobytes() + vertex.astype("<u4").tobytes()
+    if ordered.sh_degree:
+        rest = ordered.sh_rest.transpose(0, 2, 1).reshape(count, -1)
+        header += [f"element sh {count}", *(f"property uchar f_rest_{i}" for i in range(rest.shape[1]))]
+        body += np.clip(np.floor((rest / SH_RANGE + 0.5) * 256.0), 0, 255).astype(np.uint8).tobytes()
+    return header_bytes(header) + body
+
+
+def _chunk_units(values: F32) -> tuple[F32, F32, F64]:
+    """Bounds [C, 3] of each chunk of ``values`` [N, 3], and the values [N, 3] as shares of their chunk's range."""
+    starts = np.arange(0, len(values), CHUNK)
+    low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+    of_splat = np.arange(len(values)) // CHUNK
+    span = (high.astype(np.float64) - low)[of_splat]
+    unit = np.divide(values.astype(np.float64) - low[of_splat], span, out=np.zeros_like(span), where=span > 0)
+    return low, high, unit
+
+
+def _pack_unit(unit: F64, bits: tuple[int, ...]) -> NDArray[np.uint32]:
+    steps = np.array([(1 << b) - 1 for b in bits], np.float64)
+    fields = np.round(np.clip(unit, 0.0, 1.0) * steps).astype(np.uint32)
+    shifts = np.array([sum(bits[i + 1 :]) for i in range(len(bits))], np.uint32)
+    words: NDArray[np.uint32] = np.bitwise_or.reduce(fields << shifts, axis=1)
+    return words
+
+
+def _pack_quats(quats: F32) -> NDArray[np.uint32]:
+    largest, others = split_largest(quats)
+    unit = others / np.sqrt(2.0) + 0.5
+    return (largest.astype(np.uint32) << np.uint32(30)) | _pack_unit(unit, (10, 10, 10))

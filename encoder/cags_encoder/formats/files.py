@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.errors import SceneError
-from cags_common.geometry import F32
+from cags_common.geometry import F32, F64
 from cags_common.splats import MAX_SPLATS
 
 MAX_FILE_BYTES = 8 << 30
@@ -79,3 +79,18 @@ def directed(quats: F32) -> F32:
         quats = quats.copy()
         quats[short] = (1.0, 0.0, 0.0, 0.0)
     return quats
+
+
+def split_largest(quats: F32) -> tuple[NDArray[np.intp], F64]:
+    """The inverse of :func:`smallest_three`: index [N] of the largest component, made positive, and the others [N, 3]."""
+    wide = quats.astype(np.float64)
+    largest = np.argmax(np.abs(wide), axis=1)
+    rows = np.arange(len(wide))
+    wide = wide * np.where(wide[rows, largest] < 0, -1.0, 1.0)[:, None]
+    slots = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    return largest, np.take_along_axis(wide, slots, axis=1)
+
+
+def bytes_of_logits(logits: F32) -> NDArray[np.uint8]:
+    """Opacities as bytes, the nearest of 0/255 .. 255/255."""
+    return np.round(255.0 / (1.0 + np.exp(-logits.astype(np.float64)))).astype(np.uint8)

@@ -11,7 +11,14 @@ import numpy as np
 from cags_common.errors import SceneError
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_encoder.formats.files import check_count
-from cags_encoder.formats.ply_container import PlyElement, check_properties, columns, parse_header, read_rows
+from cags_encoder.formats.ply_container import (
+    PlyElement,
+    check_properties,
+    columns,
+    header_bytes,
+    parse_header,
+    read_rows,
+)
 
 MEANS = ["x", "y", "z"]
 QUATS = ["rot_0", "rot_1", "rot_2", "rot_3"]  # wxyz
@@ -52,3 +59,17 @@ def sh_rest_names(element: PlyElement, source: str) -> list[str]:
     names = [f"f_rest_{i}" for i in range(count)]
     check_properties(element, names, source)
     return names
+
+
+def ply_bytes(splats: Splats) -> bytes:
+    """A PLY file of ``splats``, row by row, as the reference implementation writes it; nothing is lost."""
+    k = splats.sh_rest.shape[1]
+    names = [*MEANS, "nx", "ny", "nz", *SH0, *(f"f_rest_{i}" for i in range(3 * k)), *OPACITY, *SCALES, *QUATS]
+    rest = splats.sh_rest.transpose(0, 2, 1).reshape(len(splats), 3 * k)
+    opacity = splats.logit_opacities[:, None]
+    normals = np.zeros((len(splats), 3), np.float32)
+    table = np.concatenate(
+        [splats.means, normals, splats.sh0, rest, opacity, splats.log_scales, splats.quats], axis=1, dtype="<f4"
+    )
+    header = [f"element vertex {len(splats)}", *(f"property float {name}" for name in names)]
+    return header_bytes(header) + table.tobytes()

@@ -131,3 +131,8 @@ def check_properties(element: PlyElement, names: list[str], source: str) -> None
     for name in names:
         if name not in known:
             raise SceneError(f"{source}: element {element.name!r} has no property {name!r}; this PLY holds no splats")
+
+
+def header_bytes(lines: list[str]) -> bytes:
+    """A PLY header, little-endian, of the given element and property ``lines``."""
+    return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode("ascii")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,14 +10,15 @@ from pathlib import Path
 from cags_common.errors import SceneError
 from cags_common.geometry import Vec3
 from cags_common.splats import Splats
-from cags_encoder.formats.compressed_ply import is_compressed_ply, parse_compressed_ply
+from cags_encoder.formats.compressed_ply import compressed_ply_bytes, is_compressed_ply, parse_compressed_ply
 from cags_encoder.formats.files import read_file
-from cags_encoder.formats.ply import parse_ply
+from cags_encoder.formats.ply import parse_ply, ply_bytes
 from cags_encoder.formats.ply_container import parse_header
-from cags_encoder.formats.sog import parse_sog
+from cags_encoder.formats.sog import parse_sog, parse_sog_bytes
 from cags_encoder.formats.sog_files import SogFiles
-from cags_encoder.formats.splat import parse_splat
-from cags_encoder.formats.spz import parse_spz
+from cags_encoder.formats.sog_writer import sog_bytes
+from cags_encoder.formats.splat import parse_splat, splat_bytes
+from cags_encoder.formats.spz import parse_spz, spz_bytes
 
 Y_DOWN: Vec3 = (0.0, -1.0, 0.0)
 """Up direction of captures: COLMAP's camera frame has y pointing down, and 3DGS training keeps it."""
@@ -31,17 +33,18 @@ class Format:
     name: str
     suffix: str  # lower case, with its dot
     parse: Callable[[bytes, str], Splats]  # bytes and the file's name for errors
+    write: Callable[[Splats], bytes]
     up: Vec3  # usual up direction; files do not record theirs
 
 
 FORMATS: dict[str, Format] = {
     entry.name: entry
     for entry in (
-        Format("ply", ".ply", parse_ply, Y_DOWN),
-        Format("compressed-ply", ".compressed.ply", parse_compressed_ply, Y_DOWN),
-        Format("splat", ".splat", parse_splat, Y_DOWN),
-        Format("spz", ".spz", parse_spz, Y_UP),
-        Format("sog", ".sog", lambda data, source: parse_sog(SogFiles.from_bytes(data, source)), Y_DOWN),
+        Format("ply", ".ply", parse_ply, ply_bytes, Y_DOWN),
+        Format("compressed-ply", ".compressed.ply", parse_compressed_ply, compressed_ply_bytes, Y_DOWN),
+        Format("splat", ".splat", parse_splat, splat_bytes, Y_DOWN),
+        Format("spz", ".spz", parse_spz, spz_bytes, Y_UP),
+        Format("sog", ".sog", parse_sog_bytes, sog_bytes, Y_DOWN),
     )
 }
 SUFFIXES = tuple(sorted({f".{entry.suffix.rpartition('.')[2]}" for entry in FORMATS.values()}))
@@ -57,14 +60,10 @@ def is_scene_file(path: Path) -> bool:
 
 
 def detect_format(path: Path, data: bytes) -> Format:
-    """The format of a file from its name and content. Raises :class:`SceneError` for unknown suffixes."""
-    suffix = path.suffix.lower()
-    if suffix == ".ply":
+    """The format of a file from its name, and for ``.ply`` its content. Raises :class:`SceneError`."""
+    if path.suffix.lower() == ".ply":
         return FORMATS["compressed-ply" if is_compressed_ply(parse_header(data, str(path))) else "ply"]
-    for entry in FORMATS.values():
-        if entry.suffix == suffix:
-            return entry
-    raise SceneError(f"{path}: suffix {path.suffix!r} is unknown; known: {', '.join(SUFFIXES)}, a folder with {META}")
+    return format_of_name(path)
 
 
 def read_splats(path: Path) -> tuple[Splats, Format]:
@@ -80,3 +79,33 @@ def read_splats(path: Path) -> tuple[Splats, Format]:
     data = read_file(path)
     entry = detect_format(path, data)
     return entry.parse(data, str(path)), entry
+
+
+def write_splats(path: Path, splats: Splats) -> Format:
+    """Write ``splats`` in the format that the name of ``path`` asks for; a file is there whole or not at all.
+
+    Raises :class:`SceneError` for unknown suffixes and for places that cannot be written.
+    """
+    entry = format_of_name(path)
+    data = entry.write(splats)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        partial.write_bytes(data)
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise SceneError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    return entry
+
+
+def format_of_name(path: Path) -> Format:
+    """The format that a file's name asks for. Raises :class:`SceneError` for unknown suffixes."""
+    name = path.name.lower()
+    matching = [entry for entry in FORMATS.values() if name.endswith(entry.suffix)]
+    if not matching:
+        raise _unknown_suffix(path)
+    return max(matching, key=lambda entry: len(entry.suffix))
+
+
+def _unknown_suffix(path: Path) -> SceneError:
+    return SceneError(f"{path}: suffix {path.suffix!r} is unknown; known: {', '.join(SUFFIXES)}, a folder with {META}")

@@ -49,6 +49,11 @@ def parse_sog(files: SogFiles) -> Splats:
     return splats.checked(files.source)
 
 
+def parse_sog_bytes(data: bytes, source: str) -> Splats:
+    """The splats of a bundled SOG file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
+    return parse_sog(SogFiles.from_bytes(data, source))
+
+
 def _parse_v1(files: SogFiles, meta: SogMeta) -> Splats:
     """Version 1 (``sogs``): the same images, but linear ranges in place of codebooks, and the opacity as a logit."""
     shape = meta.numbers("means.shape", 2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cags_common.errors import SceneError
 from cags_common.splats import SH_C0, Splats
-from cags_encoder.formats.files import check_count, directed, log_of_scales, logit_of_bytes
+from cags_encoder.formats.files import bytes_of_logits, check_count, directed, log_of_scales, logit_of_bytes
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 
@@ -32,3 +32,15 @@ def parse_splat(data: bytes, source: str) -> Splats:
         sh_rest=np.zeros((len(rows), 0, 3), np.float32),
     )
     return splats.checked(source)
+
+
+def splat_bytes(splats: Splats) -> bytes:
+    """A ``.splat`` file of ``splats``, row by row. View-dependent colour is lost; colour and rotation keep 8 bits."""
+    rows = np.zeros(len(splats), RECORD)
+    rows["mean"] = splats.means
+    rows["scale"] = np.exp(np.minimum(splats.log_scales, np.float32(88.0)))
+    rgb = (0.5 + SH_C0 * splats.sh0.astype(np.float64)) * 255.0
+    rows["rgba"][:, :3] = np.round(np.clip(rgb, 0.0, 255.0)).astype(np.uint8)
+    rows["rgba"][:, 3] = bytes_of_logits(splats.logit_opacities)
+    rows["quat"] = np.clip(np.round(splats.quats * 128.0 + 128.0), 0, 255).astype(np.uint8)
+    return rows.tobytes()
