@@ -6,7 +6,7 @@ const STAGE_COLOURS = ["--s1", "--s2", "--s3", "--s4", "--s5", "--s6"];
 
 const PLOTS = [
   { title: "Rate", unit: "Mbps", series: [["goodput", "goodput_mbps", "--s1"], ["capacity", "capacity_mbps", "--s2"]] },
-  { title: "Quality", unit: "dB", floor: false, hint: "turn on Measure PSNR", series: [["restored", "psnr_restored_db", "--s3"], ["aligned", "psnr_aligned_db", "--s2"], ["distorted", "psnr_distorted_db", "--s5"]] },
+  { title: "Quality", unit: "dB", floor: false, hint: "turn on PSNR", series: [["restored", "psnr_restored_db", "--s3"], ["aligned", "psnr_aligned_db", "--s2"], ["distorted", "psnr_distorted_db", "--s5"]] },
   { title: "Frame time", unit: "ms", stages: true, series: [] },
   { title: "Detail", unit: "LoD", series: [["mean in view", "lod_mean", "--s4"]] },
   { title: "Prediction error", unit: "°", series: [["angle", "prediction_error_deg", "--s5"]] },
