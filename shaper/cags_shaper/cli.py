@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +13,6 @@ from cags_common.settings import add_settings, check_settings, load_settings, se
 
 if TYPE_CHECKING:
     from cags_shaper.link import LinkSettings
-    from cags_shaper.trace import Trace
 
 EXAMPLES = """\
   cags-shaper --listen 127.0.0.1:9000 --to 127.0.0.1:8765 --trace traces/5g-mmwave.csv
@@ -39,25 +37,36 @@ class ShaperSettings:
     queue_bytes: int = setting(300_000, "bound of each queue; full, it holds the sender back", low=2000, high=2**31)
     loop: bool = setting(True, "start the trace again at its end")
     seed: int = setting(0, "seed of the jitter", low=0, high=2**31)
+    cap_mbps: float | None = setting(None, "highest rate each way, whatever the trace allows", low=0.001, high=1e6)
+    control: str | None = setting(None, "HOST:PORT for live control of cap and delay (JSON lines); port 0: a free one")
     log: str | None = setting(None, "write JSON lines of rate, queue and delay every 100 ms to this file")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        for flag in ("listen", "to", "control"):
+            self.address(flag)
+
+    def address(self, flag: str) -> tuple[str, int] | None:
+        """The ``HOST:PORT`` of a flag (an IPv6 host in brackets), None if not given. Raises :class:`ConfigError`."""
+        text = getattr(self, flag)
+        if text is None:
+            return None
+        host, _, port = text.rpartition(":")
+        if not host or not port.isdecimal() or int(port) > 65535:
+            raise ConfigError(f"--{flag} {text}: must be HOST:PORT, such as 127.0.0.1:8765")
+        return host.strip("[]"), int(port)
 
     def link(self) -> LinkSettings:
         """What both links do besides their traces."""
         from cags_shaper.link import LinkSettings
 
-        us = (round(self.delay_ms * 1000), round(self.jitter_ms * 1000))
-        return LinkSettings(delay_us=us[0], jitter_us=us[1], queue_bytes=self.queue_bytes, seed=self.seed)
-
-
-def parse_address(flag: str, text: str) -> tuple[str, int]:
-    """``HOST:PORT`` (an IPv6 host in brackets). Raises :class:`ConfigError`."""
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
-        raise ConfigError(f"--{flag} {text}: must be HOST:PORT, such as 127.0.0.1:8765")
-    return host.strip("[]"), int(port)
+        return LinkSettings(
+            delay_us=round(self.delay_ms * 1000),
+            jitter_us=round(self.jitter_ms * 1000),
+            queue_bytes=self.queue_bytes,
+            seed=self.seed,
+            cap_bps=None if self.cap_mbps is None else self.cap_mbps * 1e6,
+        )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -73,7 +82,6 @@ def _run(argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
     arguments = parser.parse_args(argv)
     settings = load_settings(ShaperSettings, arguments)
-    listen, to = parse_address("listen", settings.listen), parse_address("to", settings.to)
     from cags_shaper.trace import open_trace
 
     traces = [
@@ -83,38 +91,8 @@ def _run(argv: Sequence[str]) -> int:
     import asyncio
     import logging
 
+    from cags_shaper.service import Service
+
     logging.basicConfig(format="cags-shaper: %(message)s", stream=sys.stderr)
-    asyncio.run(_serve(settings, traces, listen, to, arguments.json))
+    asyncio.run(Service(settings, traces, arguments.json).run())
     return 0
-
-
-async def _serve(
-    settings: ShaperSettings,
-    traces: list[Trace | None],
-    listen: tuple[str, int],
-    to: tuple[str, int],
-    as_json: bool,
-) -> None:
-    import asyncio
-    import contextlib
-    import signal
-    import time
-
-    from cags_shaper.link import Link
-    from cags_shaper.log import LogWriter, open_log
-    from cags_shaper.proxy import ShaperProxy
-
-    proxy = ShaperProxy(to, Link(traces[0], settings.link()), Link(traces[1], settings.link()))
-    stop = asyncio.Event()
-    with open_log(settings.log) if settings.log else contextlib.nullcontext() as file:
-        host, port = await proxy.start(*listen, lambda: time.monotonic_ns() // 1000)
-        for number in (signal.SIGTERM, signal.SIGINT):
-            asyncio.get_running_loop().add_signal_handler(number, stop.set)
-        ready = json.dumps({"ready": True, "host": host, "port": port}) if as_json else f"listening on {host}:{port}"
-        print(ready, flush=True)
-        try:
-            if file is not None:
-                await LogWriter(file, settings).follow(proxy, stop)
-            await stop.wait()
-        finally:
-            await proxy.close()

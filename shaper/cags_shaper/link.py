@@ -15,8 +15,8 @@ import math
 import random
 from collections import deque
 from collections.abc import Sized
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
 
 from cags_common.errors import ConfigError
 from cags_shaper.trace import NEVER_US, OPPORTUNITY_BYTES, Trace
@@ -54,6 +54,8 @@ class LinkSettings:
     """Drop-tail bound of the queue in packets; None: unbounded."""
     seed: int = 0
     """Seed of jitter and loss."""
+    cap_bps: float | None = None
+    """Highest rate, whatever the trace allows; None: no cap."""
 
     def __post_init__(self) -> None:
         for name in ("delay_us", "jitter_us"):
@@ -65,6 +67,8 @@ class LinkSettings:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ConfigError(f"{name} = {value} must be at least 1, or not given")
+        if self.cap_bps is not None and not 1e3 <= self.cap_bps <= 1e12:
+            raise ConfigError(f"cap_bps = {self.cap_bps} must lie in [1000, 1e12], or not be given")
 
 
 @dataclass
@@ -93,6 +97,11 @@ class Link(Generic[T]):
         self._queued_bytes = 0
         self._coming: deque[tuple[int, int, T]] = deque()  # (delivered at, size, data)
         self._last_us = 0
+        self._cap_free_us = 0.0  # when the capped sender is done with what it has
+
+    def change(self, **settings: Any) -> None:
+        """Change settings by name, for packets pushed from now on; those on their way keep their times."""
+        self.settings = replace(self.settings, **settings)
 
     def push(self, now_us: int, data: T, size_bytes: int | None = None) -> bool:
         """Offer a packet, or a piece of a stream, of ``size_bytes`` (default: ``len(data)``).
@@ -160,6 +169,12 @@ class Link(Generic[T]):
             self._position = start + size
             served_us = self.trace.time_of(start // OPPORTUNITY_BYTES + 1)
             finished_us = self.trace.time_of(-(-self._position // OPPORTUNITY_BYTES))
+        if self.settings.cap_bps is not None:
+            start_us = max(self._cap_free_us, now_us)
+            self._cap_free_us = start_us + size * 8e6 / self.settings.cap_bps
+            served_us = max(served_us, math.ceil(start_us))
+            finished_us = max(finished_us, math.ceil(self._cap_free_us))
+        if served_us > now_us:
             self._queue.append((served_us, size))
             self._queued_bytes += size
         self.counts.accepted_bytes += size

@@ -115,7 +115,9 @@ class ShaperProxy:
 
     async def start(self, host: str, port: int, clock: Callable[[], int]) -> tuple[str, int]:
         """Start listening; the address in use (``port`` 0 picks a free one). Raises :class:`NetworkError`."""
-        listener = _listener(host, port)
+        listener = bound_socket("listen", host, port)
+        _make_small(listener)  # before listening: connections inherit it
+        listener.listen(128)
         self.downlink, self.uplink = (ShapedDirection(link, clock) for link in self._links)
         self._server = await asyncio.start_server(self._accept, sock=listener, limit=READ_BYTES)
         name = listener.getsockname()
@@ -158,26 +160,24 @@ class ShaperProxy:
             up_writer.close()
 
 
-def _listener(host: str, port: int) -> socket.socket:
-    """A listening socket whose connections have small receive buffers and Ethernet's segments."""
+def bound_socket(flag: str, host: str, port: int) -> socket.socket:
+    """A socket bound to an address that the user gave by ``--flag``. Raises :class:`NetworkError`."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, kind, protocol)
+        bound = socket.socket(family, kind, protocol)
     except OSError as error:
         raise NetworkError(
-            f"--listen {host}:{port}: {error.strerror or error}; give an address of this machine"
+            f"--{flag} {host}:{port}: {error.strerror or error}; give an address of this machine"
         ) from error
     try:
-        _make_small(listener)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(128)
-        listener.setblocking(False)
+        bound.setblocking(False)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(address)
     except OSError as error:
-        listener.close()
+        bound.close()
         reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
-        raise NetworkError(f"--listen {host}:{port} {reason}; give another port, or 0 for a free one") from error
-    return listener
+        raise NetworkError(f"--{flag} {host}:{port} {reason}; give another port, or 0 for a free one") from error
+    return bound
 
 
 async def _dial(host: str, port: int) -> socket.socket:
