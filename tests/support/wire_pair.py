@@ -33,7 +33,7 @@ def hello(**changes: Any) -> Hello:
 
 def tile(frame: int, number: int, size: int, **how: Any) -> Outgoing:
     """A tile of one LoD of ``size`` bytes."""
-    payload = random.Random(f"{frame} {number}").randbytes(size)  # noqa: S311
+    payload = random.Random(f"{frame} {number}").randbytes(size)
     return Outgoing(TileLayers(frame, number, 0, 1, (size,), (0,)), payload, **how)
 
 

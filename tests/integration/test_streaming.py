@@ -1,0 +1,149 @@
+"""Server, shaper and client as three operating-system processes."""
+
+import json
+import os
+import signal
+import socket
+from pathlib import Path
+
+import pytest
+from support.processes import assert_one_clear_line, run_module
+
+from cags_bench.bundles import cached_bundle
+from cags_bench.demo.processes import ProcessGroup
+from cags_encoder import EncodeSettings
+
+SCENE = "procedural:size=1500,frames=10"
+SIZE = ("--width", "160", "--height", "120")
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory) -> Path:
+    return cached_bundle(SCENE, str(tmp_path_factory.mktemp("bundles")), EncodeSettings(frames=10))
+
+
+def frames_and_summary(path: Path) -> tuple[list[dict], dict]:
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    return lines[:-1], lines[-1]
+
+
+def test_a_scene_streams_through_three_processes(bundle, tmp_path):
+    report = tmp_path / "frames.jsonl"
+    with ProcessGroup(tmp_path) as group:
+        server_process = group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"])
+        server = server_process.ready()
+        shaper_process = group.start(
+            "cags_shaper",
+            [
+                "--listen",
+                "127.0.0.1:0",
+                "--to",
+                f"127.0.0.1:{server['port']}",
+                "--trace",
+                "generated:steady-30",
+                "--json",
+            ],
+        )
+        shaper = shaper_process.ready()
+        done = run_module(
+            "cags_client",
+            *("--url", f"ws://127.0.0.1:{shaper['port']}/stream", "--truth", str(bundle), "--json", str(report)),
+            *("--save", str(tmp_path / "pictures"), *SIZE),
+        )
+        assert done.returncode == 0, done.stderr
+        pids = {server_process.handle.pid, shaper_process.handle.pid, os.getpid()}
+        assert len(pids) == 3
+    frames, summary = frames_and_summary(report)
+    assert summary["frames"] == len(frames) >= 1
+    assert summary["bytes_tiles"] > 0
+    assert all(frame["psnr_distorted_db"] > 10 for frame in frames)
+    assert len(list((tmp_path / "pictures").glob("*.png"))) == len(frames)
+
+
+def test_a_server_that_goes_away_is_named_and_the_client_ends(bundle, tmp_path):
+    with ProcessGroup(tmp_path) as group:
+        server = group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"])
+        port = server.ready()["port"]
+        client = group.start(
+            "cags_client",
+            [
+                "--url",
+                f"ws://127.0.0.1:{port}/stream",
+                "--json",
+                str(tmp_path / "r.jsonl"),
+                "--start-delay-ms",
+                "9000",
+                *SIZE,
+            ],
+        )
+        wait_until_joined(server.log)
+        server.handle.send_signal(signal.SIGKILL)
+        assert client.handle.wait(30) == 1
+        lines = [line for line in client.log.read_text().splitlines() if line.strip()]
+        assert len(lines) == 1
+        assert "lost" in lines[0] or "gone" in lines[0]
+    assert not (tmp_path / "r.jsonl").exists()
+
+
+def wait_until_joined(log: Path) -> None:
+    import time
+
+    for _ in range(300):
+        if "joined" in log.read_text():
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"no client joined: {log.read_text()}")
+
+
+def test_a_server_ends_cleanly_when_asked(bundle, tmp_path):
+    with ProcessGroup(tmp_path) as group:
+        server = group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"])
+        server.ready()
+        server.handle.send_signal(signal.SIGTERM)
+        assert server.handle.wait(20) == 0
+
+
+def test_a_port_in_use_is_named(bundle):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert_one_clear_line(
+            run_module("cags_server", "--bundle", str(bundle), "--port", str(port)), str(port), "in use"
+        )
+        assert_one_clear_line(
+            run_module(
+                "cags_shaper", "--listen", f"127.0.0.1:{port}", "--to", "127.0.0.1:1", "--trace", "generated:steady-30"
+            ),
+            str(port),
+            "in use",
+        )
+
+
+def test_nobody_listening_is_named():
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    done = run_module("cags_client", "--url", f"ws://127.0.0.1:{port}/stream")
+    assert_one_clear_line(done, f"ws://127.0.0.1:{port}/stream", code=1)
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "named"),
+    [
+        ("cags_server", ["--bundle", "no-such-bundle"], "no-such-bundle"),
+        ("cags_encoder", ["no-such-scene.ply", "out"], "no-such-scene.ply"),
+        ("cags_encoder", ["procedural:size=none", "out"], "size"),
+        (
+            "cags_shaper",
+            ["--listen", "127.0.0.1:0", "--to", "127.0.0.1:1", "--trace", "no-such-trace"],
+            "no-such-trace",
+        ),
+        ("cags_client", ["--url", "http://127.0.0.1:1/"], "http://127.0.0.1:1/"),
+        ("cags_bench", ["stream", "--scene", "no-such-scene", "--json"], "no-such-scene"),
+        ("cags_bench", ["stream", "--trace", "no-such-trace", "--scene", SCENE, "--frames", "2"], "no-such-trace"),
+        ("cags_bench", ["stream", "--poses", "no-such-poses", "--scene", SCENE, "--frames", "2"], "no-such-poses"),
+        ("cags_bench", ["no-such-subcommand"], "no-such-subcommand"),
+    ],
+)
+def test_bad_input_is_one_clear_line(module, arguments, named, tmp_path):
+    done = run_module(module, *arguments, cwd=tmp_path)
+    assert_one_clear_line(done, named)
+    assert not (tmp_path / "out").exists(), "nothing half-written"
