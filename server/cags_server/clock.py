@@ -17,11 +17,11 @@ class ClientClock:
 
     def __init__(self) -> None:
         self._offsets: deque[tuple[int, int]] = deque()  # (arrival, offset), rising offset: the front is the smallest
+        self._guess_us = 0
 
-    @property
-    def known(self) -> bool:
-        """Whether any message has told a client time."""
-        return bool(self._offsets)
+    def guess(self, client_us: int, arrival_us: int) -> None:
+        """Around ``arrival_us`` the client's clock may have read ``client_us``: believed until something better is known."""
+        self._guess_us = arrival_us - client_us
 
     def observe(self, client_us: int, arrival_us: int) -> None:
         """A message written at ``client_us`` of the client's clock came in at ``arrival_us`` of the server's."""
@@ -34,8 +34,8 @@ class ClientClock:
 
     @property
     def offset_us(self) -> int:
-        """Server time minus client time; 0 while nothing is known."""
-        return self._offsets[0][1] if self._offsets else 0
+        """Server time minus client time."""
+        return self._offsets[0][1] if self._offsets else self._guess_us
 
     def to_client(self, server_us: int) -> int:
         """A time of the server's clock as the client's."""

@@ -148,8 +148,7 @@ class Streamer:
         self._unsettled = waiting
 
     def _on_control(self, control: Control, now_us: int) -> None:
-        if not self._clock.known:  # the first Control says when a frame is displayed: soon, so roughly now
-            self._clock.observe(control.at_us, now_us)
+        self._clock.guess(control.at_us, now_us)  # a frame is to be displayed soon; a pose will tell the time exactly
         self._timeline = self._timeline.controlled(control)
         self._controlled = True
         self._generation += 1

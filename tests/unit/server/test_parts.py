@@ -44,6 +44,16 @@ def test_the_clock_offset_is_the_least_delayed_message_of_the_last_ten_seconds()
     assert clock.offset_us == 7_050_000
 
 
+def test_a_guess_is_believed_only_until_something_is_known() -> None:
+    """Once a Control's display time, which lies ahead of its sending, stuck as the smallest offset for ten seconds."""
+    clock = ClientClock()
+    clock.guess(250_000, 7_000_000)
+    assert clock.offset_us == 6_750_000
+    clock.observe(0, 7_010_000)
+    clock.guess(300_000, 7_020_000)
+    assert clock.offset_us == 7_010_000
+
+
 def test_depth_counts_layers_held_or_on_their_way() -> None:
     inventory = ClientInventory()
     assert inventory.depth(1, 2) == 0

@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 
 from cags_common.geometry import Pose, angle_between
@@ -81,5 +83,5 @@ def test_sign_of_quaternions_does_not_matter() -> None:
     """Headsets report either sign; a pose keeps w >= 0, which flips between neighbours near half a turn."""
     history = history_of(lambda t: turning_pose(t + 3_000_000, rad_s=1.0), 400_000)
     _, rotations = history.on_grid(33_333, 10)
-    steps = [angle_between(tuple(a), tuple(b)) for a, b in zip(rotations, rotations[1:], strict=False)]
+    steps = [angle_between(tuple(a), tuple(b)) for a, b in itertools.pairwise(rotations)]
     assert max(steps) == pytest.approx(0.033333, rel=1e-3)
