@@ -8,5 +8,16 @@ from cags_client.view.controls import Controls, SceneInfo, ShownFrame, SplatDeta
 from cags_client.view.live import LiveView
 from cags_client.view.poses import LivePoses
 from cags_client.view.settings import ViewSettings
+from cags_client.view.sink import ViewSink, scene_info
 
-__all__ = ["Controls", "LivePoses", "LiveView", "SceneInfo", "ShownFrame", "SplatDetail", "ViewSettings"]
+__all__ = [
+    "Controls",
+    "LivePoses",
+    "LiveView",
+    "SceneInfo",
+    "ShownFrame",
+    "SplatDetail",
+    "ViewSettings",
+    "ViewSink",
+    "scene_info",
+]

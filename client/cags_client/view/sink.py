@@ -1,0 +1,83 @@
+"""From the client's display path to the page: a :class:`~cags_client.present.FrameSink` around a :class:`LiveView`."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from cags_client.pipeline import PresentedFrame
+from cags_client.present.base import FrameStats
+from cags_client.view.controls import SceneInfo, ShownFrame
+from cags_client.view.live import LiveView
+from cags_common.bundle.manifest import Manifest
+
+GOODPUT_WINDOW_US = 1_000_000
+PLOTTED = ("lod_mean", "latency_ms", "buffer_ms", "prediction_error_deg", "prediction_error_m", "aligned_share")
+
+
+class ViewSink:
+    """Hands every presented frame to a live view; what it shows for goodput is a sliding second of payload bytes."""
+
+    def __init__(self, view: LiveView) -> None:
+        self._view = view
+        self._arrived: deque[tuple[int, int]] = deque()
+
+    def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
+        """Leave the frame for the page; never waits."""
+        figures = {name: _number(stats.get(name)) for name in PLOTTED if name in stats}
+        figures["goodput_mbps"] = self._goodput_mbps(stats)
+        self._view.show(shown_frame(presented, figures))
+
+    def close(self, *, completed: bool) -> None:
+        """The view is stopped by whoever started it."""
+
+    def _goodput_mbps(self, stats: FrameStats) -> float | None:
+        time_us = int(stats.get("time_us") or 0)
+        received = int(stats.get("bytes_tiles") or 0) + int(stats.get("bytes_reference") or 0)
+        if self._arrived and time_us < self._arrived[-1][0]:
+            self._arrived.clear()
+        self._arrived.append((time_us, received))
+        while self._arrived[0][0] <= time_us - GOODPUT_WINDOW_US:
+            self._arrived.popleft()
+        span_us = time_us - self._arrived[0][0]
+        if span_us < GOODPUT_WINDOW_US // 4:
+            return None
+        return sum(size for _, size in list(self._arrived)[1:]) * 8 / span_us
+
+
+def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> ShownFrame:
+    """The page's view of a presented frame."""
+    pictures = {"restored": presented.rgb, "distorted": presented.distorted}
+    if presented.aligned is not None:
+        pictures["aligned"] = presented.aligned.rgb
+    if presented.reference is not None:
+        pictures["reference"] = presented.reference.rgb
+    return ShownFrame(
+        frame=presented.frame,
+        camera=presented.camera,
+        pictures=pictures,
+        depth=presented.depth,
+        occluded=None if presented.aligned is None else presented.aligned.occluded,
+        confidence=None if presented.aligned is None else presented.aligned.confidence,
+        reference_camera=None if presented.reference is None else presented.reference.camera,
+        stages_ms=presented.stages_ms,
+        stats=figures,
+        missed=presented.missed,
+    )
+
+
+def scene_info(manifest: Manifest) -> SceneInfo:
+    """What the page must know of a clip."""
+    return SceneInfo(
+        name=manifest.name,
+        frames=manifest.frames,
+        fps=manifest.fps,
+        up=manifest.up,
+        focus_centre=manifest.focus_centre,
+        focus_radius=manifest.focus_radius,
+        lods=manifest.lods,
+        near=manifest.near,
+    )
+
+
+def _number(value: float | int | bool | None) -> float | None:
+    return None if value is None else float(value)
