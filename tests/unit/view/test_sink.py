@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.live_page import INTRINSICS, StillWalk
 
 from cags_client.pipeline import PresentedFrame
 from cags_client.view import LiveView, ShownFrame, ViewSettings
 from cags_client.view.sink import ViewSink
 from cags_common.geometry import Camera
+from support.live_page import INTRINSICS, StillWalk
 
 
 class Watched(LiveView):
