@@ -19,7 +19,7 @@ from cags_encoder.frames.tiling import Tiler
 from cags_encoder.lod_order import order_of
 from cags_encoder.quantiser.configs import quantiser_config
 from cags_encoder.quantiser.training import train
-from cags_encoder.sampling import LOOKS, training_splats
+from cags_encoder.sampling import LOOKS, check_degree, training_splats
 from cags_encoder.scenes import Focus, FrameSource, focus_of
 from cags_encoder.settings import EncodeSettings
 
@@ -114,7 +114,8 @@ class _ClipEncoder:
         """Encode frame ``index`` and append it to the bundle."""
         where = f"{self._source.name}, frame {index}"
         splats = self._source.frame(index)
-        self._check_degree(splats, where)
+        self._degree = splats.sh_degree if self._degree is None else self._degree
+        check_degree(splats, self._degree, where)
         identities, continuous = self._tracker.identify(splats, self._source.ids(index), where)
         if not self._starts or not continuous or index - self._starts[-1] >= self._settings.gof_frames:
             self._open_gof(index)
@@ -156,12 +157,6 @@ class _ClipEncoder:
         if self._gof is not None:
             self._gof.close()
             self._capacity.append(self._encoder.capacity)
-
-    def _check_degree(self, splats: Splats, where: str) -> None:
-        if self._degree is None:
-            self._degree = splats.sh_degree
-        if splats.sh_degree != self._degree:
-            raise SceneError(f"{where}: SH degree {splats.sh_degree}, but {self._degree} before; make the frames equal")
 
 
 def _vector(values: np.ndarray) -> Vec3:

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cags_common.errors import SceneError
 from cags_common.splats import Splats
 from cags_encoder.scenes import FrameSource
 
-LOOKS = 12
+LOOKS = 60
 """Frames looked at, evenly over the clip."""
 
 FIRST_SHARE = 0.5
@@ -28,12 +29,19 @@ def training_splats(source: FrameSource, frames: int, count: int, seed: int, on_
     seen, changed = _row_keys(first), []
     for index in looks[1:]:
         splats = source.frame(int(index))
+        check_degree(splats, first.sh_degree, f"{source.name}, frame {index}")
         fresh = np.flatnonzero(~np.isin(_row_keys(splats), seen))
         changed.append(_draw(splats.take(fresh), count // (len(looks) - 1), random))
         on_frame()
     later = Splats.concatenate(changed) if changed else first.take(slice(0, 0))
     base = _draw(first, max(int(count * FIRST_SHARE), count - len(later)), random)
     return Splats.concatenate([base, _draw(later, count - len(base), random)])
+
+
+def check_degree(splats: Splats, degree: int, where: str) -> None:
+    """Raise :class:`SceneError` naming ``where`` unless ``splats`` have this SH degree: a clip has one."""
+    if splats.sh_degree != degree:
+        raise SceneError(f"{where}: SH degree {splats.sh_degree}, but {degree} before; make the frames equal")
 
 
 def _draw(splats: Splats, count: int, random: np.random.Generator) -> Splats:

@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+
+from cags_common.attributes import split_attributes
+from cags_common.errors import ConfigError
+from cags_encoder.quantiser.configs import quantiser_config
+from cags_encoder.quantiser.kmeans import NearestCentre, kmeans
+from cags_encoder.quantiser.merging import merge_as_printed
+from cags_encoder.quantiser.training import train
+from cags_encoder.quantiser.tree import Fork, Leaf, Node, assign_codes, code_length
+from support.codec_scenes import cloud, with_changes
+
+RANDOM = np.random.default_rng(0)
+
+
+def chain(n: int) -> Node:
+    node: Node = Leaf(0)
+    for i in range(1, n):
+        node = Fork(node, Leaf(i))
+    return node
+
+
+def test_codes_follow_the_tree_and_prefixes_are_weighted_means() -> None:
+    roots: list[Node] = [Fork(Leaf(0), Leaf(1)), Leaf(2)]
+    centres, weights = np.array([[0.0], [3.0], [10.0]]), np.array([2.0, 1.0, 5.0])
+    coded = assign_codes(roots, centres, weights, (1, 1))
+    assert coded.codes.tolist() == [0b00, 0b01, 0b10]
+    assert coded.tables[0][:, 0].tolist() == [1.0, 10.0]
+    assert coded.tables[1][:, 0].tolist() == [0.0, 3.0, 10.0, 10.0], "a leaf that ends early is repeated"
+
+
+@pytest.mark.parametrize("leaves", [2, 5, 64, 300])
+def test_a_chain_deeper_than_the_code_is_cut_and_every_leaf_keeps_its_own_code(leaves: int) -> None:
+    roots = [chain(leaves)]
+    length = code_length(roots, 4, 12)
+    assert length == 4 + max(min(leaves - 1, 8), (leaves - 1).bit_length())
+    centres = np.arange(leaves, dtype=np.float64)[:, None]
+    coded = assign_codes(roots, centres, np.ones(leaves), (4, *[1] * (length - 4)))
+    assert len(np.unique(coded.codes)) == leaves
+    assert np.array_equal(coded.tables[-1][coded.codes], centres.astype(np.float32))
+
+
+def test_merging_joins_what_belongs_together() -> None:
+    centres = np.array([[0.0], [0.1], [5.0], [5.2], [9.0]], np.float32)
+    labels = np.repeat(np.arange(5), 10)
+    points = centres[labels] + RANDOM.normal(size=(50, 1)).astype(np.float32) * 0.01
+    trees = merge_as_printed(points, labels, centres, 3)
+    assert sorted(sorted(tree.leaves()) for tree in trees) == [[0, 1], [2, 3], [4]]
+
+
+def test_kmeans_with_few_distinct_points_returns_them() -> None:
+    points = np.repeat(np.array([[1.0, 2.0], [3.0, 4.0]], np.float32), 500, axis=0)
+    assert kmeans(points, 16, 0).tolist() == [[1, 2], [3, 4]]
+
+
+@pytest.mark.parametrize("dim", [1, 3, 9])
+def test_nearest_centre_agrees_with_comparing_all(dim: int) -> None:
+    centres, points = (
+        RANDOM.normal(size=(40, dim)).astype(np.float32),
+        RANDOM.normal(size=(500, dim)).astype(np.float32),
+    )
+    expected = np.linalg.norm(points[:, None] - centres[None], axis=2).argmin(axis=1)
+    assert np.array_equal(NearestCentre(centres)(points), expected)
+
+
+def test_paper_66_spends_66_bits_and_has_16_base_clusters() -> None:
+    config = quantiser_config("paper-66")
+    assert sum(a.leaf_bits for a in config.attributes) == 66
+    assert sum(a.leaf_bits for a in quantiser_config("paper-76").attributes) == 76
+    quantiser = train(cloud(4000, 0, 3), config, 0)
+    assert {book.layer_bits[0] for book in quantiser.books} == {4}
+    assert all(bits <= 2 for book in quantiser.books for bits in book.layer_bits[1:])
+    with pytest.raises(ConfigError, match="known: paper-66"):
+        quantiser_config("paper-6")
+
+
+def test_more_layers_are_nearer() -> None:
+    splats = cloud(4000, 1, 1)
+    quantiser = train(splats, quantiser_config("paper-66"), 0)
+    codes, values = quantiser.encode(splats), split_attributes(splats)
+    for book in quantiser.books:
+        name = book.attribute
+        errors = [
+            float(np.square(book.lookup(book.prefix(codes[name], depth), depth) - values[name]).mean())
+            for depth in (1, len(book.layer_bits))
+        ]
+        assert errors[1] < errors[0], name
+
+
+def constant(n: int) -> dict[str, np.ndarray]:
+    return {
+        "quats": np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        "log_scales": np.full((n, 3), -3, np.float32),
+        "logit_opacities": np.full(n, 2, np.float32),
+        "sh0": np.zeros((n, 3), np.float32),
+    }
+
+
+@pytest.mark.parametrize("n", [1, 2, 15, 17, 300])
+def test_constant_attributes_and_few_splats_are_exact(n: int) -> None:
+    for splats in (cloud(n), with_changes(cloud(n), **constant(n))):
+        quantiser = train(splats, quantiser_config("paper-66"), 0)
+        decoded = quantiser.decode(quantiser.encode(splats))
+        if n <= 17:
+            for name, value in split_attributes(splats).items():
+                assert np.allclose(decoded[name], value, atol=1e-5), name
+    assert all(book.layer_bits == (4,) for book in quantiser.books), "one value needs no enhancement layer"
+
+
+def test_extreme_scales_and_opacities_stay_finite() -> None:
+    splats = cloud(300)
+    scales, logits = splats.log_scales.copy(), splats.logit_opacities.copy()
+    scales[:5], scales[5:9], logits[:5], logits[5:9] = -200, 60, -80, 80
+    splats = with_changes(splats, log_scales=scales, logit_opacities=logits)
+    quantiser = train(splats, quantiser_config("paper-66"), 0)
+    assert all(np.isfinite(values).all() for values in quantiser.decode(quantiser.encode(splats)).values())

@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+
+from cags_common.errors import DecodeError
+from cags_common.lod import LodLayer
+from cags_common.packing import U32
+from cags_common.svq import CodebookSet
+from cags_common.tiles import (
+    PositionGrid,
+    TileState,
+    decode_base,
+    decode_base_ids,
+    decode_layer,
+    encode_base,
+    encode_layer,
+)
+from support.codec_scenes import books, cloud
+
+BOOKS = books((4, 2, 2))
+ORDER = tuple(LodLayer(name, layer) for layer in (1, 2) for name in BOOKS.attributes)
+
+
+def full_codes(n: int, seed: int = 1) -> dict[str, U32]:
+    random = np.random.default_rng(seed)
+    return {book.attribute: random.integers(0, 256, n).astype(np.uint32) for book in BOOKS}
+
+
+def payload(
+    n: int, codes: dict[str, U32], *, id_range: bool = False, bits: int = 14
+) -> tuple[bytes, np.ndarray, PositionGrid]:
+    means = cloud(n).means
+    ids = np.arange(7, 7 + 3 * n, 3, dtype=np.int32) if not id_range else np.arange(7, 7 + n, dtype=np.int32)
+    grid = PositionGrid.over(means, bits)
+    base = {book.attribute: book.layer(codes[book.attribute], 0) for book in BOOKS}
+    return encode_base(ids, means, base, grid, id_range=id_range), ids, grid
+
+
+@pytest.mark.parametrize("id_range", [False, True])
+@pytest.mark.parametrize("n", [0, 1, 2, 300])
+def test_a_base_layer_comes_back(n: int, id_range: bool) -> None:
+    codes = full_codes(n)
+    data, ids, grid = payload(n, codes, id_range=id_range)
+    tile = decode_base(data, BOOKS)
+    assert np.array_equal(tile.ids, ids)
+    assert np.array_equal(decode_base_ids(data), ids)
+    means = cloud(n).means
+    assert np.array_equal(tile.means, grid.dequantise(grid.quantise(means)))
+    assert np.abs(tile.means - means).max(initial=0) <= grid.step * 0.5001 + 1e-6
+    for book in BOOKS:
+        assert np.array_equal(tile.codes[book.attribute], book.layer(codes[book.attribute], 0))
+
+
+def test_the_same_tile_gives_the_same_bytes() -> None:
+    assert payload(50, full_codes(50))[0] == payload(50, full_codes(50))[0]
+
+
+def test_duplicate_positions_and_a_range_of_a_million_keep_their_order() -> None:
+    means = np.zeros((6, 3), np.float32)
+    means[2:4] = 1e6
+    means[4] = (5e5, -2.0, 1.0)
+    grid = PositionGrid.over(means, 22)
+    codes = {name: np.arange(6, dtype=np.uint32) for name in BOOKS.attributes}
+    tile = decode_base(encode_base(np.arange(6, dtype=np.int32), means, codes, grid, id_range=True), BOOKS)
+    assert np.abs(tile.means - means).max() <= grid.step
+    assert np.array_equal(tile.codes["scale"], np.arange(6))
+
+
+def state(n: int, codes: dict[str, U32]) -> tuple[TileState, list[bytes]]:
+    data, _, _ = payload(n, codes)
+    layers = [encode_layer(BOOKS[item.attribute].layer(codes[item.attribute], item.layer), 2) for item in ORDER]
+    return TileState(decode_base(data, BOOKS), BOOKS, ORDER), layers
+
+
+def test_layers_may_come_in_any_order() -> None:
+    codes = full_codes(40)
+    ordered, layers = state(40, codes)
+    mixed, _ = state(40, codes)
+    for lod in range(1, len(ORDER) + 1):
+        assert ordered.add_layer(lod, layers[lod - 1])
+    for lod in np.random.default_rng(3).permutation(len(ORDER)) + 1:
+        mixed.add_layer(int(lod), layers[lod - 1])
+    assert ordered.lod == mixed.lod == len(ORDER)
+    for (name, a), (_, b) in zip(ordered.dequantise().arrays(), mixed.dequantise().arrays(), strict=True):
+        assert np.array_equal(a, b), name
+    assert np.array_equal(ordered.dequantise().log_scales, BOOKS["scale"].tables[2][codes["scale"]])
+
+
+def test_a_gap_holds_an_attribute_back_and_a_late_layer_raises_it_in_place() -> None:
+    codes = full_codes(40)
+    tile, layers = state(40, codes)
+    second = ORDER.index(LodLayer("sh0", 2)) + 1
+    first = ORDER.index(LodLayer("sh0", 1)) + 1
+    assert not tile.add_layer(second, layers[second - 1])
+    assert tile.depth("sh0") == 0
+    assert tile.add_layer(first, layers[first - 1])
+    assert tile.depth("sh0") == 2
+    assert tile.lod == 0, "LoD 1 is scale's layer, which is missing"
+    assert np.array_equal(tile.dequantise().sh0, BOOKS["sh0"].tables[2][codes["sh0"]])
+
+
+def test_a_layer_that_is_there_already_changes_nothing() -> None:
+    tile, layers = state(10, full_codes(10))
+    assert tile.add_layer(1, layers[0])
+    assert not tile.add_layer(1, layers[0])
+
+
+def test_decoded_rotations_are_unit_with_a_positive_real_part() -> None:
+    tile, _ = state(40, full_codes(40))
+    quats = tile.dequantise().quats
+    assert np.allclose(np.linalg.norm(quats, axis=1), 1, atol=1e-6)
+    assert (quats[:, 0] >= 0).all()
+
+
+def test_wrong_use_is_named() -> None:
+    tile, layers = state(10, full_codes(10))
+    with pytest.raises(DecodeError, match="LoD 0 is outside 1 to"):
+        tile.add_layer(0, layers[0])
+    with pytest.raises(DecodeError, match=r"holds|take|unpacks"):
+        tile.add_layer(1, encode_layer(np.zeros(11, np.uint32), 8))
+    data, _, _ = payload(10, full_codes(10))
+    with pytest.raises(DecodeError, match="has 5 attributes, the codebooks 1"):
+        decode_base(data, CodebookSet({"scale": BOOKS["scale"]}))
+    with pytest.raises(DecodeError, match=r"of bits|beyond|cut short|few|Draco"):
+        decode_base(data[: len(data) // 2], BOOKS)
+
+
+def test_a_claim_beyond_the_bounds_is_refused_before_anything_is_allocated() -> None:
+    data = bytearray(payload(10, full_codes(10))[0])
+    data[4:8] = (2**31).to_bytes(4, "little")
+    with pytest.raises(DecodeError, match="beyond bounds"):
+        decode_base(bytes(data), BOOKS)
+    with pytest.raises(DecodeError, match="outside the allowed range"):
+        decode_layer(b"", 2**30, 2)
