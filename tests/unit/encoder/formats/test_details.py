@@ -5,7 +5,6 @@ import struct
 
 import numpy as np
 import pytest
-from support.splat_files import gzipped, random_splats, zip_files, zip_of
 
 from cags_encoder.formats.compressed_ply import compressed_ply_bytes, parse_compressed_ply
 from cags_encoder.formats.ply import parse_ply, ply_bytes
@@ -14,6 +13,7 @@ from cags_encoder.formats.sog import parse_sog_bytes
 from cags_encoder.formats.sog_writer import sog_bytes
 from cags_encoder.formats.splat import RECORD, parse_splat
 from cags_encoder.formats.spz import HEADER, MAGIC, parse_spz
+from support.splat_files import gzipped, random_splats, zip_files, zip_of
 
 SPLATS = random_splats(40, 1)
 

@@ -3,9 +3,9 @@
 import gsply
 import numpy as np
 import pytest
-from support.splat_files import shared_scene
 
 from cags_encoder.formats import read_splats
+from support.splat_files import shared_scene
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.splat_files import gzipped, random_splats, with_meta, zip_files, zip_of
 
 from cags_common.errors import SceneError
 from cags_common.splats import MAX_SPLATS
@@ -14,6 +13,7 @@ from cags_encoder.formats.compressed_ply import compressed_ply_bytes
 from cags_encoder.formats.ply import ply_bytes
 from cags_encoder.formats.sog_writer import sog_bytes
 from cags_encoder.formats.spz import HEADER, MAGIC
+from support.splat_files import gzipped, random_splats, with_meta, zip_files, zip_of
 
 SPLATS = random_splats(40, 1)
 PLY, COMPRESSED, SOG = ply_bytes(SPLATS), compressed_ply_bytes(SPLATS), sog_bytes(SPLATS)

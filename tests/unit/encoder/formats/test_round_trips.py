@@ -5,7 +5,6 @@ from pathlib import Path
 import gsply
 import numpy as np
 import pytest
-from support.splat_files import random_splats
 
 from cags_common.geometry import F32
 from cags_common.morton import morton_order
@@ -17,6 +16,7 @@ from cags_encoder.formats.sog import parse_sog_bytes
 from cags_encoder.formats.sog_writer import sog_bytes
 from cags_encoder.formats.splat import parse_splat, splat_bytes
 from cags_encoder.formats.spz import parse_spz, spz_bytes
+from support.splat_files import random_splats
 
 DEGREES = (0, 1, 2, 3)
 HALF_BYTE = 0.5 / 255 + 1e-6
