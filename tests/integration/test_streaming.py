@@ -7,11 +7,11 @@ import socket
 from pathlib import Path
 
 import pytest
-from support.processes import assert_one_clear_line, run_module
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.demo.processes import ProcessGroup
 from cags_encoder import EncodeSettings
+from support.processes import assert_one_clear_line, run_module
 
 SCENE = "procedural:size=1500,frames=10"
 SIZE = ("--width", "160", "--height", "120")
