@@ -21,6 +21,7 @@ from cags_encoder.formats.files import (
     check_count,
     directed,
     logit_of_bytes,
+    quietly,
     smallest_three,
     split_largest,
 )
@@ -48,6 +49,7 @@ def is_compressed_ply(header: PlyHeader) -> bool:
     return vertex is not None and any(name == "packed_position" for name, _ in vertex.properties)
 
 
+@quietly
 def parse_compressed_ply(data: bytes, source: str) -> Splats:
     """The splats of a compressed PLY file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
     header = parse_header(data, source)
@@ -75,11 +77,17 @@ def _check_header(header: PlyHeader, source: str) -> None:
     count = check_count(vertex.count, source)
     check_properties(vertex, PACKED, source)
     for prefix in ("", "scale_"):
-        check_properties(chunk, [f"{end}_{prefix}{axis}" for end in ("min", "max") for axis in "xyz"], source)
+        check_properties(chunk, _bounds_names(prefix, "xyz"), source)
+    if any(name.endswith(("_r", "_g", "_b")) for name, _ in chunk.properties):
+        check_properties(chunk, _bounds_names("", "rgb"), source)
     if chunk.count < -(-count // CHUNK):
         raise SceneError(f"{source}: has {chunk.count} chunks for {count} splats, {-(-count // CHUNK)} are needed")
     if sh is not None and sh.count != count:
         raise SceneError(f"{source}: has SH coefficients for {sh.count} of {count} splats; repair the file")
+
+
+def _bounds_names(prefix: str, axes: str) -> list[str]:
+    return [f"{end}_{prefix}{axis}" for end in ("min", "max") for axis in axes]
 
 
 class _Bounds:
@@ -94,9 +102,8 @@ class _Bounds:
         if f"min_{prefix}{axes[0]}" not in names:  # colour bounds came with later versions
             return unit
         low, high = (columns(self._chunk, [f"{end}_{prefix}{axis}" for axis in axes]) for end in ("min", "max"))
-        with np.errstate(all="ignore"):  # bounds that are not finite are named by the caller's check
-            low, span = low[self._of_splat], (high - low)[self._of_splat]
-            return low + unit * span
+        span = (high - low)[self._of_splat]
+        return low[self._of_splat] + unit * span
 
 
 def _fields(words: NDArray[np.uint32], bits: tuple[int, ...]) -> NDArray[np.uint32]:
@@ -145,7 +152,7 @@ def compressed_ply_bytes(splats: Splats) -> bytes:
     quats = _pack_quats(ordered.quats)
     vertex = np.stack([words[0], quats, words[1], (words[2] << np.uint32(8)) | alpha], axis=1)
     axes = (("", "xyz"), ("scale_", "xyz"), ("", "rgb"))
-    names = [f"{end}_{prefix}{axis}" for prefix, letters in axes for end in ("min", "max") for axis in letters]
+    names = [name for prefix, letters in axes for name in _bounds_names(prefix, letters)]
     header = [f"element chunk {-(-count // CHUNK)}", *(f"property float {name}" for name in names)]
     header += [f"element vertex {count}", *(f"property uint {name}" for name in PACKED)]
     body = np.concatenate(bounds, axis=1).astype("<f4").tobytes() + vertex.astype("<u4").tobytes()

@@ -18,6 +18,9 @@ MAX_FILE_BYTES = 8 << 30
 MIN_SCALE = 1e-9
 """Standard deviations (world units) below this, zero included, are taken as this: their logarithm stays finite."""
 
+quietly = np.errstate(all="ignore")
+"""Decorates parsers: absurd numbers become infinite or NaN without a warning, and the check at their end names them."""
+
 MIN_OPACITY = 1e-6
 """Quantised opacities are kept this far from 0 and 1, so that their logit stays finite (13.8)."""
 
@@ -82,7 +85,7 @@ def directed(quats: F32) -> F32:
 
 
 def split_largest(quats: F32) -> tuple[NDArray[np.intp], F64]:
-    """The inverse of :func:`smallest_three`: index [N] of the largest component, made positive, and the others [N, 3]."""
+    """Inverse of :func:`smallest_three`: index [N] of the largest component, made positive, and the others [N, 3]."""
     wide = quats.astype(np.float64)
     largest = np.argmax(np.abs(wide), axis=1)
     rows = np.arange(len(wide))

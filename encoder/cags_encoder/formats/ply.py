@@ -10,7 +10,7 @@ import numpy as np
 
 from cags_common.errors import SceneError
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
-from cags_encoder.formats.files import check_count
+from cags_encoder.formats.files import check_count, quietly
 from cags_encoder.formats.ply_container import (
     PlyElement,
     check_properties,
@@ -27,6 +27,7 @@ SH0 = ["f_dc_0", "f_dc_1", "f_dc_2"]
 OPACITY = ["opacity"]  # logit
 
 
+@quietly
 def parse_ply(data: bytes, source: str) -> Splats:
     """The splats of a PLY file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
     header = parse_header(data, source)

@@ -120,8 +120,7 @@ def columns(rows: NDArray[np.void], names: list[str]) -> NDArray[np.float32]:
     """The named properties as the columns of [N, len(names)] float32."""
     out = np.empty((len(rows), len(names)), np.float32)
     for column, name in enumerate(names):
-        with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite, which the caller's check names
-            out[:, column] = rows[name]
+        out[:, column] = rows[name]
     return out
 
 

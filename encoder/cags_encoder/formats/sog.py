@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cags_common.errors import SceneError
 from cags_common.geometry import F32
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
-from cags_encoder.formats.files import check_count, directed, logit_of_bytes, smallest_three
+from cags_encoder.formats.files import check_count, directed, logit_of_bytes, quietly, smallest_three
 from cags_encoder.formats.sog_files import SogFiles
 from cags_encoder.formats.sog_meta import SogMeta
 
@@ -28,6 +28,7 @@ QUAT_TAG = 252
 """Alpha 252..255 names the largest component of a rotation; any other value means the identity."""
 
 
+@quietly
 def parse_sog(files: SogFiles) -> Splats:
     """The splats of a SOG data set. Raises :class:`SceneError`."""
     meta = SogMeta(files.json("meta.json"), files.source)
@@ -72,8 +73,7 @@ def _parse_v1(files: SogFiles, meta: SogMeta) -> Splats:
 
 def _lerp(bytes_: NDArray[np.uint8], meta: SogMeta, name: str, width: int) -> F32:
     low, high = meta.numbers(f"{name}.mins", width), meta.numbers(f"{name}.maxs", width)
-    with np.errstate(over="ignore", invalid="ignore"):  # absurd ranges become values that the check names
-        return low + bytes_ / np.float32(255.0) * (high - low)
+    return low + bytes_ / np.float32(255.0) * (high - low)
 
 
 def sog_means(files: SogFiles, meta: SogMeta, count: int) -> F32:
@@ -81,9 +81,8 @@ def sog_means(files: SogFiles, meta: SogMeta, count: int) -> F32:
     low, high = meta.numbers("means.mins", 3), meta.numbers("means.maxs", 3)
     lower, upper = (files.texels(meta.file("means", i, 2), count)[:, :3] for i in range(2))
     words = lower.astype(np.uint16) | (upper.astype(np.uint16) << 8)
-    with np.errstate(over="ignore", invalid="ignore"):  # as above
-        logarithm = low.astype(np.float64) + words / 65535.0 * (high.astype(np.float64) - low)
-        return (np.sign(logarithm) * np.expm1(np.abs(logarithm))).astype(np.float32)
+    logarithm = low.astype(np.float64) + words / 65535.0 * (high.astype(np.float64) - low)
+    return (np.sign(logarithm) * np.expm1(np.abs(logarithm))).astype(np.float32)
 
 
 def sog_quats(files: SogFiles, meta: SogMeta, count: int) -> F32:

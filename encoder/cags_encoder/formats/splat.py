@@ -10,11 +10,12 @@ import numpy as np
 
 from cags_common.errors import SceneError
 from cags_common.splats import SH_C0, Splats
-from cags_encoder.formats.files import bytes_of_logits, check_count, directed, log_of_scales, logit_of_bytes
+from cags_encoder.formats.files import bytes_of_logits, check_count, directed, log_of_scales, logit_of_bytes, quietly
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 
 
+@quietly
 def parse_splat(data: bytes, source: str) -> Splats:
     """The splats of a ``.splat`` file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
     if len(data) % RECORD.itemsize:

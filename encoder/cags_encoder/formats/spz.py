@@ -22,6 +22,7 @@ from cags_encoder.formats.files import (
     check_count,
     directed,
     logit_of_bytes,
+    quietly,
     smallest_three,
     split_largest,
 )
@@ -52,6 +53,7 @@ class SpzHeader:
         return (("mean", mean_bytes), ("alpha", 1), ("colour", 3), ("scale", 3), ("quat", quat_bytes), ("sh", sh_bytes))
 
 
+@quietly
 def parse_spz(data: bytes, source: str) -> Splats:
     """The splats of an ``.spz`` file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
     header, part = _inflate(data, source)
@@ -77,9 +79,10 @@ def _inflate(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDArray[np.
         header = _header(head, source)
         size = header.count * sum(width for _, width in header.sections)
         body = inflater.decompress(inflater.unconsumed_tail, size)
+        more = inflater.decompress(inflater.unconsumed_tail, 1)  # reaches the stream's own checksum
     except zlib.error as error:
         raise SceneError(f"{source}: is not a gzip stream or is damaged ({error}); check the file's type") from error
-    if len(body) < size:
+    if len(body) < size or not (more or inflater.eof):
         raise SceneError(f"{source}: is cut short: {header.count} splats take {size} bytes, {len(body)} are there")
     parts, offset = {}, 0
     for name, width in header.sections:
