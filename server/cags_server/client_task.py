@@ -96,6 +96,7 @@ class ClientTask:
             return
         self._connection.job_done(render, now_us())
         self._to_send.set()
+        self._executor.submit(job.library.prepare, job.plan.frame + 1)
 
     async def _sleep_until(self, timer_us: int | None) -> None:
         timeout = None if timer_us is None else max(0.0, (timer_us - now_us()) / 1e6)

@@ -20,7 +20,7 @@ class ClientClock:
         self._guess_us = 0
 
     def guess(self, client_us: int, arrival_us: int) -> None:
-        """Around ``arrival_us`` the client's clock may have read ``client_us``: believed until something better is known."""
+        """Around ``arrival_us`` the client's clock may have read ``client_us``; believed until more is known."""
         self._guess_us = arrival_us - client_us
 
     def observe(self, client_us: int, arrival_us: int) -> None:

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.bundle import BundleReader, FrameEntry, Manifest
 from cags_common.geometry import F32
-from cags_common.raster.base import Rasteriser, RasterScene
-from cags_common.splats import Ids
-
-LOADED_FRAMES = 8
-"""Frames that stay loaded in the renderer: clients at the same moment of the media share one."""
+from cags_common.raster.base import Rasteriser
+from cags_server.scenes import SourceScenes
 
 OWNER_FRAMES = 64
 """Frames whose owner tables stay in memory."""
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,59 +27,14 @@ class VisibleTile:
     count: int
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedFrame:
-    """The unquantised splats of one frame, ready to render."""
-
-    ids: Ids  # [M] id of each splat of the scene
-    scene: RasterScene  # [M] splats
-
-
-class _Cache(Generic[T]):
-    """Least-recently-used values that are made once, however many threads ask at the same time."""
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._values: OrderedDict[Hashable, T] = OrderedDict()
-        self._making: dict[Hashable, threading.Lock] = {}
-        self._lock = threading.Lock()
-
-    def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        with self._lock:
-            if key in self._values:
-                self._values.move_to_end(key)
-                return self._values[key]
-            making = self._making.setdefault(key, threading.Lock())
-        with making:
-            with self._lock:
-                if key in self._values:
-                    return self._values[key]
-            value = make()
-            with self._lock:
-                self._values[key] = value
-                self._making.pop(key, None)
-                while len(self._values) > self._size:
-                    self._values.popitem(last=False)
-            return value
-
-    def newest_below(self, key: tuple[int, int]) -> tuple[tuple[int, int], T] | None:
-        """The cached entry of the same first part with the largest second part below that of ``key``."""
-        with self._lock:
-            known = [k for k in self._values if isinstance(k, tuple) and k[0] == key[0] and k[1] < key[1]]
-            best = max(known, default=None)
-            return None if best is None else (best, self._values[best])
-
-
 class SceneLibrary:
     """An opened bundle and the renderer's copies of its frames. Safe to use from several threads."""
 
     def __init__(self, reader: BundleReader, rasteriser: Rasteriser) -> None:
         self.reader = reader
-        self.rasteriser = rasteriser
-        self._loaded: _Cache[LoadedFrame] = _Cache(LOADED_FRAMES)
-        self._owners: _Cache[NDArray[np.int32]] = _Cache(OWNER_FRAMES)
-        self._sources: dict[int, int] = {}
-        self._sources_lock = threading.Lock()
+        self.scenes = SourceScenes(reader, rasteriser)
+        self._owners: OrderedDict[tuple[int, int], NDArray[np.int32]] = OrderedDict()  # by (group, frame)
+        self._lock = threading.Lock()
 
     @property
     def manifest(self) -> Manifest:
@@ -101,23 +49,34 @@ class SceneLibrary:
         """The key frame that ``frame`` builds on."""
         return self.manifest.gof_starts[self.manifest.gof_of(frame)]
 
-    def loaded(self, frame: int) -> LoadedFrame:
-        """The source splats of ``frame``, loaded into the renderer; frames that change nothing share one copy."""
-        source = self._source_frame(frame)
-        return self._loaded.get(source, lambda: self._load(source))
+    def prepare(self, frame: int) -> None:
+        """Get ready what rendering ``frame`` will need; clients' frames come in order."""
+        self.scenes.prepare(frame)
+        if frame < self.manifest.frames:
+            self.owners(frame)
 
     def owners(self, frame: int) -> NDArray[np.int32]:
         """[capacity] for each splat id the tile that holds its newest version at ``frame``; -1 where none does.
 
-        Tiles are numbered through the group of frames; :meth:`visible_tiles` turns numbers into tiles.
+        Tiles are numbered through the group of frames; :meth:`tile_of` turns numbers into tiles.
         """
         gof = self.manifest.gof_of(frame)
-        return self._owners.get((gof, frame), lambda: self._trace_owners(gof, frame))
+        with self._lock:
+            if (gof, frame) in self._owners:
+                self._owners.move_to_end((gof, frame))
+                return self._owners[gof, frame]
+            before = max((f for g, f in self._owners if g == gof and f < frame), default=None)
+            known = None if before is None else (before, self._owners[gof, before])
+        traced = self._trace_owners(gof, frame, known)
+        with self._lock:
+            self._owners[gof, frame] = traced
+            while len(self._owners) > OWNER_FRAMES:
+                self._owners.popitem(last=False)
+        return traced
 
     def visible_tiles(self, frame: int, contribution: F32, least: float) -> tuple[VisibleTile, ...]:
-        """Tiles that own a splat whose ``contribution`` [M] (as loaded) exceeds ``least``, most visible first."""
-        seen = self.loaded(frame).ids[contribution > least]
-        owners = self.owners(frame)[seen]
+        """Tiles that own a splat whose ``contribution`` [capacity] exceeds ``least``, most visible first."""
+        owners = self.owners(frame)[contribution > least]
         counts = np.bincount(owners[owners >= 0])
         numbers = np.flatnonzero(counts)
         tiles = [VisibleTile(*self.tile_of(frame, int(n)), int(counts[n])) for n in numbers]
@@ -136,31 +95,13 @@ class SceneLibrary:
         owners = self.owners(frame)
         return [self.tile_of(frame, int(n)) for n in np.unique(owners[owners >= 0])]
 
-    def _load(self, frame: int) -> LoadedFrame:
-        source = self.reader.source(frame)
-        return LoadedFrame(source.ids, self.rasteriser.load(source.splats))
-
-    def _source_frame(self, frame: int) -> int:
-        """The newest frame up to ``frame`` that changes any source splat."""
-        with self._sources_lock:
-            if frame not in self._sources:
-                start = self.gof_start(frame)
-                known = max((f for f in self._sources if start <= f < frame), default=start)
-                value = self._sources.setdefault(known, known)
-                for at in range(known + 1, frame + 1):
-                    delta = self.reader.source_delta(at)
-                    value = at if len(delta.ids) or len(delta.removed) else value
-                    self._sources[at] = value
-            return self._sources[frame]
-
-    def _trace_owners(self, gof: int, frame: int) -> NDArray[np.int32]:
-        known = self._owners.newest_below((gof, frame))
+    def _trace_owners(self, gof: int, frame: int, known: tuple[int, NDArray[np.int32]] | None) -> NDArray[np.int32]:
+        """Follow removals and tiles from the frame of ``known``, or from the group's start, to ``frame``."""
         start = self.manifest.gof_starts[gof]
         if known is None:
-            owners = np.full(self.manifest.capacity[gof], -1, np.int32)
-            first = start
+            owners, first = np.full(self.manifest.capacity[gof], -1, np.int32), start
         else:
-            owners, first = known[1].copy(), known[0][1] + 1
+            owners, first = known[1].copy(), known[0] + 1
         number = sum(len(self.entry(f).tiles) for f in range(start, first))
         for at in range(first, frame + 1):
             owners[self.reader.removed_ids(at)] = -1

@@ -59,14 +59,14 @@ class FrameJob:
         """Do the work; ``clock_ns``, if given, times its parts."""
         clock = clock_ns or _no_clock
         started = clock()
-        loaded = self.library.loaded(self.plan.frame)
         options = RenderOptions(
             footprint=Footprint.of(self.client, self.camera.intrinsics),
             depth=DepthKind.NONE,
             contribution=True,
             threads=self.threads,
         )
-        view = loaded.scene.render(self.camera, options)
+        with self.library.scenes.at(self.plan.frame) as scene:
+            view = scene.render(self.camera, options)
         assert view.contribution is not None
         visible = self.library.visible_tiles(self.plan.frame, view.contribution, self.visible_px)
         rendered = clock()

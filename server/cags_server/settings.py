@@ -25,6 +25,9 @@ class ServerSettings:
     render_threads: int = setting(2, "threads of one reference render", low=1, high=256)
     visible_px: float = setting(0.02, "least contribution of a visible splat, reference pixels", low=0.0, high=1e6)
     queue_ms: float = setting(150.0, "delay that planned but undelivered data may cause, ms", low=0.0, high=10_000.0)
+    reference_deadline_ms: float = setting(
+        200.0, "time after display at which a reference is of no use, ms", low=0.0, high=10_000.0
+    )
     tile_deadline_ms: float = setting(1000.0, "time after display at which a tile is stale, ms", low=0.0, high=60_000.0)
 
     def __post_init__(self) -> None:

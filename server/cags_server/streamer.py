@@ -20,6 +20,7 @@ from cags_server.fov import FovObservation, create_fov_policy, widened
 from cags_server.inventory import ClientInventory
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.opening import opening_tiles
+from cags_server.pace import Pace
 from cags_server.predict import PoseHistory, create_predictor
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
@@ -31,6 +32,9 @@ BLOB_PRIORITY, BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 0, 1, 2, 3
 
 MESSAGE_OVERHEAD_BYTES = 160
 """Header of a tile message and its fragment, about."""
+
+MAX_LEAD_STRETCH = 3.0
+"""A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
 
 MAX_BUDGET_TICKS = 4
 """A stretch of skipped frames earns at most the budget of so many."""
@@ -78,6 +82,7 @@ class Streamer:
         self._next_tick = 0
         self._ended: int | None = None  # newest media frame whose FrameEnd was queued
         self._job_running = False
+        self._pace = Pace()
         self._outstanding_bytes = 0
         self._reference_seq = 0
         self._idr_seq = 0
@@ -170,7 +175,9 @@ class Streamer:
 
     @property
     def _lead_us(self) -> float:
-        return self._settings.lead_frames * 1e6 / self._timeline.fps
+        """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
+        wanted = self._settings.lead_frames * 1e6 / self._timeline.fps
+        return min(max(wanted, self._pace.needed_us(self.stats.rtt_us)), MAX_LEAD_STRETCH * wanted)
 
     def next_due_us(self) -> int | None:
         """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
@@ -245,6 +252,7 @@ class Streamer:
         """Turn a finished job into messages: the reference, the tiles that the rate policy chose, the frame's end."""
         plan = render.plan
         self._job_running = False
+        self._pace.observe(now_us - plan.planned_us, len(render.access_unit), self._estimator.estimate_bps(now_us))
         self.stats.render_ns += render.render_ns
         self.stats.encode_ns += render.encode_ns
         if plan.generation != self._generation:  # the viewer seeked meanwhile
@@ -253,12 +261,13 @@ class Streamer:
         self._enter(plan.frame)
         record = self._record(plan)
         out: list[ev.Outgoing] = []
-        if now_us < self._clock.to_server(plan.display_us):
+        record.reference_late = now_us >= self._clock.to_server(plan.display_us)
+        self.stats.references_late += record.reference_late
+        if now_us < self._reference_deadline_us(plan):
             out.append(self._reference(render))
             record.reference_bytes = len(render.access_unit)
         else:
-            record.reference_late = self._needs_idr = True
-            self.stats.references_late += 1
+            self._needs_idr = True
         decision = self._decide(render.visible, record, now_us)
         deadline_us = self._clock.to_server(plan.display_us) + int(self._settings.tile_deadline_ms * 1000)
         base = [u for u in decision.upgrades if u.from_lod == 0]
@@ -361,8 +370,11 @@ class Streamer:
             self._idr_seq = self._reference_seq
         pose: Pose = render.plan.predicted.pose
         message = ReferenceFrame(render.plan.frame, self._reference_seq, pose, render.intrinsics, render.idr)
-        deadline_us = self._clock.to_server(render.plan.display_us)
-        return ev.Outgoing(message, render.access_unit, 0, deadline_us)
+        return ev.Outgoing(message, render.access_unit, 0, self._reference_deadline_us(render.plan))
+
+    def _reference_deadline_us(self, plan: FramePlan) -> int:
+        """A late reference still serves the frames that follow its own."""
+        return self._clock.to_server(plan.display_us) + int(self._settings.reference_deadline_ms * 1000)
 
     def _frame_ends(self, frame: int) -> list[ev.Outgoing]:
         """The ends of every frame up to ``frame`` that has not been ended: skipped ones too, for their removed ids."""

@@ -103,11 +103,18 @@ class FakeScene:
     def __len__(self) -> int:
         return len(self._splats)
 
+    def update(self, rows: Any, splats: Splats) -> None:
+        for (_, target), (_, values) in zip(self._splats.arrays(), splats.arrays(), strict=True):
+            target[rows] = values
+
     def render(self, camera: Any, options: Any) -> RenderedView:
         rotation, translation = camera.world_to_camera
         x, y, z = (self._splats.means @ rotation.T + translation).T
         k = camera.intrinsics
-        seen = (z > camera.near) & (abs(x / z * k.fx_px) < k.width_px / 2) & (abs(y / z * k.fy_px) < k.height_px / 2)
+        alive = self._splats.logit_opacities > -10
+        z = np.where(z == 0, 1e-9, z)
+        seen = alive & (z > camera.near)
+        seen &= (abs(x / z * k.fx_px) < k.width_px / 2) & (abs(y / z * k.fy_px) < k.height_px / 2)
         image = np.full((k.height_px, k.width_px, 3), 0.5, np.float32)
         return RenderedView(image, image[..., 0], None, seen.astype(np.float32))
 

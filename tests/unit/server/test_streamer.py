@@ -209,12 +209,24 @@ def test_late_frames_are_skipped_but_ended() -> None:
     assert rig.streamer.stats.frames_skipped == 2
 
 
-def test_a_reference_past_its_display_is_not_sent() -> None:
+def test_a_late_reference_is_sent_as_long_as_it_serves_and_the_next_is_planned_earlier() -> None:
     rig = Rig()
     rig.play()
     due = rig.streamer.next_due_us()
     job = rig.streamer.begin(due)
-    out = rig.streamer.finish(job.run(), due + 400_000)
+    out = rig.streamer.finish(job.run(), due + 300_000)
+    assert [r.frame for r in of(ReferenceFrame, out)] == [0]
+    assert rig.streamer.stats.records[0].reference_late
+    lead = rig.streamer._clock.to_server(round(300_000 + PERIOD_US)) - rig.streamer.next_due_us()
+    assert 300_000 < lead <= 3 * SETTINGS.lead_frames * PERIOD_US
+
+
+def test_a_reference_too_late_for_anything_is_not_sent() -> None:
+    rig = Rig()
+    rig.play()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    out = rig.streamer.finish(job.run(), due + 900_000)
     assert of(ReferenceFrame, out) == []
     assert rig.streamer.stats.references_late == 1
     assert [r.idr for r in of(ReferenceFrame, rig.step())] == [True]

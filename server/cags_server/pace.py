@@ -1,0 +1,37 @@
+"""How long a frame takes from being planned to reaching the client."""
+
+from __future__ import annotations
+
+SMOOTHING = 0.2
+"""Weight of the newest frame in the means."""
+
+SPREAD = 2.0
+"""Mean deviations above the mean that the lead must cover, so that few frames come late."""
+
+MARGIN_US = 15_000
+"""Time for the client to decode and align the picture before it is due."""
+
+
+class Pace:
+    """Running mean and spread of the time that references take."""
+
+    def __init__(self) -> None:
+        self._mean_us = 0.0
+        self._deviation_us = 0.0
+        self._seen = False
+
+    def observe(self, work_us: int, size_bytes: int, rate_bps: float) -> None:
+        """A reference of ``size_bytes`` was ready ``work_us`` after its planning; the link carries ``rate_bps``."""
+        took = work_us + size_bytes * 8e6 / rate_bps
+        if not self._seen:
+            self._mean_us, self._deviation_us, self._seen = took, 0.0, True
+            return
+        self._deviation_us += SMOOTHING * (abs(took - self._mean_us) - self._deviation_us)
+        self._mean_us += SMOOTHING * (took - self._mean_us)
+
+    def needed_us(self, rtt_us: int) -> float:
+        """Lead that makes the reference arrive in time, seen from the server's idea of the client's clock.
+
+        That clock is late by the shortest way up, so the whole round trip counts.
+        """
+        return self._mean_us + SPREAD * self._deviation_us + rtt_us + MARGIN_US if self._seen else 0.0

@@ -1,0 +1,156 @@
+"""Source frames in the renderer: a few scenes that roll forward with the media instead of being loaded anew.
+
+A scene holds one row for each splat id of its group of frames; ids that are not alive are transparent. Moving it to the
+next frame writes only the rows that changed. A scene in use by one client is shared by every client at the same frame;
+one at another frame moves an idle scene forward or loads a new one.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cags_common.bundle import BundleReader, SourceDelta
+from cags_common.raster.base import Rasteriser, RasterScene
+from cags_common.splats import SH_REST_OF_DEGREE, Splats
+
+IDLE_SCENES = 4
+"""Scenes that stay loaded while nobody uses them."""
+
+CACHED_DELTAS = 16
+"""Decoded source frames kept: those about to be needed, and those that another client has just used."""
+
+ABSENT_LOGIT = np.float32(-20.0)
+"""Opacity logit of an id that is not alive: far below what any renderer draws."""
+
+
+@dataclass(eq=False)
+class _Rolling:
+    gof: int
+    target: int  # the frame that it is at, or is being moved to
+    scene: RasterScene | None = None
+    current: int = -1
+    users: int = 0
+    moving: threading.Lock = field(default_factory=threading.Lock)
+
+
+class SourceScenes:
+    """The renderer's copies of a bundle's source frames. Safe to use from several threads."""
+
+    def __init__(self, reader: BundleReader, rasteriser: Rasteriser) -> None:
+        self._reader, self._rasteriser = reader, rasteriser
+        self._scenes: list[_Rolling] = []  # least recently used first
+        self._deltas: OrderedDict[int, SourceDelta] = OrderedDict()
+        self._content: dict[int, int] = {}
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def at(self, frame: int) -> Iterator[RasterScene]:
+        """A scene [capacity rows, by splat id] at ``frame``; it does not change while the context is open."""
+        rolling = self._claim(self._content_frame(frame))
+        try:
+            with rolling.moving:  # those that share it wait for the one that loads or moves it
+                scene = self._moved(rolling)
+            yield scene
+        finally:
+            self._release(rolling)
+
+    def prepare(self, frame: int) -> None:
+        """Decode what ``frame`` changes, ahead of its use."""
+        manifest = self._reader.manifest
+        if frame < manifest.frames and frame not in manifest.gof_starts:
+            self._delta(frame)
+
+    def __len__(self) -> int:
+        return len(self._scenes)
+
+    def _claim(self, frame: int) -> _Rolling:
+        gof = self._reader.manifest.gof_of(frame)
+        with self._lock:
+            group = [s for s in self._scenes if s.gof == gof]
+            chosen = next((s for s in group if s.target == frame), None)
+            if chosen is None:
+                idle = [s for s in group if s.users == 0 and s.target < frame]
+                chosen = max(idle, key=lambda s: s.target, default=None)
+            if chosen is None:
+                chosen = _Rolling(gof, frame)
+            else:
+                self._scenes.remove(chosen)
+            self._scenes.append(chosen)
+            chosen.target = frame
+            chosen.users += 1
+            return chosen
+
+    def _release(self, rolling: _Rolling) -> None:
+        with self._lock:
+            rolling.users -= 1
+            if rolling.current != rolling.target and rolling in self._scenes:  # loading failed
+                self._scenes.remove(rolling)
+            idle = [s for s in self._scenes if s.users == 0]
+            for old in idle[: max(0, len(idle) - IDLE_SCENES)]:
+                self._scenes.remove(old)
+
+    def _moved(self, rolling: _Rolling) -> RasterScene:
+        """The scene at its target; called by one thread at a time."""
+        scene, goal = rolling.scene, rolling.target
+        if scene is None:
+            scene = rolling.scene = self._loaded(goal)
+        else:
+            for frame in range(rolling.current + 1, goal + 1):
+                _apply(scene, self._delta(frame))
+        rolling.current = goal
+        return scene
+
+    def _loaded(self, frame: int) -> RasterScene:
+        source = self._reader.source(frame)
+        capacity = self._reader.manifest.capacity[self._reader.manifest.gof_of(frame)]
+        everyone = _absent(capacity, source.splats.sh_degree)
+        for (_, rows), (_, values) in zip(everyone.arrays(), source.splats.arrays(), strict=True):
+            rows[source.ids] = values
+        return self._rasteriser.load(everyone)
+
+    def _content_frame(self, frame: int) -> int:
+        """The newest frame up to ``frame`` that changes any source splat: what lies between looks the same."""
+        start = self._reader.manifest.gof_starts[self._reader.manifest.gof_of(frame)]
+        with self._lock:
+            known = max((f for f in self._content if start <= f <= frame), default=start)
+            value = self._content.setdefault(known, known)
+        for at in range(known + 1, frame + 1):
+            delta = self._delta(at)
+            value = at if len(delta.ids) or len(delta.removed) else value
+            with self._lock:
+                self._content[at] = value
+        return value
+
+    def _delta(self, frame: int) -> SourceDelta:
+        with self._lock:
+            if frame in self._deltas:
+                self._deltas.move_to_end(frame)
+                return self._deltas[frame]
+        delta = self._reader.source_delta(frame)
+        with self._lock:
+            self._deltas[frame] = delta
+            while len(self._deltas) > CACHED_DELTAS:
+                self._deltas.popitem(last=False)
+        return delta
+
+
+def _apply(scene: RasterScene, delta: SourceDelta) -> None:
+    if len(delta.removed):
+        scene.update(delta.removed, _absent(len(delta.removed), delta.splats.sh_degree))
+    if len(delta.ids):
+        scene.update(delta.ids, delta.splats)
+
+
+def _absent(count: int, sh_degree: int) -> Splats:
+    """Rows that draw nothing."""
+    zeros = np.zeros((count, 3), np.float32)
+    quats = np.zeros((count, 4), np.float32)
+    quats[:, 0] = 1.0
+    rest = np.zeros((count, SH_REST_OF_DEGREE[sh_degree], 3), np.float32)
+    return Splats(zeros, quats, zeros - 10, np.full(count, ABSENT_LOGIT), zeros.copy(), rest)
