@@ -42,7 +42,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load the server, the codecs and OpenCV only when they are used: a command's ``--help`` needs the settings alone."""
+    """Load the server, the codecs and OpenCV only when they are used: ``--help`` needs the settings alone."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

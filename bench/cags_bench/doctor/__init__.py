@@ -1,0 +1,1 @@
+"""``cags-doctor``: what this machine can do, what is missing, and which settings suit it."""

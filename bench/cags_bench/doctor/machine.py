@@ -1,0 +1,125 @@
+"""Processor, memory, graphics card, network stack and ports."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from cags_bench.doctor.findings import Finding, fine, missing, note
+
+OLDEST_PYTHON = (3, 11)
+PORTS = {8765: "cags-server", 9000: "cags-shaper", 8080: "live page"}
+LEAST_MEMORY_GIB = 2.0
+LEAST_DISK_GIB = 2.0
+VECTOR_FLAGS = ("avx512f", "avx2", "asimd")
+
+
+def machine_findings(cache: Path) -> Iterator[Finding]:
+    """Everything that no package of ours is needed for. ``cache`` is where bundles are kept."""
+    yield python_version(sys.version_info[:2])
+    yield cores(usable_cores())
+    yield vectors(read_text(Path("/proc/cpuinfo")))
+    yield memory(read_text(Path("/proc/meminfo")))
+    yield disk(cache)
+    yield congestion_control(read_text(Path("/proc/sys/net/ipv4/tcp_congestion_control")))
+    for port, purpose in PORTS.items():
+        yield free_port(port, purpose)
+    yield browser(shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("firefox"))
+
+
+def usable_cores() -> int:
+    """Cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def python_version(version: tuple[int, int]) -> Finding:
+    """Whether the interpreter is young enough."""
+    text = ".".join(map(str, version))
+    if version < OLDEST_PYTHON:
+        return missing("Python", text, "install Python 3.11 or newer and make the environment anew")
+    return fine("Python", text)
+
+
+def cores(count: int) -> Finding:
+    """Server and client share them when both run here."""
+    if count < 2:
+        return note("cores", "1", "server and client on one core will miss frames; give them 2 or shrink the picture")
+    return fine("cores", str(count))
+
+
+def vectors(cpuinfo: str) -> Finding:
+    """The widest vector instructions that the kernels use."""
+    flags = set(cpuinfo.split())
+    widest = next((flag for flag in VECTOR_FLAGS if flag in flags), None)
+    if widest is None:
+        return note("SIMD", "none known", "the portable kernels run, several times slower than with AVX2")
+    return fine("SIMD", widest.upper())
+
+
+def memory(meminfo: str) -> Finding:
+    """What is available now."""
+    fields = dict(line.split(":", 1) for line in meminfo.splitlines() if ":" in line)
+    try:
+        gib = int(fields["MemAvailable"].split()[0]) / 2**20
+    except (KeyError, ValueError, IndexError):
+        return note("memory", "unknown", "this system does not say; large scenes need a few GiB")
+    if gib < LEAST_MEMORY_GIB:
+        return note("memory", f"{gib:.1f} GiB free", f"close something: encoding wants {LEAST_MEMORY_GIB:.0f} GiB")
+    return fine("memory", f"{gib:.1f} GiB free")
+
+
+def disk(cache: Path) -> Finding:
+    """Room where bundles are cached."""
+    there = next(path for path in (cache, *cache.parents) if path.exists())
+    gib = shutil.disk_usage(there).free / 2**30
+    found = f"{gib:.1f} GiB free at {cache}"
+    if not os.access(there, os.W_OK):
+        return missing("disk", f"{there} cannot be written", "choose another folder with XDG_CACHE_HOME or --cache")
+    if gib < LEAST_DISK_GIB:
+        return note(
+            "disk", found, f"a bundle with its source frames may take {LEAST_DISK_GIB:.0f} GiB; clear the cache"
+        )
+    return fine("disk", found)
+
+
+def congestion_control(name: str) -> Finding:
+    """What TCP does about a full link; the credit window keeps queues short with any, shortest with bbr."""
+    name = name.strip()
+    if not name:
+        return note("congestion control", "unknown", "not Linux: latency under load was measured on Linux only")
+    if name != "bbr":
+        return note("congestion control", name, "bbr holds shorter queues: sysctl net.ipv4.tcp_congestion_control=bbr")
+    return fine("congestion control", name)
+
+
+def free_port(port: int, purpose: str) -> Finding:
+    """Whether a command's default port can be listened on."""
+    matter = f"port {port}"
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            what = "in use" if error.errno == errno.EADDRINUSE else str(error.strerror)
+            return note(matter, f"{what} (default of {purpose})", "give another with --port, or 0 for any free one")
+    return fine(matter, f"free for {purpose}")
+
+
+def browser(path: str | None) -> Finding:
+    """A browser for the live page on this machine."""
+    if path is None:
+        return note("browser", "none found", "the live page can be opened from another machine: --view-host 0.0.0.0")
+    return fine("browser", path)
+
+
+def read_text(path: Path) -> str:
+    """The file's text; empty where there is none."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""

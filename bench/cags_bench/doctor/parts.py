@@ -1,0 +1,98 @@
+"""The program's own parts: kernels, codecs, graphics card, optional packages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+
+from cags_bench.doctor.findings import Finding, fine, missing, note
+from cags_common.errors import CagsError
+
+OPTIONAL = {
+    "distributed": ("encoding on several machines", "pip install 'cags-stream[scale]'"),
+    "s3fs": ("bundles in S3 or MinIO", "pip install 'cags-stream[scale]'"),
+}
+ROUNDTRIP_LEVELS = 8
+"""How far a grey H.264 picture at crf 20 may come back off, in 8-bit levels; a colour-tagging fault is far more."""
+
+
+def part_findings() -> Iterator[Finding]:
+    """Each part is tried, not only looked for."""
+    yield guarded("kernels", kernels)
+    yield guarded("H.264", h264)
+    yield guarded("Draco", draco)
+    yield guarded("k-means", kmeans)
+    yield guarded("CUDA", cuda)
+    for package, (purpose, remedy) in OPTIONAL.items():
+        yield optional(package, purpose, remedy)
+
+
+def guarded(matter: str, trial: Callable[[], Finding]) -> Finding:
+    """A trial whose failure is a finding."""
+    try:
+        return trial()
+    except (ImportError, OSError, RuntimeError, ValueError, CagsError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        return missing(matter, reason, "install the program again: pip install -c constraints.txt ./kernels -e .")
+
+
+def kernels() -> Finding:
+    """The native rasteriser."""
+    from cags_kernels import instruction_set, native_available, why_unavailable
+
+    if not native_available():
+        remedy = "install a C++20 compiler (apt-get install g++), then pip install --force-reinstall ./kernels"
+        return note("kernels", f"reference path only: {why_unavailable()}", remedy)
+    return fine("kernels", f"native, {instruction_set()}")
+
+
+def h264() -> Finding:
+    """One picture through the encoder and the decoder."""
+    import numpy as np
+
+    from cags_common.video.h264 import H264Decoder, H264Encoder
+
+    picture = np.full((64, 96, 3), 0.5, np.float32)
+    decoded = H264Decoder().decode(H264Encoder(96, 64, 30.0).encode(picture))
+    if decoded is None or float(np.abs(decoded - picture).max()) * 255 > ROUNDTRIP_LEVELS:
+        return missing("H.264", "a grey picture comes back wrong", "install av again: pip install --force-reinstall av")
+    return fine("H.264", "libx264 and decoder, one picture in, one out")
+
+
+def draco() -> Finding:
+    """A few points through Draco, in order."""
+    import DracoPy
+    import numpy as np
+
+    points = np.arange(24, dtype=np.float32).reshape(8, 3)[::-1]
+    lattice = {"quantization_bits": 5, "quantization_range": 31.0, "quantization_origin": np.zeros(3)}
+    back = DracoPy.decode(DracoPy.encode(points, preserve_order=True, **lattice)).points
+    if not np.allclose(back, points, atol=1e-3):
+        return missing("Draco", "points come back wrong", "install it again: pip install --force-reinstall DracoPy")
+    return fine("Draco", "points come back in order")
+
+
+def kmeans() -> Finding:
+    """The encoder's clustering."""
+    import faiss
+
+    return fine("k-means", f"faiss {faiss.__version__}")
+
+
+def cuda() -> Finding:
+    """The graphics card, which nothing needs."""
+    import torch
+
+    if not torch.cuda.is_available():
+        return note("CUDA", "no device", "not needed; with one, install cags-stream[cuda] and choose --raster cuda")
+    name = torch.cuda.get_device_name(0)
+    if find_spec("gsplat") is None:
+        return note("CUDA", f"{name}, without gsplat", "pip install 'cags-stream[cuda]' to rasterise on it")
+    return fine("CUDA", name)
+
+
+def optional(package: str, purpose: str, remedy: str) -> Finding:
+    """A package that some uses need."""
+    if find_spec(package) is None:
+        return note(package, f"absent; needed for {purpose}", remedy)
+    return fine(package, purpose)

@@ -1,0 +1,141 @@
+"""How long the stages of a displayed frame take here, and which settings follow from that."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cags_common.geometry import Camera, Intrinsics, Pose
+
+SCENE = "procedural:size={splats},frames=1"
+NATIVE_SPLATS, READABLE_SPLATS = 60_000, 2_000
+SIZES = ((400, 300), (800, 600), (1600, 1200))
+READABLE_SIZES = ((320, 240),)
+WARM_UPS, REPETITIONS = 1, 5
+FRAME_MS = 1000.0 / 30.0
+SHARE = 0.6
+"""Of a frame's time that drawing may take: server, decoding and the page want the rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class SizeTimes:
+    """Median milliseconds of each stage at one picture size; ``total`` is drawn, aligned and restored."""
+
+    width: int
+    height: int
+    raster_ms: float
+    align_ms: float
+    restore_ms: float
+
+    @property
+    def total_ms(self) -> float:
+        """The display path without decoding."""
+        return self.raster_ms + self.align_ms + self.restore_ms
+
+
+@dataclass(frozen=True, slots=True)
+class Timings:
+    """What was measured: ``splats`` in view, the server's reference frame, and the client at several sizes."""
+
+    backend: str
+    splats: int
+    threads: int
+    reference_ms: float
+    encode_ms: float
+    sizes: tuple[SizeTimes, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """Settings that fit this machine, as flags, and why."""
+
+    flags: str
+    reason: str
+
+
+def measure(threads: int) -> Timings:
+    """Time one scene at several sizes; a few seconds with the kernels, half a minute without."""
+    from cags_common import raster
+    from cags_common.raster.base import Footprint, RenderOptions
+    from cags_common.video.h264 import H264Encoder
+    from cags_encoder.scenes import open_scene
+
+    rasteriser = raster.create()
+    native = rasteriser.name != "reference"
+    splats = NATIVE_SPLATS if native else READABLE_SPLATS
+    source = open_scene(SCENE.format(splats=splats))
+    scene, focus = rasteriser.load(source.frame(0)), source.focus
+    eye = np.asarray(focus.centre) + np.array([0.6, 0.4, 1.0]) * focus.radius * 1.4
+    pose = Pose.looking_at((float(eye[0]), float(eye[1]), float(eye[2])), focus.centre, source.up)
+    sizes = SIZES if native else READABLE_SIZES
+    reference = _camera(400, 300, pose)
+    options = RenderOptions(threads=threads, contribution=True, footprint=Footprint.antialiased())
+    view = scene.render(reference, options)
+    encoder = H264Encoder(400, 300, 30.0)
+    return Timings(
+        backend=rasteriser.name,
+        splats=splats,
+        threads=threads,
+        reference_ms=median_ms(lambda: scene.render(reference, options)),
+        encode_ms=median_ms(lambda: encoder.encode(np.clip(view.rgb, 0, 1))),
+        sizes=tuple(_at_size(scene, _camera(w, h, pose), reference, threads) for w, h in sizes),
+    )
+
+
+def _at_size(scene: object, camera: Camera, reference: Camera, threads: int) -> SizeTimes:
+    from cags_client import align, restore
+    from cags_client.align import ReferencePicture
+    from cags_client.restore import RestoreInput
+    from cags_common.raster.base import RasterScene, RenderOptions
+
+    drawn: RasterScene = scene  # type: ignore[assignment]
+    options = RenderOptions(threads=threads)
+    view = drawn.render(camera, options)
+    assert view.depth is not None
+    depth = view.depth
+    picture = ReferencePicture(np.clip(drawn.render(reference, options).rgb, 0, 1), reference, 0)
+    aligner, restorer = align.create("auto"), restore.create("affine")
+    inputs = RestoreInput(np.clip(view.rgb, 0, 1), view.alpha, aligner.align(picture, depth, camera), picture)
+    return SizeTimes(
+        camera.width_px,
+        camera.height_px,
+        median_ms(lambda: drawn.render(camera, options)),
+        median_ms(lambda: aligner.align(picture, depth, camera)),
+        median_ms(lambda: restorer.restore(inputs)),
+    )
+
+
+def _camera(width: int, height: int, pose: Pose) -> Camera:
+    fov_x = math.radians(60)
+    fov_y = 2 * math.atan(math.tan(fov_x / 2) * height / width)
+    return Camera(Intrinsics.of_fov(width, height, fov_x, fov_y), pose)
+
+
+def median_ms(work: Callable[[], object]) -> float:
+    """Median wall time of ``work`` after a warm-up."""
+    for _ in range(WARM_UPS):
+        work()
+    times = []
+    for _ in range(REPETITIONS):
+        start = time.perf_counter()
+        work()
+        times.append((time.perf_counter() - start) * 1e3)
+    return statistics.median(times)
+
+
+def advise(timings: Timings) -> Advice:
+    """The largest picture whose display path leaves room for everything else in a thirtieth of a second."""
+    budget_ms = FRAME_MS * SHARE
+    for size in sorted(timings.sizes, key=lambda s: -s.width):
+        for tier, spent_ms in (("affine", size.total_ms), ("none", size.raster_ms)):
+            if spent_ms <= budget_ms:
+                flags = f"--width {size.width} --height {size.height} --restore {tier} --threads {timings.threads}"
+                return Advice(flags, f"{spent_ms:.0f} ms of {FRAME_MS:.0f} ms a frame at {timings.splats:,} splats")
+    least = min(timings.sizes, key=lambda s: s.width)
+    flags = f"--width {least.width} --height {least.height} --restore none --exactness fast"
+    return Advice(flags, f"{least.raster_ms:.0f} ms a frame: 30 frames a second are out of reach for this scene")
