@@ -54,11 +54,6 @@ META = "meta.json"
 """The file that makes a folder an unbundled SOG data set."""
 
 
-def is_scene_file(path: Path) -> bool:
-    """Whether ``path`` is, by its name or by its ``meta.json``, something that :func:`read_splats` reads."""
-    return path.suffix.lower() in SUFFIXES if path.is_file() else (path / META).is_file()
-
-
 def detect_format(path: Path, data: bytes) -> Format:
     """The format of a file from its name, and for ``.ply`` its content. Raises :class:`SceneError`."""
     if path.suffix.lower() == ".ply":

@@ -24,7 +24,7 @@ MAX_ENTRIES = 64
 SLACK_PIXELS = 1 << 16
 """Image pixels beyond twice the splat count that are tolerated: writers round the sides up."""
 
-_ZIP_FAULTS = (
+ZIP_FAULTS = (
     zipfile.BadZipFile,
     zlib.error,
     NotImplementedError,
@@ -35,6 +35,8 @@ _ZIP_FAULTS = (
     struct.error,
     KeyError,
 )
+"""What :mod:`zipfile` raises on damaged archives."""
+
 _IMAGE_FAULTS = (
     OSError,
     ValueError,
@@ -70,7 +72,7 @@ class ZipStore:
         self._source = source
         try:
             self._archive = zipfile.ZipFile(file)
-        except _ZIP_FAULTS as error:
+        except ZIP_FAULTS as error:
             raise SceneError(
                 f"{source}: is not a zip archive or is damaged ({error}); check the file's type"
             ) from error
@@ -86,7 +88,7 @@ class ZipStore:
         try:
             with self._archive.open(info) as entry:
                 data = entry.read(max_bytes + 1)
-        except _ZIP_FAULTS as error:
+        except ZIP_FAULTS as error:
             raise SceneError(f"{self._source}: {name} is damaged ({error}); fetch the file again") from error
         if len(data) > max_bytes:
             raise SceneError(f"{self._source}: {name} is over {max_bytes} bytes long")

@@ -2,61 +2,30 @@
 
 from __future__ import annotations
 
-import math
-import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cags_common.errors import ConfigError, SceneError
+from cags_common.errors import SceneError
 from cags_common.geometry import Vec3
-from cags_common.settings import check_settings, setting
 from cags_common.splats import Ids, Splats
 from cags_encoder.formats import read_splats
-from cags_encoder.formats.registry import META, SUFFIXES, is_scene_file
-from cags_encoder.scenes.source import DEFAULT_FPS, MAX_FRAMES, Focus, focus_of
+from cags_encoder.formats.registry import META
+from cags_encoder.scenes.dynamic3d import Dynamic3dScene
+from cags_encoder.scenes.file_options import FileOptions, up_of
+from cags_encoder.scenes.folders import frame_of_folder, numbered_frames
+from cags_encoder.scenes.source import Focus, FrameSource, focus_of
 
 DEFAULT_STATIC_FRAMES = 60
 """Frames of a scene made of a single file."""
 
-_AXES: dict[str, Vec3] = {
-    "+x": (1.0, 0.0, 0.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "+y": (0.0, 1.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-    "+z": (0.0, 0.0, 1.0),
-    "-z": (0.0, 0.0, -1.0),
-}
+UNSORTED_FORMATS = ("ply",)
+"""Formats whose writers keep the rows as training has them; the others are sorted anew for each frame."""
 
-
-@dataclass(frozen=True)
-class FileOptions:
-    """What files do not say about themselves."""
-
-    frames: int | None = setting(
-        None, "number of frames; longer than the sequence plays it again", low=1, high=MAX_FRAMES
-    )
-    fps: float = setting(DEFAULT_FPS, "frames a second", low=1.0, high=240.0)
-    up: str | None = setting(None, "up direction; the format's usual one if not given", choices=tuple(_AXES))
-    focus: str | None = setting(None, "X/Y/Z/RADIUS of what viewers walk around; the scene's bulk if not given")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        if self.focus is not None:
-            parse_focus(self.focus)
-
-
-def parse_focus(text: str) -> Focus:
-    """``X/Y/Z/RADIUS`` in world units. Raises :class:`ConfigError`."""
-    try:
-        x, y, z, radius = (float(part) for part in text.split("/"))
-    except ValueError:
-        raise ConfigError(f"focus = {text!r} must be X/Y/Z/RADIUS, four numbers in world units") from None
-    if not all(map(math.isfinite, (x, y, z, radius))) or radius <= 0:
-        raise ConfigError(f"focus = {text!r} must be finite, its radius positive")
-    return Focus((x, y, z), radius)
+SAME_SPLAT = 0.5
+"""Share of rows that must look like the same splat in two frames for rows to be taken as identities."""
 
 
 class FileScene:
@@ -64,12 +33,14 @@ class FileScene:
 
     def __init__(self, name: str, files: list[Path], options: FileOptions) -> None:
         self._name, self._files, self._options = name, files, options
-        self._held: tuple[int, Splats] | None = None
         first, entry = read_splats(files[0])
+        self._held: tuple[int, Splats] | None = (0, first)
         self._degree = first.sh_degree
-        self._focus = parse_focus(options.focus) if options.focus else focus_of(first)
-        self._up = _AXES[options.up] if options.up else entry.up
-        self._held = (0, first)
+        self._focus = options.focus_or(lambda: focus_of(first))
+        self._up = up_of(options, entry.up)
+        self._rows_persist = len(files) == 1 or options.rows == "keep"
+        if options.rows == "auto" and len(files) > 1 and entry.name in UNSORTED_FORMATS:
+            self._rows_persist = all(rows_persist(first, self._read(k)) for k in {1, len(files) - 1})
 
     @property
     def name(self) -> str:
@@ -88,7 +59,7 @@ class FileScene:
 
     @property
     def focus(self) -> Focus:
-        """The bulk of the first frame."""
+        """The bulk of the first frame, unless the options say otherwise."""
         return self._focus
 
     def __len__(self) -> int:
@@ -100,57 +71,57 @@ class FileScene:
             raise IndexError(index)
         file = index % len(self._files)
         if self._held is None or self._held[0] != file:
-            splats, _ = read_splats(self._files[file])
-            if splats.sh_degree != self._degree:
-                raise SceneError(
-                    f"{self._files[file]}: has SH degree {splats.sh_degree}, {self._files[0].name} has {self._degree}; "
-                    "all frames of a scene need the same"
-                )
-            self._held = (file, splats)
+            self._held = (file, self._read(file))
         return self._held[1]
 
     def ids(self, index: int) -> Ids | None:
-        """Rows of a static scene; None for sequences: sorted formats mix the rows anew in every frame."""
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        return np.arange(len(self.frame(index)), dtype=np.int32) if len(self._files) == 1 else None
+        """Rows of static scenes and of sequences that keep them (new splats come at the end); None for others."""
+        return np.arange(len(self.frame(index)), dtype=np.int32) if self._rows_persist else None
+
+    def _read(self, file: int) -> Splats:
+        splats, _ = read_splats(self._files[file])
+        if splats.sh_degree != self._degree:
+            raise SceneError(
+                f"{self._files[file]}: has SH degree {splats.sh_degree}, {self._files[0].name} has {self._degree}; "
+                "all frames of a scene need the same"
+            )
+        return splats
 
     def __getstate__(self) -> dict[str, Any]:
         """Workers read the frames themselves."""
         return {**self.__dict__, "_held": None}
 
 
-def open_files(path: Path, options: FileOptions) -> FileScene:
+def open_files(path: Path, options: FileOptions) -> FrameSource:
     """Open a file or a folder. Raises :class:`SceneError` naming what is wrong."""
     if not path.exists():
         raise SceneError(f"{path}: no such file or folder; give one, or 'procedural'")
+    if path.suffix.lower() == ".npz":
+        return Dynamic3dScene(path, options)
     name = (path.parent if path.name == META else path).resolve().name
-    if path.is_file() or (path / META).is_file():
+    if path.is_file():
         return FileScene(name.split(".")[0], [path], options)
-    return FileScene(name, numbered_files(path), options)
+    single = frame_of_folder(path)
+    return FileScene(name, [single] if single else numbered_frames(path), options)
 
 
-def numbered_files(folder: Path) -> list[Path]:
-    """The frames in ``folder`` in natural order (2 before 10). Raises :class:`SceneError` unless there is one kind."""
-    try:
-        entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
-    except OSError as error:
-        raise SceneError(f"{folder}: cannot be listed ({error.strerror})") from error
-    files = sorted((entry for entry in entries if is_scene_file(entry)), key=lambda entry: natural_key(entry.name))
-    if not files:
-        raise SceneError(f"{folder}: holds no frames; known are {', '.join(SUFFIXES)} and folders with {META}")
-    kinds = sorted({entry.suffix.lower() for entry in files if entry.is_file()} | {META for e in files if e.is_dir()})
-    if len(kinds) > 1:
-        raise SceneError(f"{folder}: mixes {kinds[0]} and {kinds[1]}; keep one sequence of one format in a folder")
-    unnumbered = [entry.name for entry in files if not any(c.isdigit() for c in entry.name.split(".")[0])]
-    if unnumbered and len(files) > 1:
-        raise SceneError(f"{folder}: {unnumbered[0]} has no frame number; name one file, or number the sequence")
-    if len(files) > MAX_FRAMES:
-        raise SceneError(f"{folder}: holds {len(files)} files; at most {MAX_FRAMES} frames are read")
-    return files
+def rows_persist(before: Splats, after: Splats) -> bool:
+    """Whether rows are the same splats in two frames, as far as both go.
+
+    Methods that carry splats from frame to frame leave something of most of them alone: the position, or the opacity with
+    the size or the colour; splats that come are appended. What all splats share says nothing: rows must agree much more
+    often with themselves than with others.
+    """
+    count = min(len(before), len(after))
+    others = np.roll(np.arange(count), count // 2 + 1)
+    own, foreign = _agreement(before, after, np.arange(count)), _agreement(before, after, others)
+    return own - foreign >= SAME_SPLAT
 
 
-def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sort key by which numbers inside names count as numbers."""
-    parts = re.findall(r"[0-9]+|[^0-9]+", name)
-    return tuple((0, int(part[-18:]), part) if part[0] in "0123456789" else (1, 0, part) for part in parts)
+def _agreement(before: Splats, after: Splats, rows: NDArray[np.intp]) -> float:
+    """Share of ``rows`` of ``after`` that look like the first rows of ``before``."""
+    means, sizes, colours, opacity = (
+        np.all((getattr(before, name)[: len(rows)] == getattr(after, name)[rows]).reshape(len(rows), -1), axis=1)
+        for name in ("means", "log_scales", "sh0", "logit_opacities")
+    )
+    return float(np.mean(means | (opacity & (sizes | colours))))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from cags_common.errors import ConfigError
-from cags_encoder.scenes.files import FileOptions, open_files
+from cags_encoder.scenes.file_options import FileOptions
+from cags_encoder.scenes.files import open_files
 from cags_encoder.scenes.motion import MotionOptions, MotionScene
 from cags_encoder.scenes.options import parse_options, split_options
 from cags_encoder.scenes.procedural import ProceduralScene, ProceduralSettings

@@ -1,0 +1,59 @@
+"""What files do not say about themselves, and how to say it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cags_common.errors import ConfigError
+from cags_common.geometry import Vec3
+from cags_common.settings import check_settings, setting
+from cags_encoder.scenes.source import DEFAULT_FPS, MAX_FRAMES, Focus
+
+_AXES: dict[str, Vec3] = {
+    "+x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "+z": (0.0, 0.0, 1.0),
+    "-z": (0.0, 0.0, -1.0),
+}
+ROWS = ("auto", "keep", "mixed")
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """Options of scenes that are read from files."""
+
+    frames: int | None = setting(
+        None, "number of frames; beyond its end a sequence plays again", low=1, high=MAX_FRAMES
+    )
+    fps: float = setting(DEFAULT_FPS, "frames a second", low=1.0, high=240.0)
+    up: str | None = setting(None, "up direction; the format's usual one if not given", choices=tuple(_AXES))
+    focus: str | None = setting(None, "X/Y/Z/RADIUS of what viewers walk around; the scene's bulk if not given")
+    rows: str = setting("auto", "whether a row is the same splat in all frames; auto looks", choices=ROWS)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.focus is not None:
+            _parse_focus(self.focus)
+
+    def focus_or(self, otherwise: Callable[[], Focus]) -> Focus:
+        """The focus that the options give, else what ``otherwise`` finds."""
+        return _parse_focus(self.focus) if self.focus is not None else otherwise()
+
+
+def up_of(options: FileOptions, usual: Vec3) -> Vec3:
+    """The up direction that the options give, else the ``usual`` one."""
+    return _AXES[options.up] if options.up else usual
+
+
+def _parse_focus(text: str) -> Focus:
+    try:
+        x, y, z, radius = (float(part) for part in text.split("/"))
+    except ValueError:
+        raise ConfigError(f"focus = {text!r} must be X/Y/Z/RADIUS, four numbers in world units") from None
+    if not all(map(math.isfinite, (x, y, z, radius))) or radius <= 0:
+        raise ConfigError(f"focus = {text!r} must be finite, its radius positive")
+    return Focus((x, y, z), radius)

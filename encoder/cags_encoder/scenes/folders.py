@@ -1,0 +1,60 @@
+"""Which files of a folder are frames, and in which order.
+
+Known layouts: numbered files (``frame_0001.ply``, ``time_00000.ply``), numbered folders of unbundled SOG, and numbered
+folders as 3DGS training leaves them (``frame1/point_cloud/iteration_1000/point_cloud.ply``, of which the last iteration
+counts), as 3DGStream, HiCoM and TrackerSplat keep their sequences.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from cags_common.errors import SceneError
+from cags_encoder.formats.registry import META, SUFFIXES
+from cags_encoder.scenes.source import MAX_FRAMES
+
+TRAINED = "point_cloud.ply"
+
+
+def frame_of_folder(folder: Path) -> Path | None:
+    """The one frame that ``folder`` stands for, if any: an unbundled SOG, or a trained model's last iteration."""
+    if (folder / META).is_file():
+        return folder
+    if (folder / TRAINED).is_file():
+        return folder / TRAINED
+    iterations = [path for path in folder.glob(f"point_cloud/iteration_*/{TRAINED}") if path.is_file()]
+    return max(iterations, key=lambda path: natural_key(path.parent.name), default=None)
+
+
+def numbered_frames(folder: Path) -> list[Path]:
+    """The frames in ``folder`` in natural order (2 before 10), all of one kind. Raises :class:`SceneError`."""
+    try:
+        entries = sorted(folder.iterdir(), key=lambda entry: natural_key(entry.name))
+    except OSError as error:
+        raise SceneError(f"{folder}: cannot be listed ({error.strerror})") from error
+    named = [(entry, _frame(entry)) for entry in entries if not entry.name.startswith(".")]
+    found = [(entry, frame) for entry, frame in named if frame is not None]
+    if not found:
+        raise SceneError(f"{folder}: holds no frames; known are {', '.join(SUFFIXES)} and folders with {META}")
+    if len(found) > MAX_FRAMES:
+        raise SceneError(f"{folder}: holds {len(found)} files; at most {MAX_FRAMES} frames are read")
+    kinds = sorted({frame.suffix.lower() or META for _, frame in found})
+    if len(kinds) > 1:
+        raise SceneError(f"{folder}: mixes {kinds[0]} and {kinds[1]}; keep one sequence of one format in a folder")
+    unnumbered = [entry.name for entry, _ in found if not re.search(r"[0-9]", entry.name.split(".")[0])]
+    if unnumbered and len(found) > 1:
+        raise SceneError(f"{folder}: {unnumbered[0]} has no frame number; name one file, or number the sequence")
+    return [frame for _, frame in found]
+
+
+def _frame(entry: Path) -> Path | None:
+    if entry.is_dir():
+        return frame_of_folder(entry)
+    return entry if entry.suffix.lower() in SUFFIXES else None
+
+
+def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Sort key by which numbers inside names count as numbers."""
+    parts = re.findall(r"[0-9]+|[^0-9]+", name)
+    return tuple((0, int(part[-18:]), part) if part[0] in "0123456789" else (1, 0, part) for part in parts)
