@@ -70,7 +70,7 @@ class Assembler:
         """Take a fragment; the whole encoded message once it is complete. Raises :class:`ProtocolError`."""
         if fragment.ident in self._closed:
             return None
-        if len(chunk) == fragment.total:
+        if not fragment.total:
             self._close(fragment.ident)
             return chunk
         partial = self._partials.setdefault(fragment.ident, _Partial(fragment.total))

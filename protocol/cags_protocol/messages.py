@@ -289,14 +289,17 @@ REFUSAL_CODES = ("version", "token", "full", "draining", "malformed", "unexpecte
 
 @dataclass(frozen=True, slots=True)
 class Fragment(Message):
-    """Packet ``seq`` of this connection: bytes ``offset`` .. of the encoded message ``ident`` of ``total`` bytes."""
+    """Packet ``seq`` of this connection: bytes ``offset`` .. of the encoded message ``ident`` of ``total`` bytes.
+
+    A message of one fragment leaves ``total`` out (0).
+    """
 
     TAG = "fragment"
     PAYLOAD = OPAQUE
     seq: int = wire(_SEQ)
     ident: int = wire(_SEQ)
-    offset: int = wire(Integer(limits.MAX_MESSAGE_BYTES))
-    total: int = wire(Integer(limits.MAX_MESSAGE_BYTES, low=1))
+    offset: int = wire(Integer(limits.MAX_MESSAGE_BYTES), 0)
+    total: int = wire(Integer(limits.MAX_MESSAGE_BYTES), 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -456,7 +459,12 @@ def _check_payload(message: Message, size: int) -> None:
             )
         if sum(message.sizes) != size:
             raise ProtocolError(f"tile: sizes add up to {sum(message.sizes)} bytes, the payload has {size}")
-    elif isinstance(message, Blob | Fragment) and (
-        message.offset + size > message.total or not (size or not message.total)
-    ):
-        raise ProtocolError(f"{message.TAG}: bytes {message.offset} + {size} do not lie in a total of {message.total}")
+    elif isinstance(message, Blob):
+        _check_part(message.TAG, message.offset, size, message.total, may_be_empty=message.total == 0)
+    elif isinstance(message, Fragment):
+        _check_part(message.TAG, message.offset, size, message.total or size, may_be_empty=False)
+
+
+def _check_part(tag: str, offset: int, size: int, total: int, *, may_be_empty: bool) -> None:
+    if offset + size > total or not (size or may_be_empty):
+        raise ProtocolError(f"{tag}: bytes {offset} + {size} do not lie in a total of {total}")

@@ -148,7 +148,7 @@ class SendQueue:
             heapq.heappush(self._heap, (entry.rank, entry.ident))
             self._started += 1
         chunk = entry.chunk()
-        packet = encode(Fragment(seq, entry.ident, entry.sent, entry.size), chunk)
+        packet = encode(Fragment(seq, entry.ident, entry.sent, entry.size if len(chunk) < entry.size else 0), chunk)
         entry.sent += len(chunk)
         entry.unacked.add(seq)
         self.queued_bytes -= len(chunk)
