@@ -1,0 +1,111 @@
+"""Write a vector file of the current protocol version: ``python tests/vectors/wire/make.py FILE``.
+
+A file that is committed is never written again: a change of the wire adds entries or a new file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import zlib
+from pathlib import Path
+
+import msgpack
+
+from cags_common.geometry import Intrinsics, Pose
+from cags_protocol import messages as m
+from cags_protocol.inventory import pack_inventory
+
+POSE = Pose((0.25, -1.5, 3.0), (0.5, 0.5, -0.5, 0.5))
+CAMERA = Intrinsics(1600, 1200, 1385.5, 1385.5, 800.0, 600.0)
+
+MESSAGES: list[tuple[str, m.Message, bytes]] = [
+    ("hello", m.Hello(1, CAMERA, POSE), b""),
+    (
+        "hello resuming",
+        m.Hello(1, CAMERA, POSE, 0.1, 30, "token", "cags-client 0.1.0", "s-1", pack_inventory([m.HeldTile(30, 2, 5)])),
+        b"",
+    ),
+    ("poses", m.PoseBatch((m.PoseSample(1_000_000, POSE), m.PoseSample(1_027_777, Pose.identity()))), b""),
+    ("ack", m.Ack((m.SeqRange(9, 12), m.SeqRange(1, 7)), 2**40, 1200, 4096, (m.HeldTile(3, 4, 0),)), b""),
+    ("ack, short", m.Ack((m.SeqRange(1, 300),), 5), b""),
+    ("control", m.Control("play", 0, 1_500_000), b""),
+    ("control, everything", m.Control("rate", 77, 1_500_000, 0.5, True), b""),
+    ("keyframe", m.KeyframeRequest(0), b""),
+    ("bye", m.Bye("viewer left"), b""),
+    ("ping", m.Ping(123), b""),
+    ("pong", m.Pong(123), b""),
+    ("welcome", m.Welcome("s-1", 30.0, 300, True, b'{"name":"room"}'), b""),
+    ("blob", m.Blob("codebooks", 262144, 262150), b"\0\1\2\3\4\5"),
+    ("tile", m.TileLayers(31, 7, 1, 3, (2, 1), (0xDEADBEEF, 1)), b"\xaa\xbb\xcc"),
+    ("reference", m.ReferenceFrame(31, 32, POSE, CAMERA, True), b"\0\0\0\1\x67"),
+    ("frame end", m.FrameEnd(31), b"\7\0\0\0"),
+    ("notice", m.Notice("slow", "the link carries less than the least quality"), b""),
+    ("refusal", m.Refusal("version", "version", "version = 2 is not spoken here; this server speaks 1"), b""),
+    ("fragment, whole", m.Fragment(1, 1), b"whole"),
+    ("fragment, part", m.Fragment(2, 2, 8096, 20000), b"part"),
+    ("abandon", m.Abandon((2, 3)), b""),
+]
+
+
+def raw(header: dict[str, object], payload: bytes = b"") -> bytes:
+    """A message of any header."""
+    head = msgpack.packb({**header, "crc": 0xFFFFFFFF})[:-4]
+    return head + zlib.crc32(payload, zlib.crc32(head)).to_bytes(4, "big") + payload
+
+
+LATER: list[tuple[str, m.Message, bytes]] = [
+    ("an unknown entry", m.Ping(5), raw({"type": "ping", "t_us": 5, "colour": {"deep": [1, 2.5, None]}})),
+    (
+        "a record that grew",
+        m.Ack((m.SeqRange(1, 2),), 5),
+        raw({"type": "ack", "ranges": [[1, 2, 9]], "received_us": 5}),
+    ),
+    (
+        "entries in another order",
+        m.Control("pause", 3, 9),
+        raw({"at_us": 9, "frame": 3, "action": "pause", "type": "control"}),
+    ),
+]
+
+REFUSED: list[tuple[str, bytes]] = [
+    ("an unknown type", raw({"type": "teleport"})),
+    ("another version", raw({"type": "hello", "version": 2, "view": "lightfield"})),
+    ("a missing field", raw({"type": "ping"})),
+    ("a float for an integer", raw({"type": "ping", "t_us": 5.0})),
+    ("a payload where none belongs", raw({"type": "ping", "t_us": 5}, b"x")),
+    ("sizes that do not add up", raw({"type": "tile", "frame": 0, "tile": 0, "from_lod": 0, "to_lod": 1, "sizes": [9], "crcs": [0]}, b"x")),
+    ("a crc that does not match", raw({"type": "ping", "t_us": 5})[:-1] + b"\0"),
+    ("no crc", msgpack.packb({"type": "ping", "t_us": 5})),
+]  # fmt: skip
+
+
+def plain(message: m.Message) -> dict[str, object]:
+    """The fields of a message as JSON has them; bytes as hexadecimal."""
+    return json.loads(json.dumps(dataclasses.asdict(message), default=lambda b: b.hex()))
+
+
+def vectors() -> dict[str, object]:
+    """Everything a decoder must read or refuse."""
+    good = [(name, message, m.encode(message, payload)) for name, message, payload in MESSAGES] + LATER
+    return {
+        "version": 1,
+        "read": [
+            {
+                "name": name,
+                "type": message.TAG,
+                "fields": plain(message),
+                "payload": bytes(m.decode(data)[1]).hex(),
+                "data": data.hex(),
+            }
+            for name, message, data in good
+        ],
+        "refuse": [{"name": name, "data": data.hex()} for name, data in REFUSED],
+    }
+
+
+if __name__ == "__main__":
+    with Path(sys.argv[1]).open("x", encoding="utf-8") as file:
+        json.dump(vectors(), file, indent=1)
+        file.write("\n")
