@@ -61,7 +61,7 @@ def test_a_static_scene_sends_no_deltas(cache, tmp_path):
     from cags_encoder.scenes import open_scene
 
     still = open_scene(MOVING).frame(0)
-    encode(SplatSequence([still] * 12), EncodeSettings(), str(tmp_path / "still"))
+    encode(SplatSequence((still,) * 12), EncodeSettings(), str(tmp_path / "still"))
     reader = BundleReader.open(str(tmp_path / "still"))
     assert [len(reader.frame(i).tiles) for i in range(1, 12)] == [0] * 11
     result = simulate(Scenario(tmp_path / "still", "generated:steady-30", "synthetic:still", client=CLIENT))

@@ -1,0 +1,1 @@
+"""``cags-bench cost``: what each step of accuracy costs in time and bytes, stage by stage."""

@@ -1,0 +1,105 @@
+"""Stages of the codec: position precision, quantiser, training sample, and how deep the layers are sent."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cags_bench.cost.engine import Outcome, Point, Stage
+from cags_bench.cost.moments import Workbench
+from cags_common import raster
+from cags_common.bundle import BundleReader
+from cags_common.bundle.player import BundlePlayer
+from cags_common.metrics import psnr
+from cags_common.raster.base import RenderOptions
+from cags_common.splats import Splats
+from cags_encoder import EncodeSettings, encode
+from cags_encoder.pipeline import SplatSequence
+from cags_encoder.settings import QUANTISERS
+
+SPLATS = 20_000
+"""Codec stages encode at most this many splats, every n-th of the scene: the figures are a splat."""
+
+
+@dataclass(frozen=True)
+class Coder:
+    """Encodes one key frame and judges what comes out of it."""
+
+    splats: Splats
+    bench: Workbench
+    folder: Path
+
+    def encode(self, settings: EncodeSettings) -> Path:
+        """The key frame's bundle."""
+        out = self.folder / "bundle"
+        shutil.rmtree(out, ignore_errors=True)
+        encode(SplatSequence((self.splats,)), settings, str(out))
+        return out
+
+    def judge(self, bundle: Path) -> Outcome:
+        """Bytes a splat and quality of the decoded key frame, all layers."""
+        reader = BundleReader.open(str(bundle))
+        try:
+            sizes = [sum(tile.lod_bytes) for tile in reader.frame(0).tiles]
+            decoded = BundlePlayer(reader).frame(0).splats
+        finally:
+            reader.close()
+        return {"bytes_per_splat": sum(sizes) / len(self.splats), "psnr_db": self.quality(decoded)}
+
+    def quality(self, decoded: Splats) -> float:
+        """PSNR of the decoded splats' picture against the originals'."""
+        camera = self.bench.moment.camera
+        truth, seen = (
+            raster.create("auto").load(s).render(camera, RenderOptions()).rgb for s in (self.splats, decoded)
+        )
+        return psnr(seen, truth)
+
+
+def coding_stages(bench: Workbench) -> list[Stage]:
+    """Encoder knobs on one key frame, and decoding by depth."""
+    source = bench.moment.source
+    coder = Coder(source.take(slice(None, None, max(1, len(source) // SPLATS))), bench, Path(tempfile.mkdtemp()))
+    shipped = EncodeSettings()
+    quantisers = [(name, replace(shipped, quantiser=name)) for name in QUANTISERS]
+    bits = [(str(n), replace(shipped, position_bits=n)) for n in (8, 10, 12, 14, 16)]
+    samples = [(str(n), replace(shipped, train_splats=n)) for n in (1024, 4096, 16_384, 65_536)]
+    return [
+        _encoding(coder, "positions", "Draco bits an axis", bits, shipped),
+        _encoding(coder, "quantiser", "configuration", quantisers, shipped),
+        _encoding(coder, "codebook training", "sample, splats", samples, shipped),
+        _depth(coder),
+    ]
+
+
+def _encoding(
+    coder: Coder, name: str, knob: str, choices: list[tuple[str, EncodeSettings]], shipped: EncodeSettings
+) -> Stage:
+    def run_of(settings: EncodeSettings) -> Callable[[], Path]:
+        return lambda: coder.encode(settings)
+
+    points = tuple(Point(label, run_of(s), coder.judge, default=s == shipped) for label, s in choices)
+    return Stage(name, knob, "encoder", "psnr_db", points, repetitions=1)
+
+
+def _depth(coder: Coder) -> Stage:
+    bundle = coder.encode(EncodeSettings())
+    kept = bundle.with_name("kept")
+    bundle.rename(kept)
+    reader = BundleReader.open(str(kept))
+    top = len(reader.manifest.lod_order)
+
+    def point(lod: int) -> Point:
+        def run() -> Splats:
+            return BundlePlayer(reader, lod).frame(0).splats
+
+        def judge(decoded: Splats) -> Outcome:
+            sizes = [sum(tile.lod_bytes[: lod + 1]) for tile in reader.frame(0).tiles]
+            return {"bytes_per_splat": sum(sizes) / len(coder.splats), "psnr_db": coder.quality(decoded)}
+
+        return Point(f"LoD {lod}", run, judge, default=lod == top)
+
+    depths = sorted({round(top * share) for share in (0, 0.25, 0.5, 0.75, 1)})
+    return Stage("decoding", "depth", "client", "psnr_db", tuple(map(point, depths)))

@@ -1,0 +1,65 @@
+"""What the stages work on: moments of a real session, kept with all that made them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cags_bench.sim.session import Scenario, simulate
+from cags_client.pipeline import PresentedFrame
+from cags_client.settings import ClientSettings
+from cags_client.truth import BundleTruth
+from cags_common.bundle import BundleReader
+from cags_common.geometry import F32, Camera
+from cags_common.splats import Splats
+
+MOMENTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """One displayed frame: what was sent for it, what the client drew, and what it should have seen."""
+
+    frame: int
+    camera: Camera
+    presented: PresentedFrame
+    truth: F32  # [H, W, 3] in [0, 1]
+    truth_alpha: F32  # [H, W]
+    source: Splats
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """Moments of one session, and its bundle."""
+
+    bundle: Path
+    scenario: Scenario
+    moments: tuple[Moment, ...]
+
+    @property
+    def moment(self) -> Moment:
+        """The middle one."""
+        return self.moments[len(self.moments) // 2]
+
+
+def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Workbench:
+    """Play ``bundle`` in virtual time and keep a few moments at which a reference was at hand."""
+    scenario = Scenario(bundle, trace, poses, client=ClientSettings(width=width, height=height), scored=False)
+    kept: list[PresentedFrame] = []
+
+    def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
+        if presented.reference is not None:
+            kept.append(presented)
+
+    simulate(scenario, watch)
+    chosen = kept[len(kept) // 4 :: max(len(kept) // (MOMENTS + 1), 1)][:MOMENTS]
+    truth = BundleTruth(str(bundle), replace(scenario.client, exactness="exact"))
+    reader = BundleReader.open(str(bundle))
+    moments = []
+    for presented in chosen:
+        rgb, alpha = truth(presented.frame, presented.camera)
+        source = reader.source(presented.frame).splats
+        moments.append(Moment(presented.frame, presented.camera, presented, rgb.clip(0, 1), alpha, source))
+    reader.close()
+    return Workbench(bundle, scenario, tuple(moments))

@@ -1,0 +1,152 @@
+"""Sessions under load without content: the real sessions and estimator between peers that only count bytes.
+
+The server plans at the frame rate what its estimator allows, as tiles with a deadline and one reference picture; the
+client notes when each arrives. What is measured is the sending alone, and a thousand sessions fit in a minute.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cags_bench.sim.world import Direction, World
+from cags_common.geometry import Intrinsics, Pose
+from cags_protocol import PROTOCOL_VERSION, ClientSession, Outgoing, ServerSession
+from cags_protocol import events as ev
+from cags_protocol.messages import Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
+from cags_server.bandwidth import BandwidthEstimator
+from cags_shaper.link import Link, LinkSettings
+from cags_shaper.trace import Trace
+
+INTRINSICS = Intrinsics.of_fov(800, 600, 1.0, 0.8)
+FPS = 30.0
+TILES_PER_FRAME = 10
+TILE_DEADLINE_US = 200_000
+REFERENCE_BYTES = 2_500
+POSE_INTERVAL_US = 28_000
+"""Head poses come at 36 Hz, as from a headset."""
+
+ZEROS = bytes(4_000_000)
+"""Payload of everything that is sent: only its length counts."""
+
+
+@dataclass
+class Arrivals:
+    """What came over a session. ``latency_us`` runs from the server's planning to the client's event."""
+
+    tiles: list[tuple[int, int, int]] = field(default_factory=list)  # (arrived, latency, bytes)
+    references: list[tuple[int, int]] = field(default_factory=list)  # (arrived, latency)
+    estimates: list[tuple[int, float]] = field(default_factory=list)  # (time, bps)
+    sent_bytes: int = 0
+    dropped: int = 0
+    wasted_bytes: int = 0
+    """Sent of messages that were dropped before their end."""
+
+
+class LoadServer:
+    """Plans by the clock, sends by the session."""
+
+    def __init__(self, estimator: BandwidthEstimator, log: Arrivals, fps: float = FPS) -> None:
+        self.session = ServerSession(now_us=0)
+        self._estimator, self._log, self._fps = estimator, log, fps
+        self._frame = 0
+        self._due_us: int | None = None
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        """See :class:`~cags_bench.sim.world.Peer`."""
+        self.session.receive(data, now_us=now_us)
+        self._settle(now_us)
+
+    def data_to_send(self, now_us: int) -> list[bytes]:
+        """See :class:`~cags_bench.sim.world.Peer`."""
+        out = self.session.data_to_send(now_us)
+        self._log.sent_bytes += sum(map(len, out))
+        self._settle(now_us)
+        return out
+
+    def next_timer_us(self) -> int | None:
+        """See :class:`~cags_bench.sim.world.Peer`."""
+        times = [t for t in (self.session.next_timer_us(), self._due_us) if t is not None]
+        return min(times) if times else None
+
+    def handle_timer(self, now_us: int) -> None:
+        """See :class:`~cags_bench.sim.world.Peer`."""
+        self.session.handle_timer(now_us=now_us)
+        if self._due_us is not None and now_us >= self._due_us:
+            self._plan(now_us)
+            self._due_us += round(1e6 / self._fps)
+        self._settle(now_us)
+
+    def _plan(self, now_us: int) -> None:
+        estimate_bps = self._estimator.estimate_bps(now_us)
+        self._log.estimates.append((now_us, estimate_bps))
+        self._frame += 1
+        budget = int(estimate_bps / self._fps / 8) - REFERENCE_BYTES - self.session.queued_bytes
+        self._queue(ReferenceFrame(now_us, self._frame, Pose.identity(), INTRINSICS), REFERENCE_BYTES, 0, now_us)
+        size = min(budget // TILES_PER_FRAME, len(ZEROS))
+        if size > 0:
+            for tile in range(TILES_PER_FRAME):
+                self._queue(TileLayers(now_us, tile, 0, 1, (size,), (0,)), size, 1, now_us)
+
+    def _queue(self, message: TileLayers | ReferenceFrame, size: int, priority: int, now_us: int) -> None:
+        payload = memoryview(ZEROS)[:size]
+        self.session.queue(Outgoing(message, payload, priority, now_us + TILE_DEADLINE_US), now_us=now_us)
+
+    def _settle(self, now_us: int) -> None:
+        while (event := self.session.next_event()) is not None:
+            match event:
+                case ev.Joined():
+                    self.session.accept(Welcome("load", self._fps, 2**31 - 1), now_us=now_us)
+                    self._due_us = now_us
+                case ev.Acknowledged(sample):
+                    self._estimator.on_ack(sample)
+                    self.session.rate_hint_bps = self._estimator.estimate_bps(now_us)
+                case ev.Dropped(_, _, sent_bytes):
+                    self._log.dropped += 1
+                    self._log.wasted_bytes += sent_bytes
+
+
+class LoadClient:
+    """Joins, sends poses, notes arrivals. Frame numbers are the times at which the server planned."""
+
+    def __init__(self, log: Arrivals) -> None:
+        self.session = ClientSession(now_us=0)
+        self.session.hello(Hello(PROTOCOL_VERSION, INTRINSICS, Pose.identity()), now_us=0)
+        self._log = log
+        self._pose_us = POSE_INTERVAL_US
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        """See :class:`~cags_bench.sim.world.Peer`."""
+        self.session.receive(data, now_us=now_us)
+        while (event := self.session.next_event()) is not None:
+            match event:
+                case ev.TileReceived(message, payload):
+                    self._log.tiles.append((now_us, now_us - message.frame, len(payload)))
+                case ev.ReferenceReceived(reference, _):
+                    self._log.references.append((now_us, now_us - reference.frame))
+
+    def data_to_send(self, now_us: int) -> list[bytes]:
+        """See :class:`~cags_bench.sim.world.Peer`."""
+        return self.session.data_to_send(now_us)
+
+    def next_timer_us(self) -> int | None:
+        """See :class:`~cags_bench.sim.world.Peer`."""
+        timer_us = self.session.next_timer_us()
+        return self._pose_us if timer_us is None else min(timer_us, self._pose_us)
+
+    def handle_timer(self, now_us: int) -> None:
+        """See :class:`~cags_bench.sim.world.Peer`."""
+        self.session.handle_timer(now_us=now_us)
+        if now_us >= self._pose_us:
+            self.session.send_poses([PoseSample(now_us, Pose.identity())], now_us=now_us)
+            self._pose_us = now_us + POSE_INTERVAL_US
+
+
+def run_load(trace: Trace, estimator: BandwidthEstimator, duration_us: int, settings: LinkSettings) -> Arrivals:
+    """One session over ``trace`` (towards the client; the other way has no rate limit) for ``duration_us``."""
+    log = Arrivals()
+    server, client = LoadServer(estimator, log), LoadClient(log)
+    down = Direction(Link(trace, settings), client.receive)
+    up = Direction(Link(None, LinkSettings(delay_us=settings.delay_us)), server.receive)
+    world = World(server, client, down, up, lambda _: False)
+    world.run(lambda: world.now_us >= duration_us, duration_us + 10_000_000)
+    return log
