@@ -73,6 +73,11 @@ class ClientSession(Session[ev.ClientEvent]):
         self.buffered_bytes = 0
         """What the client holds undecoded; set by the owner, told to the server with each acknowledgement."""
 
+    @property
+    def partial_bytes(self) -> int:
+        """Bytes of messages that are not complete yet."""
+        return self._assembler.partial_bytes
+
     # --------------------------------------------------------------------------------------------------------- sending
 
     def hello(self, hello: Hello, *, now_us: int) -> None:

@@ -60,8 +60,11 @@ class ServerSession(Session[ev.ServerEvent]):
     # ------------------------------------------------------------------------------------------------------- decisions
 
     def accept(self, welcome: Welcome, *, now_us: int) -> None:
-        """Open the session. Only after :class:`Joined`."""
-        self._require_deciding("accept")
+        """Open the session, after :class:`Joined`; nothing happens if it has ended in the meantime."""
+        if self.closed:
+            return
+        if self._state is not State.DECIDING:
+            raise ProtocolError(f"accept is possible once after Hello, not in state {self._state.value}")
         self._state = State.OPEN
         self._say(welcome, now_us)
 
@@ -250,7 +253,3 @@ class ServerSession(Session[ev.ServerEvent]):
         for flight in self._flow.drain():
             if not flight.entry.settled:
                 self._settle_dropped(flight.entry, "closed", now_us)
-
-    def _require_deciding(self, what: str) -> None:
-        if self._state is not State.DECIDING:
-            raise ProtocolError(f"{what} is possible once after Hello, not in state {self._state.value}")
