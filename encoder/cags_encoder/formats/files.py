@@ -96,4 +96,5 @@ def split_largest(quats: F32) -> tuple[NDArray[np.intp], F64]:
 
 def bytes_of_logits(logits: F32) -> NDArray[np.uint8]:
     """Opacities as bytes, the nearest of 0/255 .. 255/255."""
-    return np.round(255.0 / (1.0 + np.exp(-logits.astype(np.float64)))).astype(np.uint8)
+    wide = np.clip(logits.astype(np.float64), -30.0, 30.0)
+    return np.round(255.0 / (1.0 + np.exp(-wide))).astype(np.uint8)

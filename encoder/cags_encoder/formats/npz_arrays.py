@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import struct
 import zipfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
-from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from cags_common.errors import SceneError
@@ -22,10 +22,23 @@ from cags_encoder.formats.sog_files import MAX_ENTRIES, ZIP_FAULTS
 
 MAX_INFLATED_BYTES = 4 << 30
 MAX_NPY_HEADER = 10_000
-"""Characters of an array's header; numpy reads it as literals, never as code."""
 
 _LOCAL_HEADER = struct.Struct("<4s22xHH")
-_NPY_FAULTS = (*ZIP_FAULTS, SyntaxError, TypeError, RecursionError, MemoryError, UnicodeDecodeError, OverflowError)
+_MAGIC = struct.Struct("<6sBx")
+_HEADER = re.compile(
+    rb"\A\{'descr': '([<>|=][a-zA-Z][0-9]{0,3})', 'fortran_order': (True|False), "
+    rb"'shape': \(((?:[0-9]{1,12}(?:, ?|(?=\))))*)\), \}\s*\Z"
+)
+
+
+class _Header(NamedTuple):
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[np.floating[Any]]
+
+    @property
+    def order(self) -> Literal["F", "C"]:
+        return "F" if self.fortran else "C"
 
 
 class NpzArrays:
@@ -56,7 +69,7 @@ class NpzArrays:
             if entry.compress_type == zipfile.ZIP_STORED:
                 return self._mapped(name, entry)
             return self._inflated(name, entry)
-        except _NPY_FAULTS as error:
+        except ZIP_FAULTS as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise SceneError(f"{self._path}: the array {name!r} is damaged ({reason})") from error
 
@@ -66,13 +79,14 @@ class NpzArrays:
             _, name_length, extra_length = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
             start = entry.header_offset + _LOCAL_HEADER.size + name_length + extra_length
             file.seek(start)
-            shape, fortran, dtype = self._header(name, file)
+            header = self._header(name, file)
             offset = file.tell()
-        self._check(name, shape, dtype, entry.file_size - (offset - start))
-        if math.prod(shape) == 0:  # nothing cannot be mapped
-            return np.zeros(shape, dtype)
-        order: Literal["F", "C"] = "F" if fortran else "C"
-        return np.memmap(self._path, dtype=dtype, mode="r", offset=offset, shape=shape, order=order)
+        self._check(name, header, entry.file_size - (offset - start))
+        if math.prod(header.shape) == 0:  # nothing cannot be mapped
+            return np.zeros(header.shape, header.dtype)
+        return np.memmap(
+            self._path, dtype=header.dtype, mode="r", offset=offset, shape=header.shape, order=header.order
+        )
 
     def _inflated(self, name: str, entry: zipfile.ZipInfo) -> NDArray[np.floating[Any]]:
         if entry.file_size > MAX_INFLATED_BYTES:
@@ -80,20 +94,29 @@ class NpzArrays:
         with zipfile.ZipFile(self._path) as archive, archive.open(entry) as file:
             data = file.read(entry.file_size + 1)
         stream = io.BytesIO(data)
-        shape, fortran, dtype = self._header(name, stream)
-        self._check(name, shape, dtype, len(data) - stream.tell())
-        flat = np.frombuffer(data, dtype, math.prod(shape), stream.tell())
-        return flat.reshape(shape, order="F" if fortran else "C")
+        header = self._header(name, stream)
+        self._check(name, header, len(data) - stream.tell())
+        flat = np.frombuffer(data, header.dtype, math.prod(header.shape), stream.tell())
+        return flat.reshape(header.shape, order=header.order)
 
-    def _header(self, name: str, file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-        version = npy.read_magic(file)
-        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, fortran, dtype = read(file, max_header_size=MAX_NPY_HEADER)
-        if dtype.kind != "f":
-            raise SceneError(f"{self._path}: the array {name!r} holds {dtype}, not floating-point numbers")
-        return shape, fortran, dtype
+    def _header(self, name: str, file: BinaryIO) -> _Header:
+        """The ``.npy`` header, matched against what numpy writes for plain arrays; nothing in it is evaluated."""
+        magic, major = _MAGIC.unpack(file.read(_MAGIC.size))
+        if magic != b"\x93NUMPY" or major not in (1, 2, 3):
+            raise SceneError(f"{self._path}: the array {name!r} is no .npy file (it begins with {magic!r})")
+        (length,) = struct.unpack(*(("<H", file.read(2)) if major == 1 else ("<I", file.read(4))))
+        match = _HEADER.match(file.read(length)) if length <= MAX_NPY_HEADER else None
+        if match is None:
+            raise SceneError(f"{self._path}: the array {name!r} has a header that is not understood")
+        kind, fortran, sides = (group.decode("ascii") for group in match.groups())
+        if kind[1:] not in ("f2", "f4", "f8"):
+            raise SceneError(f"{self._path}: the array {name!r} holds {kind!r}, not floating-point numbers")
+        shape = tuple(int(side) for side in sides.split(",") if side.strip())
+        return _Header(shape, fortran == "True", np.dtype(kind))
 
-    def _check(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], room: int) -> None:
+    def _check(self, name: str, header: _Header, room: int) -> None:
         """The claimed shape fits the bytes that are there."""
-        if not all(0 <= side < 2**40 for side in shape) or math.prod(shape) * dtype.itemsize > room:
-            raise SceneError(f"{self._path}: the array {name!r} of shape {shape} is cut short: {room} bytes are there")
+        if math.prod(header.shape) * header.dtype.itemsize > room or max(header.shape, default=0) > room:
+            raise SceneError(
+                f"{self._path}: the array {name!r} of shape {header.shape} is cut short: {room} bytes are there"
+            )

@@ -108,9 +108,9 @@ def open_files(path: Path, options: FileOptions) -> FrameSource:
 def rows_persist(before: Splats, after: Splats) -> bool:
     """Whether rows are the same splats in two frames, as far as both go.
 
-    Methods that carry splats from frame to frame leave something of most of them alone: the position, or the opacity with
-    the size or the colour; splats that come are appended. What all splats share says nothing: rows must agree much more
-    often with themselves than with others.
+    Methods that carry splats from frame to frame leave something of most of them alone: the position, or the opacity
+    with the size or the colour; splats that come are appended. What all splats share says nothing: rows must agree much
+    more often with themselves than with others.
     """
     count = min(len(before), len(after))
     others = np.roll(np.arange(count), count // 2 + 1)

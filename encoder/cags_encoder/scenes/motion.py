@@ -106,6 +106,7 @@ class MotionScene:
             turn = index / (self._options.fps * self._options.period_s)
             hidden = (self._phase + turn) % 1.0 < 0.5 * min(self._options.amount, 1.0)
             alive[self._parts["appear"]] = ~hidden[self._cluster]
+            alive[0] |= not alive.any()  # a frame without splats is none
         return np.flatnonzero(alive).astype(np.int32)
 
     def _move_rigidly(self, moved: Columns, rows: Rows, swing: float) -> None:

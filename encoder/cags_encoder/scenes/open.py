@@ -30,10 +30,10 @@ def open_scene(spec: str) -> FrameSource:
         return ProceduralScene(parse_options(ProceduralSettings, spec, options))
     if head.startswith(MOTION):
         return _open_motion(spec, head.removeprefix(MOTION), options)
-    if Path(spec).exists():  # an existing path wins over options, whatever characters it holds
-        return open_files(Path(spec), FileOptions())
     if not head:
         raise ConfigError(f"scene {spec!r} names nothing; give a file, a folder, or 'procedural'")
+    if Path(spec).exists():  # an existing path wins over options, whatever characters it holds
+        return open_files(Path(spec), FileOptions())
     return open_files(Path(head), parse_options(FileOptions, spec, options))
 
 

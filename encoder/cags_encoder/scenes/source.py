@@ -74,7 +74,8 @@ def focus_of(splats: Splats) -> Focus:
     holds four fifths of the splats: many splats are where there is detail to look at, and single floaters, plain ground
     or a far background do not move it far.
     """
-    weight = 1.0 / (1.0 + np.exp(-splats.logit_opacities.astype(np.float64))) + 1e-12
+    logits = np.clip(splats.logit_opacities.astype(np.float64), -30.0, 30.0)
+    weight = 1.0 / (1.0 + np.exp(-logits))
     means = splats.means.astype(np.float64)
     ends = [[_weighted_quantile(means[:, axis], weight, q) for q in (0.1, 0.9)] for axis in range(3)]
     centre = np.mean(ends, axis=1)

@@ -1,0 +1,37 @@
+"""Where a scene's focus is put."""
+
+import numpy as np
+import pytest
+
+from cags_common.splats import Splats
+from cags_encoder.scenes.source import focus_of
+from support.splat_files import random_splats
+
+
+def at(means: np.ndarray[tuple[int, ...], np.dtype[np.float64]], opacity: float = 2.0) -> Splats:
+    arrays = dict(random_splats(len(means), 0).arrays())
+    logits = np.full(len(means), opacity, np.float32)
+    return Splats(**{**arrays, "means": means.astype(np.float32), "logit_opacities": logits})
+
+
+def test_floaters_and_faint_splats_do_not_move_it() -> None:
+    rng = np.random.default_rng(0)
+    thing = at(rng.normal(size=(2000, 3)) * 0.3 + [1, 2, 3])
+    far = at(rng.normal(size=(60, 3)) * 500)
+    faint = at(rng.normal(9, 1, (2000, 3)), opacity=-9.0)
+    focus = focus_of(Splats.concatenate([thing, far, faint]))
+    np.testing.assert_allclose(focus.centre, [1, 2, 3], atol=0.05)
+    assert focus.radius == pytest.approx(0.3 * 2.15, rel=0.1)
+
+
+def test_the_middle_of_a_thing_above_its_ground() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(-1, 1, (3000, 3)) * [1, 0, 1]
+    figure = rng.uniform(-0.2, 0.2, (3000, 3)) + np.array([0, 1, 0])
+    assert 0.4 < focus_of(at(np.concatenate([ground, figure]))).centre[1] < 0.8
+
+
+def test_one_splat_has_a_ball_around_it() -> None:
+    focus = focus_of(at(np.array([[5.0, 6.0, 7.0]])))
+    assert focus.centre == (5, 6, 7)
+    assert focus.radius > 0
