@@ -22,7 +22,7 @@ from cags_common import raster
 from cags_common.bundle.manifest import Manifest
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
-from cags_common.raster.base import Exactness, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.base import Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.svq import CodebookSet
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 
@@ -119,8 +119,10 @@ class ClientPipeline:
         if reference is not None and view.depth is not None:
             with watch("align"):
                 aligned = _faded(self._aligner.align(reference, view.depth, camera), self._freshness(reference, frame))
+            with watch("own"):
+                own = scene.render(reference.camera, self._reference_options(reference))
             with watch("restore"):
-                shown = self._restored(RestoreInput(distorted, view.alpha, aligned, reference))
+                shown = self._restored(RestoreInput(distorted, view.alpha, aligned, reference, own))
         return PresentedFrame(
             frame=frame,
             camera=camera,
@@ -144,6 +146,11 @@ class ClientPipeline:
 
     def _options(self) -> RenderOptions:
         return RenderOptions(exactness=Exactness(self.live.exactness), threads=self.settings.threads)
+
+    def _reference_options(self, reference: ReferencePicture) -> RenderOptions:
+        """How the server draws references, so that the client's splats can be compared with them."""
+        footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
+        return replace(self._options(), footprint=footprint)
 
     def _freshness(self, reference: ReferencePicture, frame: int) -> float:
         """1 for the reference of this very frame, falling to 0 past the oldest that is allowed."""

@@ -7,11 +7,16 @@ from collections.abc import Callable
 from cags_client.align.base import Aligned, Aligner, AlignSettings, ReferencePicture
 from cags_client.align.fast import FastAligner
 from cags_client.align.reference import ReferenceAligner
+from cags_client.align.unaligned import UnalignedAligner
 from cags_common.errors import ConfigError
 
 __all__ = ["AlignSettings", "Aligned", "Aligner", "ReferencePicture", "create"]
 
-ALIGNERS: dict[str, Callable[[AlignSettings], Aligner]] = {"reference": ReferenceAligner, "fast": FastAligner}
+ALIGNERS: dict[str, Callable[[AlignSettings], Aligner]] = {
+    "reference": ReferenceAligner,
+    "fast": FastAligner,
+    "unaligned": UnalignedAligner,
+}
 """Aligners by name."""
 
 

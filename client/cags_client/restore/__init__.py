@@ -7,11 +7,16 @@ from collections.abc import Callable
 from cags_client.restore.affine import AffineRestorer
 from cags_client.restore.base import RestoreInput, Restorer
 from cags_client.restore.none import NoRestorer
+from cags_client.restore.reference import ReferenceRestorer
 from cags_common.errors import ConfigError
 
 __all__ = ["RESTORERS", "RestoreInput", "Restorer", "create"]
 
-RESTORERS: dict[str, Callable[[], Restorer]] = {"none": NoRestorer, "affine": AffineRestorer}
+RESTORERS: dict[str, Callable[[], Restorer]] = {
+    "none": NoRestorer,
+    "reference": ReferenceRestorer,
+    "affine": AffineRestorer,
+}
 """Restorers by name, cheapest first."""
 
 

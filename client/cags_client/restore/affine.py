@@ -1,14 +1,18 @@
 """Closed-form restoration: take the low frequencies from the reference, keep the client's own detail.
 
-The distorted picture is averaged down to the reference's pixels *through the alignment*, over the pixels that the
-reference truly shows, so that like is compared with like. There a local affine fit (He et al. 2010, guided image
-filtering) gives the gain of the detail, and the error that is left is split in two: its local mean, which averaging has
-freed of noise, is taken whole; the rest is taken by a Wiener weight, because at the reference's finest scale part of
-the difference is the codec's and the footprint's. Both fields are brought back up through the alignment:
+Like is compared with like: the client's own splats are drawn *at the reference's pose and footprint* (``own``), so that
+``reference - own`` holds what quantisation did and the codec's noise, and nothing of parallax or of a pixel's size.
+That difference is what is brought to the client's view. In the reference's view
 
-    restored = distorted + confidence * (gain' * (distorted - low) + correction)
+- a local affine fit of the reference on ``own`` (guided filter, He et al. 2010) gives the gain of the detail: where the
+  client's detail does not follow the reference's it is damped, never amplified;
+- the difference is split into its local mean, which averaging frees of noise, and the rest; each is taken by the
+  Wiener weight of its own local power against the reference's noise. Where the client's splats are as good as the
+  reference can tell, both weights fall to zero and nothing changes.
 
-with ``gain' = gain - 1``. Where the reference says nothing the confidence is 0 and the distorted picture stays.
+Both fields are sampled through the alignment:
+
+    restored = distorted + confidence * ((gain - 1) * (distorted - own) + correction)
 """
 
 from __future__ import annotations
@@ -31,9 +35,8 @@ class AffineSettings:
 
     radius_cells: int = setting(2, "radius of the local fit, in reference pixels", low=1, high=32)
     gain_prior: float = setting(2e-3, "variance that pulls the detail's gain to 1", low=0, high=1)
-    gain_limit: float = setting(1.6, "largest gain of the detail; 1 keeps the detail as it is", low=1, high=8)
-    noise: float = setting(4e-4, "variance of the reference's own error", low=0, high=1)
-    detail_noise: float = setting(0.15, "share of the local variance that counts as such error too", low=0, high=10)
+    noise: float = setting(2e-4, "variance of the reference's own error: H.264 at crf 20", low=0, high=1)
+    detail_noise: float = setting(0.03, "share of the local variance that counts as such error too", low=0, high=10)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -50,55 +53,63 @@ class AffineRestorer:
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""
         aligned, reference = inputs.aligned, inputs.reference
-        low, weight = average_down(inputs.distorted, aligned.x, aligned.y, aligned.confidence, reference.rgb)
-        gain, correction = _fit(low, reference.rgb, weight, self._settings)
-        # detail * gain' + correction = distorted * gain' + (correction - gain' * low): two fields to sample, not three
-        fields = sample(np.concatenate([gain, correction - gain * low], axis=2), aligned.x, aligned.y)
+        if inputs.own is not None:
+            own = np.clip(inputs.own.rgb, 0.0, 1.0)
+        else:
+            own = average_down(inputs.distorted, aligned.x, aligned.y, aligned.confidence, reference.rgb)
+        fields = sample(correction_fields(own, reference.rgb, self._settings), aligned.x, aligned.y)
         change = inputs.distorted * fields[..., :3] + fields[..., 3:]
         change *= aligned.confidence[..., None]
-        return np.clip(inputs.distorted + change, 0.0, 1.0)
+        change += inputs.distorted
+        return np.clip(change, 0.0, 1.0, out=change)
 
 
-def average_down(picture: F32, x: F32, y: F32, confidence: F32, fallback: F32) -> tuple[F32, F32]:
-    """Mean of ``picture`` over the pixels that land in each reference pixel, and how well it is known.
+def average_down(picture: F32, x: F32, y: F32, confidence: F32, fallback: F32) -> F32:
+    """Mean [h, w, 3] of ``picture`` over the pixels that land in each reference pixel; ``fallback`` where none does.
 
-    Returns the mean [h, w, 3] (``fallback`` where nothing lands, so that nothing is corrected there) and a weight
-    [h, w] in [0, 1]: the share of the usual number of pixels that landed.
+    A stand-in for the client's splats drawn at the reference's pose, for callers without a rasteriser. It is worse at
+    silhouettes: pixels that the client does not see are missing from its means.
     """
     h, w = fallback.shape[:2]
     shown = confidence > 0
-    cell: NDArray[np.intp] = np.minimum(y[shown].astype(np.intp), h - 1) * w + np.minimum(
-        x[shown].astype(np.intp), w - 1
-    )
-    count = np.bincount(cell, minlength=h * w).astype(np.float32)
+    rows = np.minimum(y[shown].astype(np.intp), h - 1)
+    cell: NDArray[np.intp] = rows * w + np.minimum(x[shown].astype(np.intp), w - 1)
+    count = np.bincount(cell, minlength=h * w)
     known = count > 0
-    usual = float(np.median(count[known])) if known.any() else 1.0
     low = fallback.reshape(-1, 3).copy()
     for channel in range(3):
         total = np.bincount(cell, weights=picture[..., channel][shown], minlength=h * w)
         low[known, channel] = total[known] / count[known]
-    return low.reshape(h, w, 3), np.minimum(count / max(usual, 1.0), 1.0).reshape(h, w).astype(np.float32)
+    return low.reshape(h, w, 3)
 
 
-def _fit(low: F32, reference: F32, weight: F32, settings: AffineSettings) -> tuple[F32, F32]:
-    """Excess gain [h, w, 3] of the detail, and the correction [h, w, 3] of the low frequencies."""
+def correction_fields(own: F32, reference: F32, settings: AffineSettings) -> F32:
+    """[h, w, 6]: factor and offset a channel, such that ``factor * picture + offset`` is the change to the picture."""
     size = (2 * settings.radius_cells + 1,) * 2
 
     def mean(image: F32) -> F32:
         return np.asarray(cv2.boxFilter(image, -1, size, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
 
-    w = weight[..., None]
-    total = np.maximum(mean(weight), np.float32(1e-4))[..., None]
-    mean_low, mean_ref = mean(low * w) / total, mean(reference * w) / total
-    var = np.maximum(mean(low * low * w) / total - mean_low**2, 0)
-    cov = mean(low * reference * w) / total - mean_low * mean_ref
+    mean_own, mean_reference = mean(own), mean(reference)
+    variance = np.maximum(mean(own * own) - mean_own * mean_own, 0)
+    covariance = mean(own * reference) - mean_own * mean_reference
     prior = np.float32(settings.gain_prior)
-    gain = np.clip((cov + prior) / (var + prior), 1 / settings.gain_limit, settings.gain_limit)
-    error = (reference - low) * w
-    broad = mean(error.astype(np.float32)) / total
-    fine = error - broad * w
-    power = mean((fine * fine).astype(np.float32)) / total
-    noise = np.float32(settings.noise) + np.float32(settings.detail_noise) * var
-    wiener = np.clip(power / (power + noise), 0, 1)
-    correction = broad * np.minimum(total * 4, 1) + fine * wiener
-    return (gain - 1).astype(np.float32), correction.astype(np.float32)
+    gain = np.clip((covariance + prior) / (variance + prior), 0.0, 1.0)
+    difference = reference - own
+    broad = mean_reference - mean_own
+    power, broad_power = _channel_mean(mean(difference * difference)), _channel_mean(broad * broad)
+    noise = np.float32(settings.noise) + np.float32(settings.detail_noise) * _channel_mean(variance)
+    weight = _wiener(power, noise)
+    correction = _wiener(broad_power, noise / np.float32(size[0])) * broad
+    correction += _wiener(power - broad_power, noise) * (difference - broad)
+    factor = (gain - 1) * weight
+    return np.concatenate([factor, correction - factor * own], axis=2)
+
+
+def _channel_mean(image: F32) -> F32:
+    return np.asarray(image.mean(axis=2, keepdims=True), dtype=np.float32)
+
+
+def _wiener(power: F32, noise: F32) -> F32:
+    """Weight of a signal whose measured power holds the noise too."""
+    return np.asarray(np.clip(1 - noise / np.maximum(power, np.float32(1e-12)), 0.0, 1.0), dtype=np.float32)

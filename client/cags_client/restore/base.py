@@ -7,6 +7,7 @@ from typing import Protocol
 
 from cags_client.align.base import Aligned, ReferencePicture
 from cags_common.geometry import F32
+from cags_common.raster.base import RenderedView
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +19,8 @@ class RestoreInput:
     aligned: Aligned
     reference: ReferencePicture
     """As it came, for restorers that work at its resolution."""
+    own: RenderedView | None = None
+    """The client's own splats seen from the reference's camera through the client's footprint [h, w]."""
 
 
 class Restorer(Protocol):
