@@ -34,7 +34,7 @@ SEEDS: list[tuple[m.Message, bytes]] = [
 
 ODD: list[Any] = [
     None, True, -1, 0, 1, 2**31, 2**63 - 1, 2**64 - 1, -(2**63), 0.5, float("nan"), float("inf"),
-    "", "x" * 2000, "\n\x00", b"", b"\xff" * 50, [], [[]], [1] * 600, {}, {"a": {}}, [[[[[[[[0]]]]]]]], "hello", "fragment",
+    "", "x" * 2000, "\n\x00", b"", b"\xff" * 50, [], [[]], [1] * 600, {}, {"a": {}}, [[[[0]]]], "hello", "fragment",
 ]  # fmt: skip
 
 
@@ -87,6 +87,8 @@ def _change_header(rng: random.Random, header: dict[str, Any]) -> None:
         case 2 if isinstance(header.get(key), list) and header[key]:
             header[key][rng.randrange(len(header[key]))] = copy.deepcopy(rng.choice(ODD))
         case 3 if isinstance(header.get(key), int):
-            header[key] = rng.choice([header[key] + 1, -header[key], header[key] * 1000, 2**53, 2**53 + 1])
+            header[key] = rng.choice(
+                [header[key] % 2**40 + 1, -(header[key] % 2**40), header[key] % 2**40 * 1000, 2**53, 2**53 + 1]
+            )
         case _:
             header[key] = copy.deepcopy(rng.choice(ODD))
