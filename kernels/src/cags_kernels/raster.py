@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_kernels.buffers import BufferPool
 from cags_kernels.library import check, library
 
 F32: TypeAlias = NDArray[np.float32]
@@ -120,6 +121,7 @@ class NativeScene:
     def __init__(self, splats: tuple[F32, ...], threads: int = 1) -> None:
         self._library = library()
         self._handle = _Pointer()
+        self._buffers = BufferPool()
         self.count = len(splats[0])
         create = self._library.cags_raster_scene_create
         check(create(ctypes.byref(_splats(splats)), threads, ctypes.byref(self._handle)), "raster_scene_create")
@@ -138,9 +140,9 @@ class NativeScene:
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
         """Render one view over black; depth as ``options.depth`` says."""
         shape = (camera.height, camera.width)
-        rgb, alpha = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
-        depth = None if options.depth == DEPTH_NONE else np.empty(shape, np.float32)
-        weights = np.empty(self.count, np.float32) if contribution else None
+        rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
+        depth = None if options.depth == DEPTH_NONE else self._buffers.empty(shape)
+        weights = self._buffers.empty((self.count,)) if contribution else None
         targets = _Targets(*(_address(array) for array in (rgb, alpha, depth, weights)))
         statistics = _Statistics()
         status = self._library.cags_raster_render(
@@ -155,7 +157,7 @@ class NativeScene:
         residual = np.ascontiguousarray(residual, dtype=np.float32)
         if residual.shape != (camera.height, camera.width, 3):
             raise ValueError(f"residual has shape {residual.shape}, expected ({camera.height}, {camera.width}, 3)")
-        weighted, weight = np.empty((self.count, 3), np.float32), np.empty(self.count, np.float32)
+        weighted, weight = self._buffers.empty((self.count, 3)), self._buffers.empty((self.count,))
         status = self._library.cags_raster_back_project(
             self._handle, *_arguments(camera, options), _address(residual), _address(weighted), _address(weight)
         )

@@ -69,7 +69,7 @@ inline void cover_rows(const Ellipses& ellipses, int n, Membership& out) {
     const Bounds b = bounds_of(ellipses, i);
     for (int row = 0; row < kBlocksPerSide; row++) {
       const Ints blocks = blocks_of_row(b, row);
-      for (int lane = 0; lane < kWidth; lane++) out.row[row][i + lane] = uint8_t(blocks[lane]);
+      store_low_bytes(blocks, out.row[row] + i);
     }
   }
 }

@@ -2,9 +2,8 @@
 #pragma once
 #include "raster/stages/blend.h"
 #include "raster/stages/cover.h"
+#include "raster/stages/image.h"
 #include "raster/stages/order.h"
-
-#include <limits>
 
 namespace cags::raster {
 namespace {
@@ -16,19 +15,9 @@ struct TileWork {
   Ellipses ellipses;
   Membership membership;
   BlockState blocks[kBlocks];
+  Run run;
   float sums[4 * kBatch];
 };
-
-struct TileArea {
-  int x, y, width, height;  // pixels; width and height are cut at the image's edge
-};
-
-inline TileArea area_of(const View& view, int tile) {
-  TileArea a{tile % view.tiles_x * kTile, tile / view.tiles_x * kTile, kTile, kTile};
-  if (a.x + kTile > view.width) a.width = view.width - a.x;
-  if (a.y + kTile > view.height) a.height = view.height - a.y;
-  return a;
-}
 
 // Brings records of the sorted entries [first, first + n) into the tile's frame.
 inline void gather(const FrameData& frame, const uint64_t* sorted, int first, int n, int total, const TileArea& area, TileWork& work) {
@@ -51,45 +40,18 @@ inline uint64_t begin_blocks(const TileArea& area, TileWork& work) {
   uint64_t alive = 0;
   for (int block = 0; block < kBlocks; block++) {
     const int x = block % kBlocksPerSide * kBlock, y = block / kBlocksPerSide * kBlock;
-    BlockState& state = work.blocks[block];
-    std::memset(&state, 0, sizeof state);
     if (x >= area.width || y >= area.height) continue;
     alive |= uint64_t{1} << block;
+    BlockState& state = work.blocks[block];
+    for (int i = 0; i < kBlockPixels; i += kWidth) {
+      store(state.transmittance + i, all(1.0f)), store(state.depth + i, Floats{});
+      for (int c = 0; c < 3; c++) store(state.rgb[c] + i, Floats{});
+    }
+    if (x + kBlock <= area.width && y + kBlock <= area.height) continue;
     for (int pixel = 0; pixel < kBlockPixels; pixel++)
-      state.transmittance[pixel] = x + pixel % kBlock < area.width && y + pixel / kBlock < area.height ? 1.0f : 0.0f;
+      if (x + pixel % kBlock >= area.width || y + pixel / kBlock >= area.height) state.transmittance[pixel] = 0.0f;
   }
   return alive;
-}
-
-inline void load_residual(const View& view, const TileArea& area, const float* residual, TileWork& work) {
-  for (int y = 0; y < area.height; y++)
-    for (int x = 0; x < area.width; x++) {
-      const float* from = residual + 3 * (size_t(area.y + y) * view.width + area.x + x);
-      BlockState& state = work.blocks[y / kBlock * kBlocksPerSide + x / kBlock];
-      for (int c = 0; c < 3; c++) state.rgb[c][y % kBlock * kBlock + x % kBlock] = from[c];
-    }
-}
-
-inline float depth_of(const View& view, const BlockState& state, int pixel, float alpha) {
-  constexpr float kVoid = std::numeric_limits<float>::infinity();
-  const float depth = state.depth[pixel];
-  if (alpha < view.void_alpha || !(alpha > 0.0f)) return kVoid;
-  if (view.depth == CAGS_DEPTH_MEDIAN) return depth > 0.0f ? depth : kVoid;
-  return depth / alpha;
-}
-
-inline void write_pixels(const View& view, const TileArea& area, const Targets& targets, const TileWork& work) {
-  for (int y = 0; y < area.height; y++)
-    for (int x = 0; x < area.width; x++) {
-      const BlockState& state = work.blocks[y / kBlock * kBlocksPerSide + x / kBlock];
-      const int pixel = y % kBlock * kBlock + x % kBlock;
-      const size_t at = size_t(area.y + y) * view.width + area.x + x;
-      const float alpha = 1.0f - state.transmittance[pixel];
-      if (targets.rgb)
-        for (int c = 0; c < 3; c++) targets.rgb[3 * at + c] = state.rgb[c][pixel];
-      if (targets.alpha) targets.alpha[at] = alpha;
-      if (targets.depth) targets.depth[at] = depth_of(view, state, pixel, alpha);
-    }
 }
 
 inline float* slot_of(const FrameData& frame, const View& view, uint32_t record, int tile) {
@@ -108,7 +70,7 @@ inline void write_slots(const FrameData& frame, const View& view, const uint64_t
   }
 }
 
-using Blend = bool (*)(BlockState&, const Local*, const uint64_t*, int, int, float, float*, int64_t&);
+using Blend = bool (*)(const BlendInput&, const uint64_t* members, int block, BlockState&, Run&, int64_t& visits);
 
 // Runs `blend` over all batches of the tile.
 inline void blend_tile(const View& view, const FrameData& frame, TileScratch& scratch, int tile, uint64_t alive, Blend blend) {
@@ -122,10 +84,10 @@ inline void blend_tile(const View& view, const FrameData& frame, TileScratch& sc
     gather(frame, sorted, first, batch, n, area, work);
     cover(work.ellipses, batch, work.membership);
     if (frame.slot_width) std::memset(work.sums, 0, sizeof work.sums);
+    const BlendInput input{work.local, (batch + kWordBits - 1) / kWordBits, view.stop, work.sums};
     for (uint64_t left = alive; left; left &= left - 1) {
       const int block = __builtin_ctzll(left);
-      if (blend(work.blocks[block], work.local, work.membership.of_block[block], (batch + kWordBits - 1) / kWordBits, block,
-                view.stop, work.sums, scratch.block_visits))
+      if (blend(input, work.membership.of_block[block], block, work.blocks[block], work.run, scratch.block_visits))
         alive &= ~(uint64_t{1} << block);
     }
     if (frame.slot_width) write_slots(frame, view, sorted + first, batch, tile, work.sums);
@@ -146,18 +108,19 @@ Blend choose_blend(int depth, bool contribution) {
 void composite(const View& view, const FrameData& frame, const Targets& targets, TileScratch& scratch, int tile) {
   TileWork& work = *static_cast<TileWork*>(scratch.work);
   const TileArea area = area_of(view, tile);
+  if (frame.tile_start[tile] == frame.tile_start[tile + 1]) return write_void(view, area, targets);
   const uint64_t alive = begin_blocks(area, work);
   const bool contribution = frame.slot_width > 0;
   const Blend blend = view.exactness == CAGS_EXACT ? choose_blend<5>(view.depth, contribution) : choose_blend<3>(view.depth, contribution);
   blend_tile(view, frame, scratch, tile, alive, blend);
-  write_pixels(view, area, targets, work);
+  write_tile(view, area, work.blocks, targets);
 }
 
 void back_project(const View& view, const FrameData& frame, const Targets& targets, TileScratch& scratch, int tile) {
   TileWork& work = *static_cast<TileWork*>(scratch.work);
   const TileArea area = area_of(view, tile);
   const uint64_t alive = begin_blocks(area, work);
-  load_residual(view, area, targets.residual, work);
+  load_residual(view, area, targets.residual, work.blocks);
   blend_tile(view, frame, scratch, tile, alive, view.exactness == CAGS_EXACT ? blend_back<5> : blend_back<3>);
 }
 

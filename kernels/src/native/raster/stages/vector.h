@@ -89,5 +89,46 @@ inline uint32_t bits(Ints mask) {
 #endif
 }
 
+// The low byte of each lane.
+inline void store_low_bytes(Ints v, uint8_t* out) {
+#if defined(__AVX512F__)
+  _mm_storeu_si128(reinterpret_cast<__m128i*>(out), _mm512_cvtepi32_epi8(__m512i(v)));
+#elif defined(__AVX2__)
+  const __m256i first = _mm256_set1_epi32(0x0c080400);  // bytes 0, 4, 8 and 12 of each half
+  const __m256i halves = _mm256_shuffle_epi8(__m256i(v), first);
+  const __m256i joined = _mm256_permutevar8x32_epi32(halves, _mm256_setr_epi32(0, 4, 0, 4, 0, 4, 0, 4));
+  _mm_storel_epi64(reinterpret_cast<__m128i*>(out), _mm256_castsi256_si128(joined));
+#else
+  for (int i = 0; i < kWidth; i++) out[i] = uint8_t(v[i]);
+#endif
+}
+
+typedef float Quad __attribute__((vector_size(16)));
+
+inline Quad folded(Floats v) {
+  Quad part[kWidth / 4];
+  std::memcpy(part, &v, sizeof v);
+  Quad total = part[0];
+  for (int i = 1; i < kWidth / 4; i++) total += part[i];
+  return total;
+}
+
+// Sum of the lanes.
+inline float sum(Floats v) {
+  const Quad q = folded(v);
+  return (q[0] + q[1]) + (q[2] + q[3]);
+}
+
+// out[c] += sum of the lanes of v[c].
+inline void add_sums(const Floats (&v)[4], float* out) {
+#if defined(__x86_64__)
+  __m128 a = __m128(folded(v[0])), b = __m128(folded(v[1])), c = __m128(folded(v[2])), d = __m128(folded(v[3]));
+  _MM_TRANSPOSE4_PS(a, b, c, d);
+  _mm_storeu_ps(out, _mm_add_ps(_mm_loadu_ps(out), _mm_add_ps(_mm_add_ps(a, b), _mm_add_ps(c, d))));
+#else
+  for (int c = 0; c < 4; c++) out[c] += sum(v[c]);
+#endif
+}
+
 }  // namespace
 }  // namespace cags::raster
