@@ -1,8 +1,9 @@
-"""Autoregression on motion increments, refitted online (the paper's predictor, section 4.3 and its evaluation).
+"""Autoregression in the tangent space (the paper's predictor): fitted offline over many people, refitted online.
 
-The next increment is a weighted sum of the last ``ORDER`` ones; the same weights serve all three axes of a part, so
-that four seconds of history determine them well. The fit is a ridge regression drawn towards a prior: with little
-history, or one without information (rank deficient), the prior is what remains.
+Offline, a ridge regression over recorded walks gives the displacement over each horizon from the last increments
+(:mod:`cags_server.predict.pooled`; ``cags-train predictor``). Online, two gains, one for the rotation and one for the
+position, are refitted to this viewer by ridge regression towards 1: some people turn more abruptly than others. The
+history is short, so the pull towards 1 is strong; on recorded walks more freedom made predictions worse.
 """
 
 from __future__ import annotations
@@ -10,82 +11,81 @@ from __future__ import annotations
 import numpy as np
 
 from cags_common.geometry import F64
+from cags_server.predict import so3
 from cags_server.predict.base import PoseDistribution
 from cags_server.predict.history import PoseHistory
+from cags_server.predict.pooled import PooledWeights, displacements, windows
 from cags_server.predict.tangent import (
+    NEWEST_MATTER_STEPS,
     POSITION,
     ROTATION,
-    Weights,
-    backtest,
-    displacement,
+    STEP_US,
+    WINDOW_POINTS,
     distribution,
-    increments,
     steps_of,
 )
 
-ORDER = 10
-"""Increments that the next one is regressed on (a third of a second)."""
+GAIN_RIDGE_STEPS = 600.0
+"""Weight of the pull towards a gain of 1: so many grid steps of average motion (twenty seconds)."""
 
-PRIOR_PERSISTENCE = 0.9
-"""Share of the newest increment that the prior carries on, so that motion dies out instead of running away."""
-
-RIDGE = 30.0
-"""Weight of the prior, in rows of data of average energy."""
-
-MAX_GROWTH = 1.5
-"""A predicted increment is at most so many times the largest one in the history: fits can be unstable."""
+MAX_GROWTH = 2.0
+"""A predicted displacement is at most so many times what the fastest recent increment would cover in the horizon."""
 
 
 class AutoregressivePredictor:
-    """AR(10) in the tangent space by ridge regression towards a damped constant velocity."""
+    """Pooled AR with online gains. ``weights`` are the shipped ones unless given."""
+
+    def __init__(self, weights: PooledWeights | None = None) -> None:
+        self._weights = weights or PooledWeights.load()
 
     def predict(self, history: PoseHistory, horizon_us: int) -> PoseDistribution:
         """See :class:`~cags_server.predict.base.Predictor`."""
-        moves = increments(history)
+        positions, rotations = history.on_grid(STEP_US, WINDOW_POINTS)
         steps = steps_of(horizon_us)
-        weights = Weights(
-            _bounded(horizon_weights(fit(moves[:, ROTATION]), steps), steps),
-            _bounded(horizon_weights(fit(moves[:, POSITION]), steps), steps),
-        )
-        return distribution(history, displacement(moves, weights), backtest(moves, weights, steps))
+        order = self._weights.order_for(len(rotations) - 1)
+        if order == 0 or steps == 0:
+            return distribution(history, np.zeros(6), np.zeros(6))
+        rows = windows(rotations, positions, order)
+        guess = rows[-1] @ self._weights.at(order, steps)
+        gains, std = self._refit(rotations, positions, rows, order, steps)
+        moved = _bounded(guess * gains, rows[-1].reshape(order, 6), steps)
+        return distribution(history, _in_world(moved, rotations[-1]), std)
+
+    def _refit(self, rotations: F64, positions: F64, rows: F64, order: int, steps: float) -> tuple[F64, F64]:
+        """[6] gains and [6] standard deviations (position: world axes) from predictions whose outcome is known."""
+        whole = max(1, round(steps))
+        known = len(rows) - whole
+        if known < 1:
+            recent = rows[-1].reshape(order, 6)
+            spread = np.sqrt(np.mean(recent**2, axis=0)) * steps
+            spread[POSITION] = np.sqrt(np.mean(spread[POSITION] ** 2))  # directions are not told apart
+            return np.ones(6), spread
+        guesses = rows[:known] @ self._weights.at(order, float(whole))
+        truths = displacements(rotations, positions, order, whole)
+        age = np.exp(-np.arange(known - 1, -1, -1) / NEWEST_MATTER_STEPS)
+        gains = np.ones(6)
+        for part in (ROTATION, POSITION):
+            energy = float(np.mean(guesses[:, part] ** 2)) * 3
+            pull = GAIN_RIDGE_STEPS * energy
+            if energy > 0:
+                product = float(np.sum(guesses[:, part] * truths[:, part]))
+                gains[part] = (product + pull) / (float(np.sum(guesses[:, part] ** 2)) + pull)
+        errors = truths - guesses * gains
+        errors[:, POSITION] = so3.rotate(rotations[order : order + known], errors[:, POSITION])
+        return gains, np.sqrt(age @ errors**2 / age.sum()) * (steps / whole)
 
 
-def prior() -> F64:
-    """[ORDER] coefficients of a damped constant velocity, newest increment first."""
-    coefficients = np.zeros(ORDER)
-    coefficients[:2] = PRIOR_PERSISTENCE / 2
-    return coefficients
+def _bounded(moved: F64, recent: F64, steps: float) -> F64:
+    """``moved`` [6] scaled back to what the fastest increment of ``recent`` [order, 6] could cover, part by part."""
+    out = moved.copy()
+    for part in (ROTATION, POSITION):
+        limit = MAX_GROWTH * steps * float(np.linalg.norm(recent[:, part], axis=1).max())
+        size = float(np.linalg.norm(out[part]))
+        if size > limit:
+            out[part] *= limit / size
+    return out
 
 
-def fit(moves: F64) -> F64:
-    """[ORDER] coefficients for ``moves`` [N, 3], newest increment first."""
-    start = prior()
-    if len(moves) <= ORDER:
-        return start
-    windows = np.lib.stride_tricks.sliding_window_view(moves, ORDER, axis=0)[:-1, :, ::-1]  # [N - ORDER, 3, ORDER]
-    rows, targets = windows.reshape(-1, ORDER), moves[ORDER:].reshape(-1)
-    energy = float(np.mean(rows**2))
-    if energy <= 1e-18:
-        return start
-    gram = rows.T @ rows + RIDGE * energy * np.eye(ORDER)
-    return np.asarray(start + np.linalg.solve(gram, rows.T @ (targets - rows @ start)))
-
-
-def horizon_weights(coefficients: F64, steps: float) -> F64:
-    """[ORDER] weights of the displacement over ``steps`` grid steps (a fraction counts in part), by recursion."""
-    state = np.eye(ORDER)  # row j: increment j steps ago, as a combination of the ORDER known ones
-    total = np.zeros(ORDER)
-    remaining = steps
-    while remaining > 0:
-        following = coefficients @ state
-        total += following * min(1.0, remaining)
-        state = np.concatenate([following[None], state[:-1]])
-        remaining -= 1.0
-    return total
-
-
-def _bounded(weights: F64, steps: float) -> F64:
-    """Weights scaled down so that no history is carried further than ``MAX_GROWTH`` times its largest increment."""
-    reach = float(np.abs(weights).sum())
-    limit = MAX_GROWTH * steps
-    return weights if reach <= limit or reach == 0 else weights * (limit / reach)
+def _in_world(moved: F64, rotation: F64) -> F64:
+    """Displacement in camera axes -> the layout of :func:`~cags_server.predict.tangent.distribution`."""
+    return np.concatenate([moved[ROTATION], so3.rotate(rotation, moved[POSITION])])

@@ -41,6 +41,7 @@ class PoseHistory:
     def __init__(self, samples: Iterable[PoseSample] = ()) -> None:
         self._times: list[int] = []
         self._poses: list[Pose] = []
+        self._breaks: list[bool] = []  # whether the motion from the sample before to this one is a gap or a cut
         self._from_the_past: list[PoseSample] = []
         for sample in samples:
             self.add(sample)
@@ -64,9 +65,13 @@ class PoseHistory:
         at = bisect.bisect_left(self._times, sample.t_us)
         if at < len(self._times) and self._times[at] == sample.t_us:
             self._poses[at] = sample.pose
-            return
-        self._times.insert(at, sample.t_us)
-        self._poses.insert(at, sample.pose)
+        else:
+            self._times.insert(at, sample.t_us)
+            self._poses.insert(at, sample.pose)
+            self._breaks.insert(at, False)
+        for i in (at, at + 1):
+            if i < len(self._times):
+                self._breaks[i] = i > 0 and self._is_break(i)
         self._trim()
 
     def _take_old(self, sample: PoseSample) -> None:
@@ -75,6 +80,7 @@ class PoseHistory:
             restart, self._from_the_past = self._from_the_past, []
             self._times.clear()
             self._poses.clear()
+            self._breaks.clear()
             for old in restart:
                 self.add(old)
 
@@ -82,14 +88,14 @@ class PoseHistory:
         first = bisect.bisect_left(self._times, self._times[-1] - HISTORY_US)
         first = max(first, len(self._times) - MAX_SAMPLES)
         if first > 0:
-            del self._times[:first], self._poses[:first]
+            del self._times[:first], self._poses[:first], self._breaks[:first]
 
     def pose_at(self, t_us: int) -> Pose | None:
         """The pose at a time that samples lie on both sides of (or at), interpolated; None where none do."""
         at = bisect.bisect_left(self._times, t_us)
         if at < len(self._times) and self._times[at] == t_us:
             return self._poses[at]
-        if at == 0 or at == len(self._times) or self._breaks(at):
+        if at == 0 or at == len(self._times) or self._breaks[at]:
             return None
         a, b = self._poses[at - 1], self._poses[at]
         fraction = (t_us - self._times[at - 1]) / (self._times[at] - self._times[at - 1])
@@ -109,11 +115,11 @@ class PoseHistory:
         if not self._times:
             raise ValueError("the pose history is empty; nothing can be predicted before the first pose")
         for i in range(len(self._times) - 1, 0, -1):
-            if self._breaks(i):
+            if self._breaks[i]:
                 return i
         return 0
 
-    def _breaks(self, i: int) -> bool:
+    def _is_break(self, i: int) -> bool:
         """Whether the motion from sample ``i - 1`` to ``i`` is a gap or a cut."""
         dt_us = self._times[i] - self._times[i - 1]
         if dt_us > GAP_US:

@@ -1,0 +1,39 @@
+"""``cags-train``: fits what the other commands ship. One module a subcommand, loaded when it is chosen."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from importlib import import_module
+
+from cags_common.cli import command_parser, run_command
+
+EXAMPLES = """\
+  cags-train predictor --poses poses/ --held-out 09,10,11,12 --out autoregressive.npz
+  cags-train fov --poses poses/ --held-out 09,10,11,12 --out lstm.npz --seed 1
+"""
+
+SUBCOMMANDS = {
+    "predictor": ("cags_training.predictor", "fit the autoregressive viewport predictor"),
+    "fov": ("cags_training.fov", "train the LSTM that chooses the reference's field of view"),
+    "restore": ("cags_training.restore.command", "train the networks that restore colours"),
+}
+"""Name -> module with ``add_arguments(parser)`` and ``run(arguments) -> exit code``, and its help."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    return run_command("cags-train", _train, argv)
+
+
+def _train(argv: Sequence[str]) -> int:
+    parser = command_parser("cags-train", "Fit the learnt parts of the program.", EXAMPLES)
+    chosen = next((word for word in argv if word in SUBCOMMANDS), None)
+    subparsers = parser.add_subparsers(dest="part", required=True, metavar="PART")
+    for name, (module, summary) in SUBCOMMANDS.items():
+        subparser = subparsers.add_parser(name, help=summary, description=summary, allow_abbrev=False)
+        if name == chosen:  # the flags of the others are not needed, nor is what they import
+            import_module(module).add_arguments(subparser)
+    arguments: argparse.Namespace = parser.parse_args(argv)
+    code: int = import_module(SUBCOMMANDS[arguments.part][0]).run(arguments)
+    return code
