@@ -113,7 +113,7 @@ class Connection:
             elif self.streamer is not None:
                 self.streamer.on_event(event, now_us)
                 if isinstance(event, ev.Acknowledged):
-                    self.session.rate_hint_bps = self._estimator.estimate_bps(now_us)
+                    self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
                 elif isinstance(event, ev.ControlReceived) and event.control.action == "seek":
                     self.session.cancel(lambda _: True, now_us=now_us)
 
@@ -123,7 +123,7 @@ class Connection:
             self.session.refuse(*refusal, now_us=now_us)
             return
         self.streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, now_us=now_us)
-        self.session.rate_hint_bps = self._estimator.estimate_bps(now_us)
+        self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
         self.session.accept(self.streamer.welcome(self.name), now_us=now_us)
         self._queue(self.streamer.opening(now_us), now_us)
 

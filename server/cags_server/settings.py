@@ -21,6 +21,10 @@ class ServerSettings:
     reference_height: int = setting(300, "height of reference pictures, pixels, even", low=16, high=4096)
     reference_crf: float = setting(20.0, "H.264 quality of reference pictures, lower is better", low=0.0, high=51.0)
     reference_chroma: str = setting("yuv420p", "colour sampling of references", choices=("yuv420p", "yuv444p"))
+    reference_kbps: int | None = setting(
+        None, "cap of the reference video's rate, kilobits a second; none when not given", low=10, high=1_000_000
+    )
+    opening_tiles: bool = setting(True, "send the base layers of the first frame before the play begins")
     rasteriser: str = setting("auto", "rendering backend: auto, reference, cpu or cuda")
     render_threads: int = setting(2, "threads of one reference render", low=1, high=256)
     visible_px: float = setting(0.02, "least contribution of a visible splat, reference pixels", low=0.0, high=1e6)

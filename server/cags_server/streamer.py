@@ -71,6 +71,7 @@ class Streamer:
             library.manifest.fps,
             crf=settings.reference_crf,
             chroma=Chroma(settings.reference_chroma),
+            max_bps=settings.reference_kbps * 1000 if settings.reference_kbps else None,
         )
         self._clock = ClientClock()
         self._history = PoseHistory()
@@ -106,6 +107,8 @@ class Streamer:
         frame = self._timeline.frame
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
         in_view, hidden = opening_tiles(self._library, frame, camera)
+        if not self._settings.opening_tiles:
+            in_view, hidden = [], []
         out += [self._tile(key, (0, 1), BASE_PRIORITY) for key in in_view]
         out += self._frame_ends(frame)
         out += [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in hidden]
@@ -313,10 +316,11 @@ class Streamer:
 
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps = self._estimator.estimate_bps(now_us)
+        allowed_bps = self._estimator.allowance_bps(now_us)
         seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * self._timeline.period_us / 1e6
-        allowed_backlog = record.estimate_bps * self._settings.queue_ms / 8e3
+        allowed_backlog = allowed_bps * self._settings.queue_ms / 8e3
         excess = max(0.0, self._outstanding_bytes - allowed_backlog)
-        record.budget_bytes = max(0, int(record.estimate_bps * seconds / 8 - record.reference_bytes - excess))
+        record.budget_bytes = max(0, int(allowed_bps * seconds / 8 - record.reference_bytes - excess))
         decision = self._policy.decide(
             Observation(
                 frame=record.frame,

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 from cags_common.errors import ConfigError
 from cags_server.abr.base import Decision, Observation, RatePolicy, TileView, Upgrade
+from cags_server.abr.none import NoTilesPolicy
 from cags_server.abr.paper import PaperPolicy
 
-RATE_POLICIES: dict[str, Callable[[], RatePolicy]] = {"paper": PaperPolicy}
+RATE_POLICIES: dict[str, Callable[[], RatePolicy]] = {"paper": PaperPolicy, "none": NoTilesPolicy}
 """Every policy by name."""
 
 

@@ -15,5 +15,9 @@ class BandwidthEstimator(Protocol):
         ...
 
     def estimate_bps(self, now_us: int) -> float:
-        """What may be planned for from now on, bits a second; positive and finite."""
+        """What the link carries, as far as is known: bits a second, positive and finite."""
+        ...
+
+    def allowance_bps(self, now_us: int) -> float:
+        """What may be planned for from now on: more than the estimate while the link may be faster, less under load."""
         ...

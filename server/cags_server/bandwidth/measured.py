@@ -59,6 +59,10 @@ class MeasuredEstimator:
 
     def estimate_bps(self, now_us: int) -> float:
         """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
+        return min(max(self._rate_bps, MIN_BPS), MAX_BPS)
+
+    def allowance_bps(self, now_us: int) -> float:
+        """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
         gain = LOADED_GAIN if self._loaded else STARTUP_GAIN if self._startup else PROBE_GAIN
         return min(max(self._rate_bps * gain, MIN_BPS), MAX_BPS)
 

@@ -30,3 +30,7 @@ class OracleEstimator:
         """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
         start = max(0, now_us - self._origin_us)
         return max(MIN_BPS, self._share * self._trace.mean_bps(start, start + self._ahead_us))
+
+    def allowance_bps(self, now_us: int) -> float:
+        """What is known needs no probing."""
+        return self.estimate_bps(now_us)
