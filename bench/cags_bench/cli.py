@@ -13,6 +13,7 @@ from cags_common.errors import ConfigError
 
 SUBCOMMANDS = {
     "stream": "stream a scene over a trace in virtual time and score every frame",
+    "reproduce": "the paper's tables and figures on this project's scenes and traces",
     "cost": "what each step of accuracy costs in milliseconds and bytes",
 }
 """Subcommand and its summary; the code is ``cags_bench.<name>.command`` and is imported only when it is asked for."""

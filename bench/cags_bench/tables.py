@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import IO, Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 HIDDEN = ("machine", "commit", "python", "versions", "checks", "summary", "benchmark", "settings")
@@ -16,12 +17,13 @@ def print_lines(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
     console = Console(file=stream, highlight=False)
     for line in lines:
         if not line.get("summary"):
-            console.print("  ".join(f"{key}={_short(value)}" for key, value in line.items() if key not in HIDDEN))
+            text = "  ".join(f"{key}={_short(value)}" for key, value in line.items() if key not in HIDDEN)
+            console.print(text, markup=False, soft_wrap=True)
             continue
         console.print(summary_table(line))
         if line.get("checks"):
             console.print(checks_table(line["checks"]))
-        console.print(f"[dim]{line.get('machine', '')}, commit {line.get('commit', '')}[/dim]")
+        console.print(f"{line.get('machine', '')}, commit {line.get('commit', '')}", style="dim", markup=False)
 
 
 def summary_table(line: dict[str, Any]) -> Table:
@@ -29,7 +31,7 @@ def summary_table(line: dict[str, Any]) -> Table:
     table = Table(title=str(line.get("benchmark", "summary")), show_header=False)
     for key, value in line.items():
         if key not in HIDDEN:
-            table.add_row(key, _short(value))
+            table.add_row(escape(key), escape(_short(value)))
     return table
 
 
@@ -37,7 +39,8 @@ def checks_table(checks: Iterable[dict[str, Any]]) -> Table:
     """Targets beside what was measured."""
     table = Table("check", "target", "measured", "met", title="checks")
     for row in checks:
-        table.add_row(str(row["name"]), str(row["target"]), _short(row["value"]), "yes" if row["ok"] else "NO")
+        cells = str(row["name"]), str(row["target"]), _short(row["value"]), "yes" if row["ok"] else "NO"
+        table.add_row(*map(escape, cells))
     return table
 
 

@@ -1,0 +1,1 @@
+"""``cags-bench reproduce``: the paper's tables and figures on this project's scenes and traces."""

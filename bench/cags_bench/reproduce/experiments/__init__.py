@@ -1,0 +1,27 @@
+"""Every table and figure by name, in the paper's order."""
+
+from __future__ import annotations
+
+from cags_bench.reproduce.experiments import coding, looking, streaming, timing
+from cags_bench.reproduce.plan import Experiment
+
+EXPERIMENTS: dict[str, Experiment] = {
+    one.name: one
+    for one in (
+        Experiment(
+            "motivation",
+            "figure",
+            "Super-resolution, colour restoration, and restoration by example",
+            coding.motivation,
+        ),
+        Experiment("svq", "table", "Scalable vector quantisation at its highest level", coding.svq),
+        Experiment("fixed", "figure", "Quality under fixed bandwidth", streaming.fixed),
+        Experiment("fluctuating", "figure", "Quality under fluctuating bandwidth", streaming.fluctuating),
+        Experiment("ablations", "figure", "Without alignment, without the adaptive field of view", streaming.ablations),
+        Experiment("generality", "figure", "Other representations of moving Gaussians", streaming.generality),
+        Experiment("components", "table", "Time of the system's components", timing.components),
+        Experiment("precision", "table", "Prediction and field-of-view precision", looking.precision),
+        Experiment("layers", "figure", "Quality against size of each attribute's layers", coding.layers),
+        Experiment("ladder", "figure", "Quality against size along the LoD ladder", coding.ladder),
+    )
+}

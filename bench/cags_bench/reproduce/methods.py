@@ -1,0 +1,75 @@
+"""Streaming methods as configurations of the program's seams: ours, the baselines and the ablations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to stream: what differs from the defaults of encoder, server and client."""
+
+    title: str
+    note: str
+    """What is as published, and what stands in for what is not to be had."""
+    encode: Mapping[str, Any] = field(default_factory=dict)
+    server: Mapping[str, Any] = field(default_factory=dict)
+    client: Mapping[str, Any] = field(default_factory=dict)
+
+
+METHODS: dict[str, Method] = {
+    "cags": Method("CAGS (ours)", "the defaults of this program"),
+    "cags-paper": Method(
+        "CAGS (as published)",
+        "66-bit SVQ, the four-step rate policy, fixed-margin field of view, a plain low-resolution reference; "
+        "closed-form restoration stands in for the paper's trained network where its weights are not shipped",
+        encode={"quantiser": "paper-66"},
+        server={"abr": "paper"},
+        client={"adapt": "none"},
+    ),
+    "sr-align-ref": Method(
+        "SR align ref.",
+        "the aligned reference alone; bilinear upsampling stands in for the trained super-resolution network",
+        client={"restore": "reference", "adapt": "none"},
+    ),
+    "cr-no-ref": Method(
+        "CR w/o ref.",
+        "the distorted picture without any reference; its restoration network is left out where no weights are shipped",
+        client={"restore": "none", "adapt": "none"},
+    ),
+    "lts-f": Method(
+        "LTS-F",
+        "density levels: nested subsets of splats by importance with compensated opacity and scale, independently "
+        "decodable groups, one level a frame; our rate policy stands in for LTS's own",
+        encode={"codec": "density"},
+        client={"restore": "none", "adapt": "none"},
+    ),
+    "v3-a": Method(
+        "V3-A",
+        "attributes as H.264-coded planes at several qualities; a better quality is sent whole; the hash grids that V3 "
+        "trains are left out",
+        encode={"codec": "video"},
+    ),
+    "reference-only": Method(
+        "remote rendering",
+        "no splats at all: the server's picture for the predicted pose at the client's resolution, shown as it is",
+        server={"abr": "none", "send_tiles": False},
+        client={"restore": "reference", "align": "unaligned", "adapt": "none"},
+    ),
+    "no-prpa": Method(
+        "w/o PRPA",
+        "the reference is restored from without alignment",
+        client={"align": "unaligned", "adapt": "none"},
+    ),
+    "no-adaptive-fov": Method(
+        "w/o adaptive FoV",
+        "the reference's field of view is always 10 % wider",
+        server={"fov": "fixed", "fov_margin": 0.1},
+    ),
+}
+"""By the name that ``--methods`` takes."""
+
+BASELINES = ("lts-f", "v3-a", "sr-align-ref", "cr-no-ref", "reference-only")
+ABLATIONS = ("no-prpa", "no-adaptive-fov")

@@ -1,0 +1,62 @@
+"""The page of a reproduction: every table and figure, one self-contained HTML file, and the tables as data."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+from cags_bench import html
+from cags_bench.jsonl import dump, provenance
+from cags_bench.reproduce.plan import Plan
+from cags_bench.reproduce.section import Plot, Section
+
+
+def write_section(out: Path, section: Section) -> None:
+    """Write one experiment's table as ``NAME.jsonl`` and ``NAME.csv``."""
+    out.mkdir(parents=True, exist_ok=True)
+    lines = [line | provenance() for line in section.lines()]
+    (out / f"{section.name}.jsonl").write_text("".join(dump(line) + "\n" for line in lines), encoding="utf-8")
+    with (out / f"{section.name}.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(section.columns)
+        writer.writerows(section.rows)
+
+
+def write_page(out: Path, sections: Sequence[Section], plan: Plan) -> None:
+    """Write ``index.html`` with all sections."""
+    size = "quick" if plan.quick else "whole"
+    intro = (
+        f"<p>The paper's tables and figures, made again ({size} run): {plan.frames} frames at "
+        f"{plan.width}x{plan.height}; scenes {html.escape(', '.join(plan.scenes))}; head motion {html.escape(plan.poses)}; network "
+        f"{html.escape(plan.trace)}. Quality comes from virtual time and is the same every time; speed is of the machine "
+        "named above.</p>"
+    )
+    (out / "index.html").write_text(html.page("Reproduction", [intro, *map(_section, sections)]), encoding="utf-8")
+
+
+def _section(section: Section) -> str:
+    parts = [
+        f"<h2 id={section.name}>{html.escape(section.title)}</h2>",
+        f"<p class=note>{html.escape(section.paper)}</p>",
+    ]
+    parts += [_plot(plot) for plot in section.plots]
+    if section.rows:
+        parts.append(html.table(section.columns, section.rows))
+    if section.checks:
+        rows = [(c["name"], c["target"], c["value"], "yes" if c["ok"] else "no") for c in section.checks]
+        parts.append("<h3>Against the targets</h3>" + html.table(("check", "target", "measured", "met"), rows))
+    if section.notes:
+        parts.append("<ul>" + "".join(f"<li class=note>{html.escape(note)}</li>" for note in section.notes) + "</ul>")
+    return "\n".join(parts)
+
+
+def _plot(plot: Plot) -> str:
+    figure, axes = html.new_figure(7.5, 3.6)
+    for curve in plot.curves:
+        axes.plot(curve.x, curve.y, marker="." if len(curve.x) < 30 else None, label=curve.label)
+    axes.set_title(plot.title, fontsize=10)
+    axes.set_xlabel(plot.x_label)
+    axes.set_ylabel(plot.y_label)
+    axes.legend(fontsize=7)
+    return html.picture(figure, plot.title)

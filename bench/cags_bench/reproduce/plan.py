@@ -1,0 +1,66 @@
+"""How large a reproduction is: scenes, frames, sizes; quick, or whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cags_bench.reproduce.cases import Runner, StreamCase
+from cags_bench.reproduce.methods import ABLATIONS, BASELINES
+from cags_bench.reproduce.section import Section
+
+PAPER_RATES_MBPS = (30.0, 60.0, 90.0, 120.0, 150.0)
+QUICK_RATES_MBPS = (30.0, 60.0, 150.0)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What every experiment works on."""
+
+    scenes: tuple[str, ...]
+    poses: str
+    trace: str
+    frames: int
+    width: int
+    height: int
+    quick: bool
+
+    @property
+    def rates_mbps(self) -> tuple[float, ...]:
+        """Fixed bandwidths, the paper's."""
+        return QUICK_RATES_MBPS if self.quick else PAPER_RATES_MBPS
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Ours, as published, and every baseline."""
+        return ("cags", "cags-paper", *BASELINES)
+
+    @property
+    def ablations(self) -> tuple[str, ...]:
+        """Ours, and ours without one part."""
+        return ("cags", *ABLATIONS)
+
+
+@dataclass(frozen=True)
+class Context:
+    """A plan and what runs it."""
+
+    plan: Plan
+    runner: Runner
+    tell: Callable[[str], None]
+
+    def case(self, scene: str, method: str, mbps: float | None = None) -> StreamCase:
+        """One streamed case of the plan."""
+        p = self.plan
+        return StreamCase(scene, method, p.poses, p.frames, p.width, p.height, p.trace, mbps)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A table or figure that can be made again by name."""
+
+    name: str
+    kind: str
+    """``table`` or ``figure``."""
+    title: str
+    run: Callable[[Context], Section]

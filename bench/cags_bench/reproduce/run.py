@@ -1,0 +1,84 @@
+"""The run behind ``cags-bench reproduce``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cags_bench.jsonl import check, provenance, summary
+from cags_bench.reproduce.cache import ResultCache
+from cags_bench.reproduce.cases import Runner
+from cags_bench.reproduce.command import ReproduceSettings
+from cags_bench.reproduce.experiments import EXPERIMENTS
+from cags_bench.reproduce.page import write_page, write_section
+from cags_bench.reproduce.plan import Context, Experiment, Plan
+from cags_common.errors import ConfigError
+
+QUICK_LIMIT_MIN = 25.0
+
+
+def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
+    """Make the chosen experiments; every finished one is on disk before the next begins."""
+    chosen = _chosen(settings)
+    plan = _plan(settings)
+    context = Context(plan, Runner(ResultCache(), settings.cache, settings.device), _tell)
+    out, sections = Path(settings.out), []
+    started = time.monotonic()
+    for experiment in chosen:
+        section = experiment.run(context)
+        sections.append(section)
+        write_section(out, section)
+        write_page(out, sections, plan)
+        for line in section.lines():
+            yield line | provenance()
+    minutes = (time.monotonic() - started) / 60
+    checks = [one for section in sections for one in section.checks]
+    if settings.all and settings.quick:
+        checks.append(check("quick run", f"< {QUICK_LIMIT_MIN:g} min", round(minutes, 1), minutes < QUICK_LIMIT_MIN))
+    yield summary(
+        "reproduce", checks, experiments=[one.name for one in chosen], minutes=round(minutes, 2), out=str(out)
+    )
+
+
+def _chosen(settings: ReproduceSettings) -> list[Experiment]:
+    if settings.all:
+        return list(EXPERIMENTS.values())
+    chosen = []
+    for kind in ("table", "figure"):
+        name = getattr(settings, kind)
+        if name:
+            known = [one.name for one in EXPERIMENTS.values() if one.kind == kind]
+            if name not in known:
+                raise ConfigError(f"{kind} = {name!r} is unknown; known: {', '.join(known)}")
+            chosen.append(EXPERIMENTS[name])
+    if not chosen:
+        raise ConfigError("nothing is asked for; give --all, --table NAME or --figure NAME")
+    return chosen
+
+
+def _plan(settings: ReproduceSettings) -> Plan:
+    frames, width, height = (45, 640, 480) if settings.quick else (300, 1600, 1200)
+    frames = settings.frames or frames
+    return Plan(
+        scenes=tuple(_with_frames(scene, frames) for scene in settings.scenes.split()),
+        poses=settings.poses,
+        trace=settings.trace,
+        frames=frames,
+        width=settings.width or width,
+        height=settings.height or height,
+        quick=settings.quick,
+    )
+
+
+def _with_frames(scene: str, frames: int) -> str:
+    """The built-in scene moves for as long as it is asked to."""
+    if scene.startswith("procedural") and "frames=" not in scene:
+        return f"{scene}{',' if ':' in scene else ':'}frames={frames}"
+    return scene
+
+
+def _tell(what: str) -> None:
+    print(f"reproduce: {what}", file=sys.stderr, flush=True)

@@ -1,0 +1,93 @@
+"""Reproductions: chosen by name, resumed by content, written as pages and data."""
+
+import json
+
+import pytest
+
+from cags_bench.jsonl import check
+from cags_bench.reproduce.cache import ResultCache
+from cags_bench.reproduce.cases import scaled_trace
+from cags_bench.reproduce.command import ReproduceSettings
+from cags_bench.reproduce.experiments import EXPERIMENTS
+from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
+from cags_bench.reproduce.page import write_page, write_section
+from cags_bench.reproduce.plan import Plan
+from cags_bench.reproduce.run import reproduce
+from cags_bench.reproduce.section import Curve, Plot, Section
+from cags_common.errors import ConfigError
+from cags_shaper.trace import open_trace
+
+PLAN = Plan(("a",), "synthetic:still", "generated:steady-5", 8, 64, 48, quick=True)
+
+
+def test_a_result_is_computed_once(tmp_path):
+    cache, calls = ResultCache(tmp_path), []
+
+    def compute() -> dict:
+        calls.append(1)
+        return {"psnr": 30.0}
+
+    assert cache.get({"a": 1}, compute) == cache.get({"a": 1}, compute) == {"psnr": 30.0}
+    assert cache.get({"a": 2}, compute) == {"psnr": 30.0}
+    assert len(calls) == 2
+
+
+def test_an_interrupted_result_is_not_kept(tmp_path):
+    def fail() -> dict:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ResultCache(tmp_path).get({"a": 1}, fail)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (ReproduceSettings(), "nothing is asked for"),
+        (ReproduceSettings(table="fixed"), r"table = 'fixed' is unknown; known: svq"),
+        (ReproduceSettings(figure="none"), "figure = 'none' is unknown; known: motivation"),
+    ],
+)
+def test_unknown_names_are_refused(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        list(reproduce(settings))
+
+
+def test_every_method_says_what_stands_in():
+    assert {"cags", "cags-paper", *BASELINES, *ABLATIONS} == set(METHODS)
+    assert all(method.note for method in METHODS.values())
+
+
+def test_every_experiment_is_a_table_or_a_figure():
+    assert {one.kind for one in EXPERIMENTS.values()} == {"table", "figure"}
+
+
+def test_scaled_traces_keep_their_shape(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    scaled = open_trace(str(scaled_trace("generated:step", 0.5, seconds=20)))
+    whole = open_trace("generated:step")
+    for start in range(0, 20_000_000, 2_000_000):
+        expected = whole.mean_bps(start, start + 2_000_000) / 2
+        assert scaled.mean_bps(start, start + 2_000_000) == pytest.approx(expected, rel=0.05, abs=20_000)
+
+
+def test_page_and_data_hold_the_section(tmp_path):
+    section = Section(
+        "fixed",
+        "Quality <under> load",
+        "Figure",
+        columns=("method", "PSNR [dB]"),
+        rows=[["ours", 31.25], ["theirs", None]],
+        plots=[Plot("t", "x", "y", [Curve("ours", [1, 2], [3, 4])])],
+        checks=[check("ahead", "> 0", 1.0, ok=True)],
+    )
+    write_section(tmp_path, section)
+    write_page(tmp_path, [section], PLAN)
+    page = (tmp_path / "index.html").read_text()
+    assert "Quality &lt;under&gt; load" in page
+    assert "31.25" in page
+    assert "data:image/png;base64," in page
+    lines = [json.loads(line) for line in (tmp_path / "fixed.jsonl").read_text().splitlines()]
+    assert [line["PSNR [dB]"] for line in lines] == [31.25, None]
+    assert len((tmp_path / "fixed.csv").read_text().splitlines()) == 3
