@@ -29,8 +29,8 @@ def write_page(out: Path, sections: Sequence[Section], plan: Plan) -> None:
     intro = (
         f"<p>The paper's tables and figures, made again ({size} run): {plan.frames} frames at "
         f"{plan.width}x{plan.height}; scenes {html.escape(', '.join(plan.scenes))}; head motion "
-        f"{html.escape(plan.poses)}; network {html.escape(plan.trace)}. Quality comes from virtual time and is the same "
-        "every time; speed is of the machine named above.</p>"
+        f"{html.escape(plan.poses)}; network {html.escape(plan.trace)}. Quality comes from virtual time and is the "
+        "same every time; speed is of the machine named above.</p>"
     )
     (out / "index.html").write_text(html.page("Reproduction", [intro, *map(_section, sections)]), encoding="utf-8")
 
