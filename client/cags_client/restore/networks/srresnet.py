@@ -1,0 +1,73 @@
+"""The restoration network of the paper's authors, as a tier and as the baselines with one input.
+
+[reference, distorted] -> 3x3 convolution of 24 channels, LeakyReLU 0.1 -> 4 residual blocks (3x3, LeakyReLU, 3x3; no
+batch norm) -> two more convolutions with LeakyReLU -> 3x3 convolution to RGB, plus the reference. At full resolution:
+54,051 weights, 103 GMAC at 1600x1200 (Ledig et al. 2017, made light; FINDINGS of this project).
+
+``sr-align-ref`` sees the aligned reference alone (super-resolution), ``cr-no-ref`` the distorted picture alone (colour
+restoration without a reference, which it then adds to).
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+WIDTH = 24
+BLOCKS = 4
+SLOPE = 0.1
+
+
+class Sees(StrEnum):
+    """Which pictures the network is given."""
+
+    BOTH = "both"
+    REFERENCE = "reference"
+    DISTORTED = "distorted"
+
+
+class SrResNet(nn.Module):
+    """See the module's text. Images are [B, H, W, 3] of any size, as the program keeps them."""
+
+    def __init__(self, sees: Sees = Sees.BOTH) -> None:
+        super().__init__()
+        self.sees = sees
+        self.head = _convolution(6 if sees is Sees.BOTH else 3, WIDTH)
+        self.blocks = nn.ModuleList(ResidualBlock() for _ in range(BLOCKS))
+        self.mix = nn.ModuleList([_convolution(WIDTH, WIDTH), _convolution(WIDTH, WIDTH)])
+        self.tail = _convolution(WIDTH, 3)
+        nn.init.zeros_(self.tail.weight)  # an untrained network shows the picture that it adds to
+        assert self.tail.bias is not None
+        nn.init.zeros_(self.tail.bias)
+
+    def forward(self, aligned: Tensor, distorted: Tensor) -> Tensor:
+        """The restored picture before clipping: the loss looks at this, so that no gradient dies."""
+        base = distorted if self.sees is Sees.DISTORTED else aligned
+        seen = torch.cat([aligned, distorted], dim=3) if self.sees is Sees.BOTH else base
+        features = functional.leaky_relu(self.head(seen.permute(0, 3, 1, 2)), SLOPE, inplace=True)
+        for block in self.blocks:
+            features = block(features)
+        for convolution in self.mix:
+            features = functional.leaky_relu(convolution(features), SLOPE, inplace=True)
+        restored: Tensor = base + self.tail(features).permute(0, 2, 3, 1)
+        return restored
+
+
+class ResidualBlock(nn.Module):
+    """x + conv(leaky(conv(x))), no normalisation."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.first, self.second = _convolution(WIDTH, WIDTH), _convolution(WIDTH, WIDTH)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """[B, 24, H, W] to the same shape."""
+        inner: Tensor = self.second(functional.leaky_relu(self.first(features), SLOPE, inplace=True))
+        return features + inner
+
+
+def _convolution(inputs: int, outputs: int) -> nn.Conv2d:
+    return nn.Conv2d(inputs, outputs, 3, padding=1)

@@ -1,0 +1,69 @@
+"""One encoded frame of a scene at any depth of its LoD ladder, and the unquantised frame that it came from."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.bundle import BundleReader, Manifest
+from cags_common.splats import Splats
+from cags_common.svq import CodebookSet
+from cags_common.tiles import TileState, decode_base
+from cags_encoder.pipeline import encode
+from cags_encoder.scenes import open_scene
+from cags_encoder.settings import EncodeSettings
+
+
+class Ladder:
+    """The first frame of a bundle, held in memory: every tile's payloads, and the source."""
+
+    def __init__(self, reader: BundleReader) -> None:
+        self.manifest: Manifest = reader.manifest
+        self.truth: Splats = reader.source(0).splats
+        self._books = CodebookSet.from_bytes(reader.codebooks())
+        levels = range(self.manifest.lods)
+        self._payloads = [[reader.payload(0, tile.tile, lod) for lod in levels] for tile in reader.frame(0).tiles]
+
+    @classmethod
+    def of_scene(cls, spec: str, seed: int = 0) -> Ladder:
+        """Encode the first frame of the scene that ``spec`` names. Raises what opening and encoding raise."""
+        with tempfile.TemporaryDirectory(prefix="cags-pairs-") as folder:
+            url = str(Path(folder) / "scene.cags")
+            encode(open_scene(spec), EncodeSettings(frames=1, seed=seed), url)
+            with BundleReader.open(url) as reader:
+                return cls(reader)
+
+    @property
+    def tiles(self) -> int:
+        """Number of tiles."""
+        return len(self._payloads)
+
+    @property
+    def top(self) -> int:
+        """The highest LoD."""
+        return self.manifest.lods - 1
+
+    def at(self, lods: Sequence[int] | NDArray[np.integer]) -> Splats:
+        """All splats, each tile decoded to its own LoD of ``lods`` [tiles], 0 to :attr:`top`."""
+        parts = []
+        for payloads, lod in zip(self._payloads, lods, strict=True):
+            state = TileState(decode_base(payloads[0], self._books), self._books, self.manifest.lod_order)
+            for level in range(1, int(lod) + 1):
+                state.add_layer(level, payloads[level])
+            parts.append(state.dequantise())
+        return Splats.concatenate(parts)
+
+
+def draw_lods(rng: np.random.Generator, tiles: int, top: int) -> NDArray[np.int64]:
+    """LoDs [tiles] as a stream leaves them: one level for all, uniform over the ladder, and tiles that differ by some.
+
+    One draw in four is level for all tiles.
+    """
+    middle = rng.uniform(0.0, top)
+    spread = 0.0 if rng.random() < 0.25 else rng.uniform(0.0, top / 4)
+    drawn = np.rint(rng.normal(middle, spread, tiles)).astype(np.int64)
+    return np.clip(drawn, 0, top)

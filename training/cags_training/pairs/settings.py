@@ -1,0 +1,27 @@
+"""How training pairs are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cags_common.settings import check_settings, setting
+
+
+@dataclass(frozen=True)
+class PairSettings:
+    """The distribution that a restorer is trained on; names are flags and TOML keys."""
+
+    views: int = setting(60, "views drawn in each scene", low=1, high=100_000)
+    crops: int = setting(8, "crops kept of each view", low=1, high=1000)
+    crop: int = setting(160, "side of a crop, client pixels; a multiple of 8", low=32, high=1024)
+    crf_low: float = setting(16.0, "least H.264 crf of references", low=0, high=51)
+    crf_high: float = setting(26.0, "largest H.264 crf of references", low=0, high=51)
+    margin_high: float = setting(0.35, "largest widening of the reference's field of view", low=0, high=2)
+    horizon_ms_high: int = setting(400, "largest prediction horizon in milliseconds", low=0, high=1000)
+    plain_share: float = setting(0.0, "share of views whose reference has no client footprint", low=0, high=1)
+    reference_width: int = setting(400, "reference width in pixels", low=16, high=4096)
+    reference_height: int = setting(300, "reference height in pixels", low=16, high=4096)
+    seed: int = setting(0, "seed of everything that is drawn", low=0, high=2**31 - 1)
+
+    def __post_init__(self) -> None:
+        check_settings(self)

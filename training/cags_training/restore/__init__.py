@@ -1,0 +1,1 @@
+"""Training of restoration networks: ``cags-train restore``."""

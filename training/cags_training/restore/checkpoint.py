@@ -1,0 +1,46 @@
+"""Checkpoints: plain ``.npz``, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cags_common.errors import ConfigError
+from cags_common.geometry import F32
+
+_FACTS = "facts"
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """Arrays by name, and plain facts (JSON)."""
+
+    arrays: dict[str, F32]
+    facts: dict[str, Any]
+
+    def save(self, path: Path) -> None:
+        """Replace the checkpoint at ``path``."""
+        staged = path.with_name(f".{path.name}.{os.getpid()}.npz")
+        facts = np.frombuffer(json.dumps(self.facts).encode(), np.uint8)
+        try:
+            np.savez(staged, **{_FACTS: facts}, **self.arrays)  # type: ignore[arg-type]
+            staged.replace(path)
+        finally:
+            staged.unlink(missing_ok=True)
+
+    @staticmethod
+    def load(path: Path) -> Checkpoint:
+        """Read a checkpoint. Raises :class:`ConfigError` for a damaged one."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            facts = json.loads(arrays.pop(_FACTS).tobytes())
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise ConfigError(f"{path}: is no checkpoint ({error}); remove it to start anew") from error
+        return Checkpoint(arrays, facts)

@@ -1,0 +1,146 @@
+"""``cags-train restore``: from scenes to a weights file, with a report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cags_common.errors import ConfigError
+from cags_common.settings import add_settings, load_settings
+from cags_training.pairs.settings import PairSettings
+from cags_training.restore.settings import TrainSettings
+
+if TYPE_CHECKING:
+    from cags_training.pairs.crops import Crops
+    from cags_training.restore.trainer import Trainer
+
+SUMMARY = "train a restoration network on pairs that the streaming pipeline itself makes"
+
+EXAMPLES = """\
+  cags-train restore --scene procedural:seed=5 --held-out procedural:seed=9 --out lite/
+  cags-train restore --scene a.ply --scene b.splat --held-out c.sog --poses walk.csv --steps 12000 --out lite/
+  cags-train restore --network srresnet --patch 96 --batch 8 --scene a.ply --held-out c.sog --out srresnet/
+  cags-train restore --start lite/lite.npz --rate 3e-4 --steps 800 --scene mine.ply --held-out mine.ply --out fine/"""
+
+HELD_OUT_VIEWS_SHARE = 0.5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of the command."""
+    parser.add_argument("--scene", action="append", default=[], metavar="SCENE", help="scene to train on; repeatable")
+    parser.add_argument(
+        "--held-out", action="append", default=[], metavar="SCENE", help="scene to score on; repeatable"
+    )
+    parser.add_argument(
+        "--poses", action="append", default=[], metavar="FILE", help="head-motion trace to look along; repeatable"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of weights, checkpoint and report")
+    parser.add_argument("--pairs", default=None, metavar="DIR", help="folder of made pairs (default: OUT/pairs)")
+    parser.add_argument("--start", default=None, metavar="FILE", help="weights to start from (fine-tuning)")
+    parser.add_argument("--restart", action="store_true", help="ignore the checkpoint in OUT")
+    parser.add_argument("--json", action="store_true", help="print the history as JSON lines to stdout")
+    add_settings(parser, TrainSettings)
+    group = parser.add_argument_group("pairs")
+    _add_pair_flags(group)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make what pairs are missing, train, and write ``NETWORK.npz``, ``report.md`` and ``curves.png``."""
+    from cags_training.restore.trainer import Trainer
+
+    settings = load_settings(TrainSettings, _only(arguments, TrainSettings))
+    pairs = load_settings(PairSettings, _only(arguments, PairSettings))
+    if not arguments.scene or not arguments.held_out:
+        raise ConfigError("give at least one --scene to train on and one --held-out to score on")
+    if settings.patch > pairs.crop:
+        raise ConfigError(f"patch = {settings.patch} is larger than crop = {pairs.crop}; make crops larger")
+    out = Path(arguments.out)
+    out.mkdir(parents=True, exist_ok=True)
+    train, held_out = _data(arguments, pairs, out)
+    trainer = Trainer(settings, train, held_out, pairs.seed)
+    _prepare(trainer, arguments, out)
+    _train(trainer, settings, out, as_json=arguments.json)
+    _finish(trainer, settings, arguments, out)
+    return 0
+
+
+def _add_pair_flags(group: Any) -> None:
+    """The settings of pairs; ``--config`` is there already, and holds those of training."""
+    inner = argparse.ArgumentParser(add_help=False, conflict_handler="resolve")
+    add_settings(inner, PairSettings)
+    for action in inner._actions:
+        if action.dest != "config":
+            group._add_action(action)
+
+
+def _only(arguments: argparse.Namespace, cls: type[TrainSettings] | type[PairSettings]) -> argparse.Namespace:
+    names = {f.name for f in fields(cls)} | ({"config"} if cls is TrainSettings else set())
+    return argparse.Namespace(**{name: value for name, value in vars(arguments).items() if name in names})
+
+
+def _data(arguments: argparse.Namespace, pairs: PairSettings, out: Path) -> tuple[Crops, Crops]:
+    from cags_encoder.progress import progress_bar
+    from cags_training.restore.data import crops_of_scenes
+
+    folder = Path(arguments.pairs) if arguments.pairs else out / "pairs"
+    fewer = replace(pairs, views=max(1, int(pairs.views * HELD_OUT_VIEWS_SHARE)), seed=pairs.seed + 1)
+    with progress_bar() as tell:
+        train = crops_of_scenes(arguments.scene, arguments.poses, pairs, folder, tell)
+        held_out = crops_of_scenes(arguments.held_out, arguments.poses, fewer, folder, tell)
+    return train, held_out
+
+
+def _prepare(trainer: Trainer, arguments: argparse.Namespace, out: Path) -> None:
+    """Start from given weights, or go on from the checkpoint that is there."""
+    from cags_client.restore.networks.weights import Weights
+    from cags_training.restore.checkpoint import Checkpoint
+
+    if arguments.start:
+        trainer.start_from(Weights.load(Path(arguments.start)))
+    checkpoint = out / "checkpoint.npz"
+    if checkpoint.exists() and not arguments.restart:
+        trainer.resume(Checkpoint.load(checkpoint))
+
+
+def _train(trainer: Trainer, settings: TrainSettings, out: Path, *, as_json: bool) -> None:
+    from cags_encoder.progress import progress_bar
+
+    with progress_bar() as tell:
+
+        def told(done: int, total: int, line: Any) -> None:
+            tell(f"train {settings.network}", done, total)
+            if line is not None and as_json:
+                print(json.dumps(asdict(line)), flush=True)
+
+        trainer.run(told, lambda checkpoint: checkpoint.save(out / "checkpoint.npz"))
+
+
+def _finish(trainer: Trainer, settings: TrainSettings, arguments: argparse.Namespace, out: Path) -> None:
+    from cags_client.restore.networks.weights import Weights
+    from cags_training.restore.report import write_report
+
+    best = max(trainer.history, key=lambda line: line.gain_db)
+    about = {
+        "network": settings.network,
+        "command": "cags-train " + shlex.join(sys.argv[1:]),
+        "scenes": arguments.scene,
+        "held_out": arguments.held_out,
+        "poses": [Path(walk).name for walk in arguments.poses],
+        "training": asdict(settings),
+        "best": asdict(best),
+        "crops": {"train": len(trainer.train), "held_out": len(trainer.held_out)},
+    }
+    Weights(settings.network, trainer.best, {k: v for k, v in about.items() if k != "network"}).save(
+        out / f"{settings.network}.npz"
+    )
+    page = write_report(out, trainer.history, about)
+    print(
+        f"{out / settings.network}.npz: {best.gain_db:+.2f} dB over the distorted picture on held-out crops "
+        f"(step {best.step}); {page}",
+        file=sys.stderr,
+    )

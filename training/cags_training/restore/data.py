@@ -1,0 +1,57 @@
+"""Crops of every scene, made once and found again."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from cags_encoder.cache import content_key
+from cags_encoder.settings import EncodeSettings
+from cags_training.pairs.crops import Crops, make_crops
+from cags_training.pairs.ladder import Ladder
+from cags_training.pairs.maker import PairMaker
+from cags_training.pairs.settings import PairSettings
+from cags_training.pairs.views import focus_of_manifest, open_walks
+
+PAIRS_VERSION = 1
+"""Raised whenever the same scene and settings give other crops."""
+
+Tell = Callable[[str, int, int], None]
+"""Called with the stage's name, steps done and steps in all."""
+
+
+def crops_of_scenes(
+    scenes: Sequence[str], walks: Sequence[str], settings: PairSettings, folder: Path, tell: Tell
+) -> Crops:
+    """Crops of all ``scenes``, seen along ``walks``; those that ``folder`` holds already are not made again.
+
+    Raises what opening, encoding and reading raise.
+    """
+    parts = []
+    for spec in scenes:
+        path = folder / f"{_key(spec, walks, settings)}.npz"
+        if not path.exists():
+            _made(spec, walks, settings, tell).save(path)
+        parts.append(Crops.load(path))
+        tell(f"pairs of {spec}", 1, 1)
+    return Crops.concatenate(parts)
+
+
+def _made(spec: str, walks: Sequence[str], settings: PairSettings, tell: Tell) -> Crops:
+    tell(f"encode {spec}", 0, 1)
+    ladder = Ladder.of_scene(spec, settings.seed)
+    tell(f"encode {spec}", 1, 1)
+    rng = np.random.default_rng((settings.seed, int(_key(spec, (), settings), 16)))
+    placed = open_walks(tuple(walks), focus_of_manifest(ladder.manifest), settings.seed)
+    maker = PairMaker(ladder, placed, settings)
+    return make_crops(maker, settings, rng, lambda done, total: tell(f"pairs of {spec}", done, total))
+
+
+def _key(spec: str, walks: Sequence[str], settings: PairSettings) -> str:
+    scene = content_key(spec, EncodeSettings(frames=1, seed=settings.seed))
+    facts = repr((PAIRS_VERSION, scene, tuple(Path(walk).name for walk in walks), sorted(asdict(settings).items())))
+    return hashlib.sha256(facts.encode()).hexdigest()[:16]
