@@ -45,7 +45,7 @@ class Arrivals:
 class LoadServer:
     """Plans by the clock, sends by the session."""
 
-    def __init__(self, estimator: BandwidthEstimator, log: Arrivals, fps: float = FPS) -> None:
+    def __init__(self, estimator: BandwidthEstimator, log: Arrivals, fps: float) -> None:
         self.session = ServerSession(now_us=0)
         self._estimator, self._log, self._fps = estimator, log, fps
         self._frame = 0
@@ -77,10 +77,10 @@ class LoadServer:
         self._settle(now_us)
 
     def _plan(self, now_us: int) -> None:
-        estimate_bps = self._estimator.estimate_bps(now_us)
-        self._log.estimates.append((now_us, estimate_bps))
+        self._log.estimates.append((now_us, self._estimator.estimate_bps(now_us)))
+        allowed_bps = self._estimator.allowance_bps(now_us)
         self._frame += 1
-        budget = int(estimate_bps / self._fps / 8) - REFERENCE_BYTES - self.session.queued_bytes
+        budget = int(allowed_bps / self._fps / 8) - REFERENCE_BYTES - self.session.queued_bytes
         self._queue(ReferenceFrame(now_us, self._frame, Pose.identity(), INTRINSICS), REFERENCE_BYTES, 0, now_us)
         size = min(budget // TILES_PER_FRAME, len(ZEROS))
         if size > 0:
@@ -99,7 +99,7 @@ class LoadServer:
                     self._due_us = now_us
                 case ev.Acknowledged(sample):
                     self._estimator.on_ack(sample)
-                    self.session.rate_hint_bps = self._estimator.estimate_bps(now_us)
+                    self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
                 case ev.Dropped(_, _, sent_bytes):
                     self._log.dropped += 1
                     self._log.wasted_bytes += sent_bytes
@@ -141,12 +141,24 @@ class LoadClient:
             self._pose_us = now_us + POSE_INTERVAL_US
 
 
-def run_load(trace: Trace, estimator: BandwidthEstimator, duration_us: int, settings: LinkSettings) -> Arrivals:
-    """One session over ``trace`` (towards the client; the other way has no rate limit) for ``duration_us``."""
+def load_world(
+    trace: Trace, estimator: BandwidthEstimator, settings: LinkSettings, fps: float = FPS
+) -> tuple[World, Arrivals]:
+    """A session over ``trace`` (towards the client; the other way has no rate limit), and what arrives over it."""
     log = Arrivals()
-    server, client = LoadServer(estimator, log), LoadClient(log)
+    server, client = LoadServer(estimator, log, fps), LoadClient(log)
     down = Direction(Link(trace, settings), client.receive)
     up = Direction(Link(None, LinkSettings(delay_us=settings.delay_us)), server.receive)
-    world = World(server, client, down, up, lambda _: False)
-    world.run(lambda: world.now_us >= duration_us, duration_us + 10_000_000)
+    return World(server, client, down, up, lambda _: False), log
+
+
+def run_load(trace: Trace, estimator: BandwidthEstimator, duration_us: int, settings: LinkSettings) -> Arrivals:
+    """Run one session for ``duration_us``."""
+    world, log = load_world(trace, estimator, settings)
+    advance(world, duration_us)
     return log
+
+
+def advance(world: World, until_us: int) -> None:
+    """Let a world run to a time."""
+    world.run(lambda: world.now_us >= until_us, until_us + 60_000_000)

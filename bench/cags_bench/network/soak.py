@@ -218,7 +218,7 @@ class _Soak:
                     self.server.cancel(lambda _: True, now_us=self.now_us)
             case ev.Acknowledged(sample):
                 self.estimator.on_ack(sample)
-                self.server.rate_hint_bps = self.estimator.estimate_bps(self.now_us)
+                self.server.rate_hint_bps = self.estimator.allowance_bps(self.now_us)
             case ev.Evicted(tiles):
                 for tile in tiles:
                     self.known[tile.frame, tile.tile] = tile.lods

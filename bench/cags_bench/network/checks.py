@@ -1,0 +1,102 @@
+"""Targets of the network benchmark, each reported with what was measured."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from cags_bench.jsonl import JsonObject, check
+
+STEADY = "generated:steady-"
+
+
+def checks(lines: list[JsonObject]) -> list[JsonObject]:
+    """A check for every target that these lines can answer."""
+    by_case: dict[str, list[JsonObject]] = {}
+    for line in lines:
+        by_case.setdefault(str(line["case"]), []).append(line)
+    out: list[JsonObject] = []
+    for case, judge in (
+        ("sending", _sending),
+        ("content", _content),
+        ("realtime", _realtime),
+        ("crowd", _crowd),
+        ("soak", _soak),
+    ):
+        if case in by_case:
+            out += judge(by_case[case])
+    return out
+
+
+def _sending(lines: list[JsonObject]) -> list[JsonObject]:
+    steady = [line for line in lines if line["trace"].startswith(STEADY)]
+    mobile = [line for line in lines if line["trace"] == "generated:5g-mmwave"]
+    fall = [line for line in lines if line["trace"] == "20 to 1.5 Mbps"]
+    return [
+        _least("utilisation on steady links", steady, "utilisation", 0.85),
+        _most("median latency 2 s after a fall from 20 to 1.5 Mbps, ms", fall, "latency_ms", 120.0),
+        _most("median error of the estimate on steady links", steady, "estimate_error", 0.10),
+        _most("median error of the estimate on 5G mmWave", mobile, "estimate_error", 0.25),
+    ]
+
+
+def _content(lines: list[JsonObject]) -> list[JsonObject]:
+    out = [_most("black frames", lines, "black_frames", 0)]
+    recovered = [line for line in lines if line["recovery_ms"] is not None]
+    if recovered:
+        out.append(_most("recovery after an outage, ms", recovered, "recovery_ms", 1000.0))
+    for mbps, limit_ms in ((10, 1000.0), (2, 2000.0)):
+        first = [line for line in lines if line["trace"] == f"{STEADY}{mbps}"]
+        if first:
+            out.append(_most(f"first picture at {mbps} Mbps, ms", first, "first_picture_ms", limit_ms))
+    return out + _policies(lines)
+
+
+def _policies(lines: list[JsonObject]) -> list[JsonObject]:
+    """``utility`` against ``paper`` in mean PSNR."""
+    mean = {(line["trace"], line["policy"]): line["psnr_db"] for line in lines}
+    gains = {
+        trace: mean[trace, "utility"] - mean[trace, "paper"]
+        for trace in {trace for trace, _ in mean}
+        if (trace, "utility") in mean and (trace, "paper") in mean
+    }
+    out = []
+    if f"{STEADY}30" in gains:
+        gain = gains[f"{STEADY}30"]
+        out.append(check("utility over paper at 30 Mbps, dB", ">= 0.5", gain, gain >= 0.5))
+    if gains:
+        worst = min(gains.values())
+        out.append(check("utility over paper at worst, dB", ">= -0.1", worst, worst >= -0.1))
+    return out
+
+
+def _realtime(lines: list[JsonObject]) -> list[JsonObject]:
+    return [_most("bytes in real time against virtual time", lines, "difference", 0.10)]
+
+
+def _crowd(lines: list[JsonObject]) -> list[JsonObject]:
+    return [
+        _most("seconds for the crowd", lines, "seconds", 120.0),
+        _most("silent sessions in the crowd", lines, "silent_sessions", 0),
+    ]
+
+
+def _soak(lines: list[JsonObject]) -> list[JsonObject]:
+    return [
+        _most("messages of the soak that did not settle", lines, "unsettled", 0),
+        _most("layers of the soak that were sent again", lines, "sent_again", 0),
+    ]
+
+
+def _most(name: str, lines: list[JsonObject], key: str, limit: float) -> JsonObject:
+    worst = max((_number(line[key]) for line in lines), default=math.nan)
+    return check(name, f"<= {limit:g}", worst, worst <= limit)
+
+
+def _least(name: str, lines: list[JsonObject], key: str, limit: float) -> JsonObject:
+    worst = min((_number(line[key]) for line in lines), default=math.nan)
+    return check(name, f">= {limit:g}", worst, worst >= limit)
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)

@@ -1,0 +1,114 @@
+"""``cags-bench network``: sending, content, crowds and soaks, in virtual and in real time."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cags_common.errors import ConfigError
+from cags_common.settings import add_settings, check_settings, load_settings, setting
+
+if TYPE_CHECKING:
+    from cags_bench.sim.session import Scenario
+
+SUMMARY = "How the stream holds: utilisation, latency, quality by trace and policy, many sessions, a soak."
+
+EXAMPLES = """\
+  cags-bench network --json
+  cags-bench network --parts sending,crowd --json
+  cags-bench network --parts content --scene procedural:size=6000 --frames 60 --traces generated:steady-30,link.csv
+  cags-bench network --parts soak --soak-minutes 1440
+"""
+
+PARTS = ("sending", "content", "realtime", "crowd", "soak")
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """What is measured, and how long."""
+
+    parts: str = setting(",".join(PARTS), f"parts to run, of {', '.join(PARTS)}")
+    scene: str = setting("procedural:size=60000,frames=90", "scene of the content and real-time parts")
+    frames: int = setting(90, "media frames to play", low=2, high=1_000_000)
+    poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
+    traces: str = setting("", "traces of the content part, comma separated; empty: all generated ones")
+    policies: str = setting("", "rate policies of the content part, comma separated; empty: all")
+    estimator: str = setting("measured", "bandwidth estimator of the content part", choices=("measured", "oracle"))
+    restore: str = setting("affine", "restorer")
+    width: int = setting(400, "client width in pixels", low=1, high=8192)
+    height: int = setting(300, "client height in pixels", low=1, high=8192)
+    delay_ms: float = setting(10.0, "one-way propagation delay, ms", low=0, high=1000)
+    seconds: float = setting(20.0, "virtual seconds of each sending case", low=5, high=3600)
+    sessions: int = setting(1000, "sessions of the crowd", low=1, high=100_000)
+    soak_minutes: float = setting(10.0, "virtual minutes of the soak", low=0.1, high=100_000)
+    cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        unknown = [part for part in self.parts.split(",") if part not in PARTS]
+        if unknown:
+            raise ConfigError(f"parts = {unknown[0]!r} is unknown; known: {', '.join(PARTS)}")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of the command."""
+    add_settings(parser, NetworkSettings)
+
+
+def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Yield a line a case and the summary with its checks."""
+    from cags_bench.jsonl import summary
+    from cags_bench.network.checks import checks
+
+    settings = load_settings(NetworkSettings, arguments)
+    lines: list[dict[str, Any]] = []
+    for line in _cases(settings):
+        lines.append(line)
+        yield line
+    yield summary("network", checks(lines))
+
+
+def _cases(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
+    parts, delay_us = settings.parts.split(","), round(settings.delay_ms * 1000)
+    if "sending" in parts:
+        from cags_bench.network.sending import sending_lines
+
+        yield from sending_lines(round(settings.seconds * 1e6), delay_us)
+    if "content" in parts or "realtime" in parts:
+        yield from _plays(settings, parts)
+    if "crowd" in parts:
+        from cags_bench.network.crowd import crowd_line
+
+        yield crowd_line(settings.sessions, 2_000_000, delay_us)
+    if "soak" in parts:
+        yield _soak(settings)
+
+
+def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, Any]]:
+    from cags_bench.bundles import cached_bundle
+    from cags_bench.network.content import content_lines, scenario
+    from cags_bench.network.realtime import realtime_lines
+    from cags_bench.network.sending import SHIPPED
+    from cags_encoder import EncodeSettings
+    from cags_server.abr import RATE_POLICIES
+
+    bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
+    base: Scenario = scenario(bundle, settings)
+    if "content" in parts:
+        traces = settings.traces.split(",") if settings.traces else list(SHIPPED)
+        policies = settings.policies.split(",") if settings.policies else list(RATE_POLICIES)
+        yield from content_lines(bundle, traces, policies, base)
+    if "realtime" in parts:
+        yield from realtime_lines(base)
+
+
+def _soak(settings: NetworkSettings) -> dict[str, Any]:
+    import dataclasses
+
+    from cags_bench.network.soak import run_soak
+    from cags_shaper.trace import open_trace
+
+    result = run_soak(open_trace("generated:lte-driving"), round(settings.soak_minutes * 60e6))
+    return {"case": "soak", "virtual_minutes": settings.soak_minutes, **dataclasses.asdict(result)}
