@@ -1,0 +1,140 @@
+"""The C interface of alignment and correction: numpy arrays in and out, the GIL released while a call runs."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_kernels.buffers import BufferPool
+from cags_kernels.library import check, library
+
+F32: TypeAlias = NDArray[np.float32]
+F64: TypeAlias = NDArray[np.float64]
+
+_Pointer, _int32, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
+
+
+class _AlignInput(ctypes.Structure):
+    _fields_ = [
+        ("depth", _Pointer),
+        ("reference", _Pointer),
+        *((name, _int32) for name in ("width", "height", "reference_width", "reference_height")),
+        ("m", _float * 9),
+        ("b", _float * 3),
+        *((name, _float) for name in ("cell_x", "cell_y", "depth_tolerance", "slope_cells", "border_px")),
+        *((name, _int32) for name in ("erosion_radius", "erosion_iterations", "threads")),
+    ]
+
+
+class _AlignOutput(ctypes.Structure):
+    _fields_ = [(name, _Pointer) for name in ("rgb", "confidence", "occluded", "x", "y")]
+
+
+class _CorrectInput(ctypes.Structure):
+    _fields_ = [
+        ("own", _Pointer),
+        ("reference", _Pointer),
+        *((name, _int32) for name in ("reference_width", "reference_height", "radius_cells")),
+        *((name, _float) for name in ("gain_prior", "noise", "detail_noise")),
+        *((name, _Pointer) for name in ("distorted", "confidence", "x", "y")),
+        *((name, _int32) for name in ("width", "height", "threads")),
+    ]
+
+
+@dataclass(frozen=True)
+class AlignParameters:
+    """Client pixel (u, v) of depth D lies at ``m [u, v, 1] D + b`` (homogeneous) in the reference; see ``AlignSettings``."""
+
+    m: F64  # [3, 3]
+    b: F64  # [3]
+    cell_px: tuple[float, float]
+    depth_tolerance: float
+    slope_cells: float
+    border_px: float
+    erosion_radius: int
+    erosion_iterations: int
+    threads: int
+
+
+@dataclass(frozen=True)
+class CorrectParameters:
+    """See ``cags_client.restore.affine.AffineSettings``."""
+
+    radius_cells: int
+    gain_prior: float
+    noise: float
+    detail_noise: float
+    threads: int
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedImage:
+    """What :func:`align` fills; shapes are the depth's."""
+
+    rgb: F32 | None  # [H, W, 3]
+    confidence: F32  # [H, W]
+    occluded: NDArray[np.bool_]  # [H, W]
+    x: F32  # [H, W]
+    y: F32  # [H, W]
+
+
+_buffers = BufferPool()
+
+
+def align(reference: F32, depth: F32, parameters: AlignParameters, *, rgb: bool = True) -> AlignedImage:
+    """Align ``reference`` [h, w, 3] by ``depth`` [H, W]. Without ``rgb`` only the geometry. Raises ``KernelError``."""
+    reference, depth = _checked(reference, (*reference.shape[:2], 3)), _checked(depth, depth.shape[:2])
+    height, width = depth.shape
+    p = parameters
+    image = AlignedImage(
+        _buffers.empty((height, width, 3)) if rgb else None,
+        _buffers.empty((height, width)),
+        np.empty((height, width), np.bool_),
+        _buffers.empty((height, width)),
+        _buffers.empty((height, width)),
+    )
+    given = _AlignInput(
+        *(_address(depth), _address(reference), width, height, reference.shape[1], reference.shape[0]),
+        (_float * 9)(*np.ravel(p.m)),
+        (_float * 3)(*np.ravel(p.b)),
+        *(*p.cell_px, p.depth_tolerance, p.slope_cells, p.border_px),
+        *(p.erosion_radius, p.erosion_iterations, p.threads),
+    )
+    arrays = (image.rgb, image.confidence, image.occluded, image.x, image.y)
+    wanted = _AlignOutput(*(_address(array) for array in arrays))
+    check(library().cags_align(ctypes.byref(given), ctypes.byref(wanted)), "align")
+    return image
+
+
+def correct(own: F32, reference: F32, distorted: F32, aligned: AlignedImage, parameters: CorrectParameters) -> F32:
+    """``distorted`` [H, W, 3] corrected by ``reference`` - ``own`` [h, w, 3] through ``aligned``; in [0, 1].
+
+    Raises ``KernelError`` and, for arrays that do not fit, ``ValueError``.
+    """
+    height, width = aligned.confidence.shape
+    own, reference = _checked(own, (*reference.shape[:2], 3)), _checked(reference, (*reference.shape[:2], 3))
+    distorted = _checked(distorted, (height, width, 3))
+    p = parameters
+    given = _CorrectInput(
+        *(_address(own), _address(reference), reference.shape[1], reference.shape[0]),
+        *(p.radius_cells, p.gain_prior, p.noise, p.detail_noise),
+        *(_address(array) for array in (distorted, aligned.confidence, aligned.x, aligned.y)),
+        *(width, height, p.threads),
+    )
+    restored = _buffers.empty((height, width, 3))
+    check(library().cags_correct(ctypes.byref(given), _address(restored)), "correct")
+    return restored
+
+
+def _checked(array: F32, shape: tuple[int, ...]) -> F32:
+    if array.shape != shape:
+        raise ValueError(f"array of shape {array.shape}, expected {shape}")
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _address(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
+    return _Pointer(None if array is None else array.ctypes.data)
