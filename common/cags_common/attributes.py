@@ -18,31 +18,39 @@ ATTRIBUTE_DIMS: dict[str, int] = {
     "scale": 3,  # log_scales
     "rotation_real": 1,  # quats w
     "rotation_imag": 3,  # quats xyz
+    "rotation": 3,  # modified Rodrigues parameters xyz / (1 + w), instead of the two above
     "opacity": 1,  # logit_opacities
+    "alpha": 1,  # drawn opacity 0..1, instead of the one above
     "sh0": 3,  # RGB
     "sh1": 9,  # 3 coefficients x RGB
     "sh2": 15,
     "sh3": 21,
 }
-"""Every attribute and its dimension, in the order in which they are coded."""
+"""Every attribute and its dimension, in the order in which they are coded.
+
+Modified Rodrigues parameters tell all rotations with w >= 0 apart by three numbers of at most 1, and small changes of
+them are small rotations everywhere, also at 180 degrees, where leaving out w loses all precision.
+"""
 
 SH_REST_ATTRIBUTES = ("sh1", "sh2", "sh3")
 
+_FORMS = {"rotation": (("rotation",), ("rotation_real", "rotation_imag")), "opacity": (("alpha",), ("opacity",))}
 
-def attributes_of_degree(sh_degree: int) -> tuple[str, ...]:
-    """Names of the attributes that splats of this SH degree have, in coding order."""
-    absent = SH_REST_ATTRIBUTES[sh_degree:]
-    return tuple(name for name in ATTRIBUTE_DIMS if name not in absent)
+_MIN_ALPHA = 1e-4
+"""Decoded opacities stay this far inside 0..1, so that their logits are finite; 1/255 is the least that is drawn."""
 
 
 def split_attributes(splats: Splats) -> dict[str, F32]:
-    """Attribute name -> values [n, dim]."""
+    """Attribute name -> values [n, dim], in every form that an attribute has."""
     n = len(splats)
+    logits = splats.logit_opacities.reshape(n, 1)
     out = {
         "scale": splats.log_scales,
         "rotation_real": splats.quats[:, :1],
         "rotation_imag": splats.quats[:, 1:],
-        "opacity": splats.logit_opacities.reshape(n, 1),
+        "rotation": splats.quats[:, 1:] / (1 + splats.quats[:, :1]),
+        "opacity": logits,
+        "alpha": (1 / (1 + np.exp(-np.clip(logits, -30, 30)))).astype(np.float32),
         "sh0": splats.sh0,
     }
     for degree in range(1, splats.sh_degree + 1):
@@ -52,26 +60,45 @@ def split_attributes(splats: Splats) -> dict[str, F32]:
 
 
 def join_attributes(means: F32, values: Mapping[str, F32]) -> Splats:
-    """Inverse of :func:`split_attributes`; rotations come out unit with w >= 0.
+    """Inverse of :func:`split_attributes`, from one form of each attribute; rotations come out unit with w >= 0.
 
-    Raises :class:`DecodeError` if one is missing.
+    Raises :class:`DecodeError` when an attribute is missing.
     """
     n = len(means)
     degree = sum(name in values for name in SH_REST_ATTRIBUTES)
-    missing = [name for name in attributes_of_degree(degree) if name not in values]
-    if missing:
-        raise DecodeError(
-            f"attribute {missing[0]!r} is missing; a splat needs {', '.join(attributes_of_degree(degree))}"
-        )
+    wanted = ["scale", "sh0", *SH_REST_ATTRIBUTES[:degree]]
+    wanted += [next((f for f in forms if values.keys() >= set(f)), (name,))[0] for name, forms in _FORMS.items()]
+    for name in wanted:
+        if name not in values:
+            raise DecodeError(f"attribute {name!r} is missing; there are: {', '.join(values)}")
     bands = [values[name].reshape(n, ATTRIBUTE_DIMS[name] // 3, 3) for name in SH_REST_ATTRIBUTES[:degree]]
     return Splats(
         means=means,
-        quats=unit_quaternions(np.concatenate([values["rotation_real"], values["rotation_imag"]], axis=1)),
+        quats=_quaternions(values),
         log_scales=values["scale"],
-        logit_opacities=np.ascontiguousarray(values["opacity"][:, 0]),
+        logit_opacities=_logits(values),
         sh0=values["sh0"],
         sh_rest=np.concatenate(bands, axis=1) if bands else np.zeros((n, 0, 3), np.float32),
     )
+
+
+def _logits(values: Mapping[str, F32]) -> F32:
+    if "opacity" in values:
+        return np.ascontiguousarray(values["opacity"][:, 0])
+    alpha = np.clip(values["alpha"][:, 0], np.float32(_MIN_ALPHA), np.float32(1 - _MIN_ALPHA))
+    logits: F32 = np.log(alpha / (1 - alpha))
+    return logits
+
+
+def _quaternions(values: Mapping[str, F32]) -> F32:
+    if "rotation" not in values:
+        return unit_quaternions(np.concatenate([values["rotation_real"], values["rotation_imag"]], axis=1))
+    rodrigues = values["rotation"]
+    square = np.einsum("ij,ij->i", rodrigues, rodrigues)[:, None]
+    quats = np.concatenate([1 - square, 2 * rodrigues], axis=1) / (1 + square)
+    # Refinement may carry parameters a little beyond length 1, which is a turn of more than 180 degrees.
+    canonical: F32 = np.where(quats[:, :1] < 0, -quats, quats)
+    return canonical
 
 
 def unit_quaternions(quats: F32) -> F32:

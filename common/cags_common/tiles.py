@@ -174,6 +174,16 @@ class TileState:
         return len(self.base)
 
     @property
+    def ids(self) -> Ids:
+        """Ids [n], ascending."""
+        return self.base.ids
+
+    @property
+    def means(self) -> F32:
+        """Positions [n, 3], world, metres."""
+        return self.base.means
+
+    @property
     def lod(self) -> int:
         """Highest LoD up to which everything has come."""
         for level, item in enumerate(self._order):

@@ -75,6 +75,7 @@ def _summary(url: str, manifest: Manifest) -> dict[str, Any]:
             "groups": len(manifest.gof_starts),
             "lods": manifest.lods,
             "codec": manifest.codec,
+            "quantiser": manifest.quantiser,
             "sh_degree": manifest.sh_degree,
             "splats_first_frame": splats,
             "splats_sent": sum(tile.splats for entry in entries for tile in entry.tiles),

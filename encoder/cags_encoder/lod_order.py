@@ -14,9 +14,11 @@ _LATENESS = {
     "scale": 0.0,
     "rotation_imag": 1.0,
     "rotation_real": 1.1,
+    "rotation": 1.0,
     "sh0": 1.2,
     "sh1": 1.9,
     "opacity": 2.0,
+    "alpha": 2.0,
     "sh2": 2.9,
     "sh3": 3.9,
 }

@@ -13,12 +13,9 @@ from cags_common.bundle.writer import GofWriter
 from cags_common.errors import SceneError
 from cags_common.geometry import DEFAULT_NEAR, F64, Vec3
 from cags_common.splats import Splats
+from cags_encoder.codecs import ClipCodec, train_codec
 from cags_encoder.frames.differential import DifferentialFrame, GofEncoder
 from cags_encoder.frames.identity import IdentityTracker
-from cags_encoder.frames.tiling import Tiler
-from cags_encoder.lod_order import order_of
-from cags_encoder.quantiser.configs import quantiser_config
-from cags_encoder.quantiser.training import train
 from cags_encoder.sampling import LOOKS, check_degree, training_splats
 from cags_encoder.scenes import Focus, FrameSource, focus_of
 from cags_encoder.settings import EncodeSettings
@@ -63,9 +60,9 @@ def encode(
     count = len(source) if settings.frames is None else min(settings.frames, len(source))
     tell = progress or (lambda stage, done, total: None)
     with BundleWriter(out_url) as writer:
-        tiler = _train(source, count, settings, tell)
-        writer.codebooks(tiler.quantiser.books.to_bytes())
-        run = _ClipEncoder(source, settings, tiler, writer)
+        codec = _train(source, count, settings, tell)
+        writer.codebooks(codec.codebooks())
+        run = _ClipEncoder(source, settings, codec, writer)
         for index in range(count):
             run.add(index)
             tell("encode", index + 1, count)
@@ -81,7 +78,7 @@ def _as_source(frames: FrameSource | Iterable[Splats]) -> FrameSource:
     return SplatSequence(held, focus=focus_of(held[0]))
 
 
-def _train(source: FrameSource, count: int, settings: EncodeSettings, tell: Progress) -> Tiler:
+def _train(source: FrameSource, count: int, settings: EncodeSettings, tell: Progress) -> ClipCodec:
     looks, done = min(LOOKS, count), 0
 
     def on_frame() -> None:
@@ -91,21 +88,21 @@ def _train(source: FrameSource, count: int, settings: EncodeSettings, tell: Prog
 
     samples = training_splats(source, count, settings.train_splats, settings.seed, on_frame)
     tell("codebooks", 0, 1)
-    quantiser = train(samples, quantiser_config(settings.quantiser), settings.seed)
+    codec = train_codec(samples, settings)
     tell("codebooks", 1, 1)
-    return Tiler(quantiser, order_of(settings.lod_order, quantiser.books), settings.position_bits)
+    return codec
 
 
 class _ClipEncoder:
     """Takes frames in order; starts a group where one is due or where nothing connects to the frame before."""
 
-    def __init__(self, source: FrameSource, settings: EncodeSettings, tiler: Tiler, writer: BundleWriter) -> None:
-        self._source, self._settings, self._tiler, self._writer = source, settings, tiler, writer
+    def __init__(self, source: FrameSource, settings: EncodeSettings, codec: ClipCodec, writer: BundleWriter) -> None:
+        self._source, self._settings, self._codec, self._writer = source, settings, codec, writer
         self._tracker = IdentityTracker()
         self._starts: list[int] = []
         self._capacity: list[int] = []
         self._gof: GofWriter | None = None
-        self._encoder = GofEncoder(tiler, settings.change_threshold)
+        self._encoder = GofEncoder(codec, settings.change_threshold)
         self._low: F64 = np.full(3, np.inf)
         self._high: F64 = np.full(3, -np.inf)
         self._degree: int | None = None
@@ -138,9 +135,10 @@ class _ClipEncoder:
             capacity=tuple(self._capacity),
             sh_degree=self._degree or 0,
             bounds=(_vector(self._low), _vector(self._high)),
-            lod_order=self._tiler.lod_order,
-            lod_gains_db=(),
-            codec=self._settings.quantiser,
+            lod_order=self._codec.lod_order,
+            lod_gains_db=self._codec.lod_gains_db,
+            codec=self._settings.codec,
+            quantiser=self._settings.quantiser,
             up=_vector(np.asarray(source.up)),
             focus_centre=_vector(np.asarray(focus.centre)),
             focus_radius=float(focus.radius),
@@ -149,8 +147,8 @@ class _ClipEncoder:
 
     def _open_gof(self, index: int) -> None:
         self._close_gof()
-        self._gof = self._writer.open_gof(index, len(self._tiler.lod_order) + 1)
-        self._encoder = GofEncoder(self._tiler, self._settings.change_threshold)
+        self._gof = self._writer.open_gof(index, len(self._codec.lod_order) + 1)
+        self._encoder = GofEncoder(self._codec, self._settings.change_threshold)
         self._starts.append(index)
 
     def _close_gof(self) -> None:

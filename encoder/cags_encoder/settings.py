@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from cags_common.settings import check_settings, setting
 
-QUANTISERS = ("paper-66", "paper-76")
+QUANTISERS = ("layered", "paper-66", "paper-76")
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,8 @@ class EncodeSettings:
     gof_frames: int = setting(
         60, "frames a group: clients join and seek at group starts, each of which sends all splats again", low=1
     )
-    quantiser: str = setting("paper-66", "quantiser configuration", choices=QUANTISERS)
+    codec: str = setting("svq", "how tiles are coded; others than svq are baselines to compare with")
+    quantiser: str = setting("layered", "configuration of svq", choices=QUANTISERS)
     lod_order: str = setting("paper", "'paper' (scale, rotation, SH, opacity) or a file of 'attribute layer' lines")
     position_bits: int = setting(16, "bits an axis of positions, over each tile's own cube", low=4, high=22)
     change_threshold: float = setting(

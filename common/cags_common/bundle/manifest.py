@@ -64,8 +64,10 @@ class Manifest:
     lod_gains_db: tuple[float, ...]
     """PSNR gained by each level of ``lod_order``, measured on renders of this content; empty when it was not measured.
     """
-    codec: str
-    """Name of the quantiser configuration, such as ``paper-66``."""
+    codec: str = "svq"
+    """Name of the tile codec (:data:`cags_common.codecs.TILE_CODECS`)."""
+    quantiser: str = ""
+    """Name of the codec's configuration, such as ``paper-66``; for people."""
     up: Vec3 = (0.0, 1.0, 0.0)
     focus_centre: Vec3 = (0.0, 0.0, 0.0)
     """Point to look at when a walk is placed in the scene."""
@@ -131,6 +133,7 @@ def _checked(fields: _Fields) -> Manifest:
         lod_order=fields.many("lod_order", _lod_layer, MAX_LODS),
         lod_gains_db=fields.many("lod_gains_db", lambda f: f.number("", -1e3, 1e3), MAX_LODS),
         codec=fields.text("codec"),
+        quantiser=fields.text("quantiser"),
         up=fields.vector("up"),
         focus_centre=fields.vector("focus_centre"),
         focus_radius=fields.number("focus_radius", 0.0, 1e12),

@@ -8,10 +8,9 @@ import numpy as np
 
 from cags_common.bundle.reader import BundleReader
 from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, empty_splats
+from cags_common.codecs import TileDecoder
 from cags_common.errors import BundleError
 from cags_common.splats import Splats
-from cags_common.svq import CodebookSet
-from cags_common.tiles import TileState, decode_base
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +28,6 @@ class BundlePlayer:
         if not 0 <= self._lod < manifest.lods:
             raise BundleError(f"LoD {lod} is outside 0 to {manifest.lods - 1}")
         self._reader = reader
-        self._books = CodebookSet.from_bytes(reader.codebooks())
         self._at: int | None = None
         self._state = SourceState(0, 0)
 
@@ -47,18 +45,17 @@ class BundlePlayer:
         state = self._state.frame()
         return DecodedFrame(state.ids, state.splats)
 
-    def tile(self, frame: int, tile: int) -> TileState:
+    def tile(self, frame: int, tile: int) -> TileDecoder:
         """One tile at this player's LoD."""
         reader = self._reader
-        base = decode_base(reader.payload(frame, tile, 0), self._books)
-        state = TileState(base, self._books, reader.manifest.lod_order)
+        state = reader.codec.open_tile(reader.payload(frame, tile, 0))
         for lod in range(1, self._lod + 1):
             state.add_layer(lod, reader.payload(frame, tile, lod))
         return state
 
     def _delta(self, frame: int) -> SourceDelta:
         tiles = [self.tile(frame, entry.tile) for entry in self._reader.frame(frame).tiles]
-        ids = np.concatenate([np.zeros(0, np.int32), *(tile.base.ids for tile in tiles)])
+        ids = np.concatenate([np.zeros(0, np.int32), *(tile.ids for tile in tiles)])
         order = np.argsort(ids, kind="stable")
         if not tiles:
             splats = empty_splats(self._reader.manifest.sh_degree)

@@ -10,12 +10,11 @@ from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index,
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, Manifest
 from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, decode_source
 from cags_common.bundle.store import ByteStore, UrlStore
+from cags_common.codecs import tile_codec
 from cags_common.errors import BundleError
-from cags_common.lod import check_order
 from cags_common.packing import check_crc, crc32, decode_ids
 from cags_common.splats import Ids
-from cags_common.svq import MAX_CODEBOOK_BYTES, CodebookSet
-from cags_common.tiles import decode_base_ids
+from cags_common.svq import MAX_CODEBOOK_BYTES
 
 MANIFEST_NAME = "manifest.json"
 CODEBOOKS_NAME = "codebooks.bin"
@@ -28,6 +27,7 @@ class BundleReader:
 
     def __init__(self, store: ByteStore, manifest: Manifest, codebooks: bytes) -> None:
         self.manifest = manifest
+        self.codec = tile_codec(manifest, codebooks)
         self._store, self._codebooks = store, codebooks
         self._lock = threading.RLock()
         self._index: dict[int, tuple[FrameEntry, ...]] = {}
@@ -43,8 +43,6 @@ class BundleReader:
         if not manifest.gofs:
             raise BundleError(f"{url}: its manifest is the public part only and says nothing of files")
         codebooks = store.read_all(CODEBOOKS_NAME, MAX_CODEBOOK_BYTES)
-        books = CodebookSet.from_bytes(codebooks)
-        check_order(manifest.lod_order, {book.attribute: book.enhancement_layers for book in books})
         return cls(store, manifest, codebooks)
 
     def __enter__(self) -> BundleReader:
@@ -62,7 +60,7 @@ class BundleReader:
             self._replay = None
 
     def codebooks(self) -> bytes:
-        """Serialised :class:`~cags_common.svq.CodebookSet`."""
+        """Serialised codebooks, for :func:`~cags_common.codecs.tile_codec`."""
         return self._codebooks
 
     def frame(self, frame: int) -> FrameEntry:
@@ -83,7 +81,7 @@ class BundleReader:
 
     def tile_ids(self, frame: int, tile: int) -> Ids:
         """Ids [n] of a tile's splats, ascending, in the tile's order."""
-        return decode_base_ids(self.payload(frame, tile, 0))
+        return self.codec.tile_ids(self.payload(frame, tile, 0))
 
     def removed_payload(self, frame: int) -> bytes:
         """The ids that ``frame`` removes, packed by :func:`~cags_common.packing.encode_ids`."""

@@ -1,4 +1,4 @@
-"""Quantiser configurations by name: bits of each attribute's initial clusters, and the space they are formed in."""
+"""Quantiser configurations by name: how each attribute is clustered, and with how many bits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cags_common.attributes import ATTRIBUTE_DIMS
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 
@@ -19,16 +18,20 @@ class AttributeQuantiser:
     """How one attribute is clustered."""
 
     attribute: str
-    leaf_bits: int
-    """2**leaf_bits clusters before merging."""
-    activated: bool
+    tree_bits: int
+    """2**tree_bits clusters in the tree."""
+    activated: bool = False
     """Cluster what is drawn (metres of scale, opacity in 0..1) rather than the stored logarithm or logit."""
+    refine_bits: int = 0
+    """Bits of the second tree, which refines the first one's leaves."""
 
     def to_space(self, values: F32) -> F32:
         """Values [n, dim] as clustered."""
-        if not self.activated:
+        if self.attribute not in ("scale", "opacity"):
             return values
         raw = np.clip(values, -RAW_LIMIT, RAW_LIMIT)
+        if not self.activated:
+            return raw
         return np.exp(raw) if self.attribute == "scale" else (1.0 / (1.0 + np.exp(-raw))).astype(np.float32)
 
     def from_space(self, points: F32) -> F32:
@@ -50,16 +53,24 @@ class QuantiserConfig:
 
     name: str
     attributes: tuple[AttributeQuantiser, ...]
+    as_printed: bool = False
+    """k-means and merging by the paper's distance, instead of splitting."""
     base_bits: int = 4
-    """2**base_bits clusters remain after merging."""
+    """Bits of the base layer."""
     layer_bits: int = 2
-    """Largest enhancement layer."""
+    """Bits of the largest enhancement layer."""
 
 
 def _paper(name: str, bits: tuple[int, ...]) -> QuantiserConfig:
+    names = ("scale", "rotation_real", "rotation_imag", "opacity", "sh0", "sh1", "sh2", "sh3")
     activated = {"scale", "opacity"}
-    parts = [AttributeQuantiser(a, b, a in activated) for a, b in zip(ATTRIBUTE_DIMS, bits, strict=True)]
-    return QuantiserConfig(name, tuple(parts))
+    parts = [AttributeQuantiser(a, b, a in activated) for a, b in zip(names, bits, strict=True)]
+    return QuantiserConfig(name, tuple(parts), as_printed=True)
+
+
+def layered(name: str, bits: dict[str, tuple[int, int]]) -> QuantiserConfig:
+    """A configuration of our own: attribute -> (tree bits, refinement bits)."""
+    return QuantiserConfig(name, tuple(AttributeQuantiser(a, tree, False, more) for a, (tree, more) in bits.items()))
 
 
 # One code a splat and attribute, as the paper's text counts bits; the authors' code spends an SH code a colour channel.
@@ -67,12 +78,22 @@ def _paper(name: str, bits: tuple[int, ...]) -> QuantiserConfig:
 _CONFIGS = {
     config.name: config
     for config in (
+        layered(
+            "layered",
+            {
+                "scale": (10, 6),
+                "rotation": (10, 8),
+                "alpha": (6, 0),
+                "sh0": (10, 6),
+                "sh1": (10, 0),
+                "sh2": (8, 0),
+                "sh3": (6, 0),
+            },
+        ),
         _paper("paper-66", (10, 8, 10, 8, 9, 8, 7, 6)),
         _paper("paper-76", (12, 9, 12, 9, 10, 9, 8, 7)),
     )
 }
-
-QUANTISERS = tuple(_CONFIGS)
 
 
 def quantiser_config(name: str) -> QuantiserConfig:

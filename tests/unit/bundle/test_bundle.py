@@ -25,7 +25,7 @@ def tile(ids: np.ndarray, seed: int, *, id_range: bool) -> TilePayloads:
 
 def write(url: str) -> Manifest:
     """Two groups: a key frame and a later one that changes, adds and removes; then a lone key frame."""
-    manifest = Manifest("t", 30.0, 3, (0, 2), (25, 10), 0, ((0, 0, 0), (1, 1, 1)), ORDER, (), "paper-66")
+    manifest = Manifest("t", 30.0, 3, (0, 2), (25, 10), 0, ((0, 0, 0), (1, 1, 1)), ORDER, (), "svq", "paper-66")
     with BundleWriter(url) as writer:
         writer.codebooks(BOOKS.to_bytes())
         group = writer.open_gof(0, len(ORDER) + 1)

@@ -18,7 +18,8 @@ MANIFEST = Manifest(
     bounds=((-1.0, -2.0, -3.0), (1.0, 2.0, 3.0)),
     lod_order=(LodLayer("scale", 1), LodLayer("sh0", 1)),
     lod_gains_db=(3.5, -0.1),
-    codec="paper-66",
+    codec="svq",
+    quantiser="paper-66",
     gofs=(GofFiles(FILE, FILE), GofFiles(FILE, FILE)),
 )
 

@@ -1,11 +1,18 @@
+import itertools
+
 import numpy as np
 import pytest
 
 from cags_common.attributes import split_attributes
 from cags_common.errors import ConfigError
+from cags_common.geometry import rotation_matrix
+from cags_common.splats import Splats
+from cags_common.svq import CodebookSet
+from cags_encoder.quantiser.canonical import canonical
 from cags_encoder.quantiser.configs import quantiser_config
 from cags_encoder.quantiser.kmeans import NearestCentre, kmeans
 from cags_encoder.quantiser.merging import merge_as_printed
+from cags_encoder.quantiser.splitting import split_tree
 from cags_encoder.quantiser.training import train
 from cags_encoder.quantiser.tree import Fork, Leaf, Node, assign_codes, code_length
 from support.codec_scenes import cloud, with_changes
@@ -65,12 +72,12 @@ def test_nearest_centre_agrees_with_comparing_all(dim: int) -> None:
 
 def test_paper_66_spends_66_bits_and_has_16_base_clusters() -> None:
     config = quantiser_config("paper-66")
-    assert sum(a.leaf_bits for a in config.attributes) == 66
-    assert sum(a.leaf_bits for a in quantiser_config("paper-76").attributes) == 76
+    assert sum(a.tree_bits for a in config.attributes) == 66
+    assert sum(a.tree_bits for a in quantiser_config("paper-76").attributes) == 76
     quantiser = train(cloud(4000, 0, 3), config, 0)
     assert {book.layer_bits[0] for book in quantiser.books} == {4}
     assert all(bits <= 2 for book in quantiser.books for bits in book.layer_bits[1:])
-    with pytest.raises(ConfigError, match="known: paper-66"):
+    with pytest.raises(ConfigError, match="known: layered, paper-66"):
         quantiser_config("paper-6")
 
 
@@ -102,8 +109,9 @@ def test_constant_attributes_and_few_splats_are_exact(n: int) -> None:
         quantiser = train(splats, quantiser_config("paper-66"), 0)
         decoded = quantiser.decode(quantiser.encode(splats))
         if n <= 17:
-            for name, value in split_attributes(splats).items():
-                assert np.allclose(decoded[name], value, atol=1e-5), name
+            values = split_attributes(splats)
+            for name, value in decoded.items():
+                assert np.allclose(value, values[name], atol=1e-5), name
     assert all(book.layer_bits == (4,) for book in quantiser.books), "one value needs no enhancement layer"
 
 
@@ -114,3 +122,63 @@ def test_extreme_scales_and_opacities_stay_finite() -> None:
     splats = with_changes(splats, log_scales=scales, logit_opacities=logits)
     quantiser = train(splats, quantiser_config("paper-66"), 0)
     assert all(np.isfinite(values).all() for values in quantiser.decode(quantiser.encode(splats)).values())
+
+
+def test_canonical_axes_describe_the_same_gaussians() -> None:
+    splats = cloud(500).checked("x")
+    same = canonical(splats)
+    assert (np.diff(same.log_scales, axis=1) <= 0).all()
+    assert (same.quats[:, 0] >= 0.4999).all(), "a turn of at most 120 degrees is left"
+    assert np.allclose(np.linalg.norm(same.quats, axis=1), 1, atol=1e-6)
+    assert np.allclose(covariances(splats), covariances(same), atol=1e-9)
+
+
+def covariances(splats: Splats) -> np.ndarray:
+    turns = np.stack([rotation_matrix(tuple(map(float, q))) for q in splats.quats])
+    half = turns * np.exp(splats.log_scales.astype(np.float64))[:, None, :]
+    return half @ half.transpose(0, 2, 1)
+
+
+def test_q_and_minus_q_and_turns_by_180_degrees_give_the_same_codes() -> None:
+    splats = cloud(500).checked("x")
+    turned = splats.quats.copy()
+    turned[:4] = [[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [1, 0, 0, 0]]
+    splats = with_changes(splats, quats=turned)
+    quantiser = train(splats, quantiser_config("layered"), 0)
+    codes = quantiser.encode(quantiser.prepare(splats))
+    other = quantiser.encode(quantiser.prepare(with_changes(splats, quats=-splats.quats)))
+    assert all(np.array_equal(codes[name], other[name]) for name in codes)
+
+
+@pytest.mark.parametrize("n", [1, 2, 15, 300])
+def test_layered_codebooks_of_few_or_constant_splats(n: int) -> None:
+    for splats in (cloud(n), with_changes(cloud(n), **constant(n))):
+        quantiser = train(splats, quantiser_config("layered"), 0)
+        prepared = quantiser.prepare(splats.checked("x"))
+        decoded = quantiser.decode(quantiser.encode(prepared))
+        values = split_attributes(prepared)
+        assert all(np.allclose(decoded[name], values[name], atol=0.01) for name in decoded)
+        assert CodebookSet.from_bytes(quantiser.books.to_bytes()).to_bytes() == quantiser.books.to_bytes()
+    assert all(book.layer_bits == (4,) for book in quantiser.books)
+
+
+def test_the_second_tree_refines_the_leaves_of_the_first() -> None:
+    splats = cloud(6000, 2)
+    quantiser = train(splats, quantiser_config("layered"), 0)
+    prepared = quantiser.prepare(splats.checked("x"))
+    codes, values = quantiser.encode(prepared), split_attributes(prepared)
+    for name in ("scale", "rotation", "sh0"):
+        book = quantiser.books[name]
+        layers = range(1, len(book.layer_bits) + 1)
+        errors = [float(np.square(book.lookup(book.prefix(codes[name], k), k) - values[name]).mean()) for k in layers]
+        assert all(a > b for a, b in itertools.pairwise(errors)), name
+        assert errors[-1] < errors[0] / 100
+
+
+def test_split_trees_are_complete_and_each_level_is_nearer() -> None:
+    points = RANDOM.normal(size=(5000, 3))
+    means, cells = split_tree(points, np.ones(5000), 6)
+    assert [len(level) for level in means] == [1, 2, 4, 8, 16, 32, 64]
+    errors = [np.square(points - level[cells >> (6 - depth)]).mean() for depth, level in enumerate(means)]
+    assert all(a > b for a, b in itertools.pairwise(errors))
+    assert np.bincount(cells, minlength=64).min() > 0

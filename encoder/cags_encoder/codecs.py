@@ -1,0 +1,80 @@
+"""Codecs by name, the encoder's side of :mod:`cags_common.codecs`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+from numpy.typing import NDArray
+
+from cags_common.errors import ConfigError
+from cags_common.lod import LodLayer
+from cags_common.splats import Ids, Splats
+from cags_encoder.settings import EncodeSettings
+
+
+class CodedSplats(Protocol):
+    """Quantised splats [n], in whatever form the codec keeps them."""
+
+    def take(self, rows: NDArray[Any]) -> Self:
+        """The splats at ``rows``."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedTile:
+    """One tile: a payload for each LoD, and what a decoder that has them all makes of it, in the order of the ids."""
+
+    payloads: tuple[bytes, ...]
+    decoded: Splats  # [n]
+
+
+class ClipCodec(Protocol):
+    """A codec trained for one clip. Picklable and without state between calls."""
+
+    @property
+    def lod_order(self) -> tuple[LodLayer, ...]:
+        """What each LoD from 1 on adds; names of attributes are the codec's own."""
+        ...
+
+    @property
+    def lod_gains_db(self) -> tuple[float, ...]:
+        """PSNR gained by each LoD of :attr:`lod_order` on renders of the clip; empty when not measured."""
+        ...
+
+    def codebooks(self) -> bytes:
+        """What a decoder needs to be sent once."""
+        ...
+
+    def prepare(self, splats: Splats) -> Splats:
+        """The same splats [n], to be drawn the same, written down as :meth:`decode` gives them back."""
+        ...
+
+    def quantise(self, prepared: Splats) -> Any:
+        """:class:`CodedSplats` of prepared splats [n]."""
+        ...
+
+    def decode(self, coded: Any) -> Splats:
+        """What a decoder with every LoD shows [n], but for the rounding of positions."""
+        ...
+
+    def encode_tile(self, ids: Ids, coded: Any, *, id_range: bool) -> EncodedTile:
+        """Encode a tile of splats [n] with ascending ``ids``, consecutive ones with ``id_range`` (key frames)."""
+        ...
+
+
+def _svq(samples: Splats, settings: EncodeSettings) -> ClipCodec:
+    from cags_encoder.svq_codec import SvqCodec
+
+    return SvqCodec.train(samples, settings)
+
+
+CLIP_CODECS: dict[str, Callable[[Splats, EncodeSettings], ClipCodec]] = {"svq": _svq}
+
+
+def train_codec(samples: Splats, settings: EncodeSettings) -> ClipCodec:
+    """The codec that the settings name, trained on ``samples`` (n >= 1). Raises :class:`ConfigError`."""
+    if settings.codec not in CLIP_CODECS:
+        raise ConfigError(f"codec = {settings.codec!r} is unknown; known: {', '.join(CLIP_CODECS)}")
+    return CLIP_CODECS[settings.codec](samples, settings)

@@ -1,0 +1,60 @@
+"""Codebooks as the paper prints them: k-means, then merging bottom-up into binary trees."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32, F64
+from cags_common.packing import U32
+from cags_common.svq import Codebook
+from cags_encoder.quantiser.configs import AttributeQuantiser, QuantiserConfig
+from cags_encoder.quantiser.kmeans import NearestCentre, kmeans
+from cags_encoder.quantiser.merging import merge_as_printed
+from cags_encoder.quantiser.tree import Node, assign_codes, code_length
+
+MERGE_SAMPLES = 16_384
+"""Members that merge distances are taken over: the paper's distance costs time in proportion."""
+
+SLACK_BITS = 2
+"""Bits a code may be longer than the logarithm of its leaves; a deeper tree is cut in the middle there."""
+
+
+class PrintedEncoder:
+    """Trains and assigns one attribute's codes."""
+
+    def __init__(self, values: F32, attribute: AttributeQuantiser, config: QuantiserConfig, seed: int) -> None:
+        self._attribute = attribute
+        points = np.ascontiguousarray(attribute.to_space(values), dtype=np.float32)
+        centres = kmeans(points, 1 << attribute.tree_bits, seed)
+        labels = NearestCentre(centres)(points)
+        used, labels = np.unique(labels, return_inverse=True)
+        weights = np.bincount(labels).astype(np.float64)
+        sums = [np.bincount(labels, column, len(used)) for column in points.T.astype(np.float64)]
+        means: F64 = np.stack(sums, axis=1).astype(np.float64) / weights[:, None]
+        roots = _roots(points, labels, centres[used], config)
+        layers = layers_of(code_length(roots, config.base_bits, attribute.tree_bits + SLACK_BITS), config)
+        coded = assign_codes(roots, means, weights, layers)
+        self.book = Codebook(attribute.attribute, layers, tuple(attribute.from_space(t) for t in coded.tables))
+        self._nearest, self._codes = NearestCentre(means.astype(np.float32)), coded.codes
+
+    def encode(self, values: F32) -> U32:
+        """Codes [n] of full length of raw values [n, dim]: the nearest leaf in the space that was clustered."""
+        codes: U32 = self._codes[self._nearest(self._attribute.to_space(values))]
+        return codes
+
+
+def layers_of(length: int, config: QuantiserConfig) -> tuple[int, ...]:
+    """The base layer and as many enhancement layers as ``length`` bits take."""
+    full, rest = divmod(max(length - config.base_bits, 0), config.layer_bits)
+    return (config.base_bits, *(config.layer_bits,) * full, *((rest,) if rest else ()))
+
+
+def _roots(points: F32, labels: NDArray[np.int64], centres: F32, config: QuantiserConfig) -> list[Node]:
+    """Trees of the base clusters, along the axis in which they differ most: close codes are close values."""
+    step = max(1, len(points) // MERGE_SAMPLES)
+    rows = np.unique(np.concatenate([np.arange(0, len(points), step), np.unique(labels, return_index=True)[1]]))
+    roots = merge_as_printed(points[rows], labels[rows], centres, min(1 << config.base_bits, len(centres)))
+    middles = np.array([centres[root.leaves()].mean(axis=0) for root in roots])
+    widest = int(np.argmax(middles.max(axis=0) - middles.min(axis=0)))
+    return [roots[i] for i in np.argsort(middles[:, widest], kind="stable")]
