@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,26 @@ from cags_common.splats import Splats
 
 if TYPE_CHECKING:
     from cags_kernels.raster import RasterCamera, RasterOptions
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorBound:
+    """How far a level of exactness may be from the reference, colours of at most 1 (else relative to the brightest)."""
+
+    rms: float
+    largest: float
+
+
+BOUNDS = {
+    Exactness.FAST: ErrorBound(rms=2e-3, largest=0.02),
+    Exactness.BALANCED: ErrorBound(rms=3e-4, largest=0.01),
+    Exactness.EXACT: ErrorBound(rms=1e-4, largest=0.004),
+}
+"""The levels' bounds; docs/rasteriser.md tells what each level gives up.
+
+The largest error is that of a pixel at a splat's rim, where rounding decides whether a last alpha of 1 / 255 is drawn; in
+a small picture a few such pixels are also what the root mean square holds.
+"""
 
 _EXACTNESS = {Exactness.FAST: 0, Exactness.BALANCED: 1, Exactness.EXACT: 2}
 _DEPTH = {DepthKind.NONE: 0, DepthKind.EXPECTED: 1, DepthKind.MEDIAN: 2}
