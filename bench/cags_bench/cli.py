@@ -13,6 +13,12 @@ from cags_common.errors import ConfigError
 
 SUBCOMMANDS = {
     "stream": "stream a scene over a trace in virtual time and score every frame",
+    "raster": "speed and exactness of the rasteriser backends, beside the prototype and peers",
+    "codec": "rate and distortion of the quantisers beside other codecs, and their times",
+    "predict": "precision of pose prediction and of the reference's field of view",
+    "align": "time and quality of alignment",
+    "restore": "time and quality of the restoration tiers",
+    "network": "sending, rate policies and estimators over every shipped trace; crowds; soak",
     "reproduce": "the paper's tables and figures on this project's scenes and traces",
     "cost": "what each step of accuracy costs in milliseconds and bytes",
 }

@@ -11,6 +11,7 @@ from cags_common.settings import add_settings, load_settings
 
 EXAMPLES = """\
   cags-demo                                  the built-in scene over a generated LTE trace
+  cags-demo --view                           the same, live in a browser
   cags-demo scene_folder --trace link.csv    your own numbered frames over your own trace
   cags-demo motion:plant.splat --out report  a static capture, set in motion
 """
@@ -35,8 +36,11 @@ def _run(argv: Sequence[str]) -> int:
     arguments = parser.parse_args(argv)
     settings = load_settings(DemoSettings, arguments)
 
-    from cags_bench.demo.run import run_demo
+    from cags_bench.demo.run import run_demo, show_live
 
+    if settings.view:
+        show_live(arguments.scene, settings, progress=sys.stderr)
+        return 0
     summary = run_demo(arguments.scene, settings, progress=sys.stderr)
     if arguments.json:
         from cags_bench.jsonl import dump

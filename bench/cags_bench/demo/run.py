@@ -44,11 +44,10 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
     """
     size = machine_size(progress)
     width, height = settings.width or size.width_px, settings.height or size.height_px
-    spec = size.scene if scene == "procedural" else scene
     out = Path(settings.out)
     check_replaceable(out)
     out.parent.mkdir(parents=True, exist_ok=True)
-    bundle = cached_bundle(spec, settings.cache, EncodeSettings(frames=settings.frames or DEFAULT_FRAMES))
+    bundle = demo_bundle(scene, size, settings)
     with tempfile.TemporaryDirectory(prefix=".cags-demo-", dir=out.parent) as scratch:
         report = Path(scratch) / "report"
         report.mkdir()
@@ -57,6 +56,12 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
         summary["client_exit_code"] = client
         replace_folder(report, out)
     return summary
+
+
+def demo_bundle(scene: str, size: DemoSize, settings: DemoSettings) -> Path:
+    """The scene, encoded now or before; the built-in one in the size that the machine can show."""
+    spec = size.scene if scene == "procedural" else scene
+    return cached_bundle(spec, settings.cache, EncodeSettings(frames=settings.frames or DEFAULT_FRAMES))
 
 
 def machine_size(progress: IO[str]) -> DemoSize:
@@ -70,6 +75,29 @@ def machine_size(progress: IO[str]) -> DemoSize:
         file=progress,
     )
     return READABLE
+
+
+def show_live(scene: str, settings: DemoSettings, progress: IO[str]) -> None:
+    """Run the three processes with the client's live page, and print its address; returns when interrupted.
+
+    Raises :class:`CagsError` when a part cannot run or ends by itself.
+    """
+    size = machine_size(progress)
+    width, height = settings.width or size.width_px, settings.height or size.height_px
+    bundle = demo_bundle(scene, size, settings)
+    with tempfile.TemporaryDirectory(prefix="cags-demo-") as logs, ProcessGroup(Path(logs)) as group:
+        shaper = start_link(group, str(bundle), settings, "--control", "127.0.0.1:0")
+        client = group.start(
+            "cags_client",
+            [
+                *("--url", f"ws://127.0.0.1:{shaper['port']}/stream", "--view", "--view-port", "0", "--json", "-"),
+                *("--shaper-control", f"127.0.0.1:{shaper['control']}", "--poses", settings.poses),
+                *("--width", str(width), "--height", str(height), "--truth", str(bundle)),
+            ],
+        )
+        print(f"\n    the scene streams at  {client.ready()['url']}\n\n    Ctrl-C ends it\n", flush=True)
+        client.handle.wait()
+        raise NetworkError(f"{client.name} ended: {client.last_words()}")
 
 
 def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[str]) -> int:
@@ -88,6 +116,14 @@ def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[
         )
         client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report))
         return wait_for_client(client)
+
+
+def start_link(group: ProcessGroup, bundle: str, settings: DemoSettings, *more: str) -> dict[str, Any]:
+    """Start server and shaper; returns the shaper's ready line."""
+    server = group.start("cags_server", ["--bundle", bundle, "--port", "0", "--json"]).ready()
+    ends = ("--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}")
+    rate = ("--trace", settings.trace, "--delay-ms", str(settings.delay_ms))
+    return group.start("cags_shaper", [*ends, *rate, "--json", *more]).ready()
 
 
 def client_arguments(bundle: str, port: int, settings: DemoSettings, report: Path) -> list[str]:

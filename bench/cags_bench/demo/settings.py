@@ -18,6 +18,7 @@ class DemoSettings:
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME (see cags-client --help)")
     width: int = setting(0, "client width in pixels; 0: 800, or 320 without the native kernels", low=0, high=8192)
     height: int = setting(0, "client height in pixels; 0: 600, or 240 without the native kernels", low=0, high=8192)
+    view: bool = setting(False, "open the live page in place of a report; plays until interrupted")
     cache: str = setting(
         "", "folder of encoded bundles to reuse; empty: cags-stream/bundles in the user's cache folder"
     )
