@@ -26,6 +26,7 @@ from cags_protocol.messages import (
 from cags_protocol.sendqueue import Entry, SendQueue
 from cags_protocol.session import Session, SessionTimers, UnexpectedMessageError
 from cags_protocol.states import SERVER_TABLE, State
+from cags_protocol.tracing import EventTrace
 
 REFERENCE_RESERVE_BYTES = 2 * limits.PACKET_BYTES
 """Credit that only reference pictures may use, so that they never wait for tiles to be acknowledged."""
@@ -49,8 +50,12 @@ class ServerSessionSettings:
 class ServerSession(Session[ev.ServerEvent]):
     """One client, as the server sees it. All times are the server's clock unless named otherwise."""
 
-    def __init__(self, settings: ServerSessionSettings | None = None, *, now_us: int) -> None:
+    def __init__(
+        self, settings: ServerSessionSettings | None = None, *, now_us: int, trace: EventTrace | None = None
+    ) -> None:
+        """``trace`` hears of every step of sending (:mod:`cags_protocol.tracing`); without one nothing is recorded."""
         self._settings = settings or ServerSessionSettings()
+        self._trace = trace
         super().__init__(SERVER_TABLE, self._settings.timers, now_us=now_us)
         self._now_us = now_us
         self._queue = SendQueue(self._settings.max_queue_bytes, self._settings.max_queue_messages, self._on_drop)
@@ -81,6 +86,8 @@ class ServerSession(Session[ev.ServerEvent]):
             self._emit(ev.Dropped(outgoing, "closed", 0, now_us))
             return
         self._queue.put(outgoing)
+        if self._trace is not None:
+            self._trace.queued(now_us, outgoing, self._queue.queued_bytes)
 
     def cancel(self, match: Callable[[ev.Outgoing], bool], *, now_us: int) -> None:
         """Drop whatever ``match`` names and is not sent yet (after a seek, say)."""
@@ -159,6 +166,8 @@ class ServerSession(Session[ev.ServerEvent]):
         if not self._flow.has_credit(REFERENCE_RESERVE_BYTES if entry.is_reference else 0):
             return None
         packet = self._queue.take_fragment(entry, self._flow.next_seq)
+        if self._trace is not None:
+            self._trace.sent(now_us, self._flow.next_seq, entry, len(packet), self._flow)
         self._flow.on_sent(entry, len(packet), now_us)
         if entry.finished:
             self._emit(ev.Sent(entry.outgoing, now_us))
@@ -203,6 +212,8 @@ class ServerSession(Session[ev.ServerEvent]):
             queued_bytes=self._queue.queued_bytes,
             received_us=ack.received_us,
         )
+        if self._trace is not None:
+            self._trace.acknowledged(sample, self._flow.min_rtt_us)
         self._emit(ev.Acknowledged(sample, ack.buffered_bytes))
         for seq, flight in result.acked:
             self._on_packet_acked(seq, flight, now_us)
@@ -214,6 +225,8 @@ class ServerSession(Session[ev.ServerEvent]):
         entry.unacked.discard(seq)
         if entry.finished and not entry.unacked and not entry.settled:
             entry.settled = True
+            if self._trace is not None:
+                self._trace.delivered(now_us, entry.outgoing)
             self._emit(ev.Delivered(entry.outgoing, now_us))
 
     def _on_packet_lost(self, flight: Flight, now_us: int) -> None:
@@ -232,6 +245,8 @@ class ServerSession(Session[ev.ServerEvent]):
 
     def _settle_dropped(self, entry: Entry, reason: str, now_us: int) -> None:
         entry.settled = True
+        if self._trace is not None:
+            self._trace.dropped(now_us, entry, reason)
         self._emit(ev.Dropped(entry.outgoing, reason, entry.sent, now_us))
 
     # --------------------------------------------------------------------------------------------------------- endings
@@ -248,6 +263,8 @@ class ServerSession(Session[ev.ServerEvent]):
 
     def _on_close(self, now_us: int) -> None:
         self._now_us = now_us
+        if self._trace is not None:
+            self._trace.closed(now_us)
         self._queue.clear("closed")
         self._abandoned.clear()
         for flight in self._flow.drain():

@@ -34,7 +34,7 @@ class NetworkSettings:
     frames: int = setting(90, "media frames to play", low=2, high=1_000_000)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
     traces: str = setting("", "traces of the content part, comma separated; empty: all generated ones")
-    policies: str = setting("", "rate policies of the content part, comma separated; empty: all")
+    policies: str = setting("paper,utility,buffer", "rate policies of the content part, comma separated")
     estimator: str = setting("measured", "bandwidth estimator of the content part", choices=("measured", "oracle"))
     restore: str = setting("affine", "restorer")
     width: int = setting(400, "client width in pixels", low=1, high=8192)
@@ -92,14 +92,12 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
     from cags_bench.network.realtime import realtime_lines
     from cags_bench.network.sending import SHIPPED
     from cags_encoder import EncodeSettings
-    from cags_server.abr import RATE_POLICIES
 
     bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
     base: Scenario = scenario(bundle, settings)
     if "content" in parts:
         traces = settings.traces.split(",") if settings.traces else list(SHIPPED)
-        policies = settings.policies.split(",") if settings.policies else list(RATE_POLICIES)
-        yield from content_lines(bundle, traces, policies, base)
+        yield from content_lines(bundle, traces, settings.policies.split(","), base)
     if "realtime" in parts:
         yield from realtime_lines(base)
 
