@@ -9,12 +9,14 @@ from cags_server.predict.autoregressive import AutoregressivePredictor
 from cags_server.predict.base import MAX_HORIZON_US, PoseDistribution, Predictor
 from cags_server.predict.history import PoseHistory
 from cags_server.predict.hold import HoldPredictor
+from cags_server.predict.kalman import KalmanPredictor
 from cags_server.predict.linear import LinearPredictor
 
 PREDICTORS: dict[str, Callable[[], Predictor]] = {
     "hold": HoldPredictor,
     "linear": LinearPredictor,
     "autoregressive": AutoregressivePredictor,
+    "kalman": KalmanPredictor,
 }
 """Every predictor by name."""
 
