@@ -7,6 +7,7 @@ reference. Coordinates ``x, y`` below are continuous reference pixels in that se
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +20,8 @@ from cags_common.settings import check_settings, setting
 @dataclass(frozen=True)
 class AlignSettings:
     """How occlusion is told and how it is repaired."""
+
+    threads: int = setting(2, "threads of an alignment", low=1, high=64)
 
     depth_tolerance: float = setting(
         0.03, "a pixel is occluded where it lies this share of the depth behind what the reference shows", low=0, high=1
@@ -57,14 +60,84 @@ class ReferencePicture:
 
 
 @dataclass(frozen=True, eq=False)
+class Reprojection:
+    """How a client's picture lies in a reference: the client's depth and both cameras.
+
+    Client pixel (u, v) of depth D lies at ``m [u, v, 1] D + b`` in the reference, homogeneous: ``(x z, y z, z)`` in
+    reference pixels and reference camera-space depth. This is line 1 of the pseudocode with its errata settled:
+    ``x_w = R_l K_l^-1 [u, v, 1] D + T_l`` and ``p_r = K_r R_r^-1 (x_w - T_r)``.
+    """
+
+    depth: F32  # [H, W] camera-space z; non-finite or <= 0 is void
+    camera: Camera
+    reference: Camera
+
+    def __post_init__(self) -> None:
+        if self.depth.shape != (self.camera.height_px, self.camera.width_px):
+            size = f"{self.camera.width_px}x{self.camera.height_px}"
+            raise ValueError(f"depth of shape {self.depth.shape} under a camera of {size}")
+
+    @cached_property
+    def matrix(self) -> tuple[F64, F64]:
+        """m [3, 3] and b [3]."""
+        k_l, k_r = _matrix(self.camera), _matrix(self.reference)
+        rotation_l, rotation_r = self.camera.pose.rotation_matrix, self.reference.pose.rotation_matrix
+        to_reference = k_r @ rotation_r.T
+        shift = np.asarray(self.camera.pose.position) - np.asarray(self.reference.pose.position)
+        return to_reference @ rotation_l @ np.linalg.inv(k_l), to_reference @ shift
+
+    @property
+    def cell_px(self) -> tuple[float, float]:
+        """Client pixels a reference pixel, in angle at the images' centres, along x and y."""
+        client, other = self.camera.intrinsics, self.reference.intrinsics
+        return client.fx_px / other.fx_px, client.fy_px / other.fy_px
+
+    @property
+    def stride(self) -> int:
+        """Every how many pixels and rows the client's view is sampled for what hides what: twice a reference pixel."""
+        return max(1, int(min(self.cell_px) / 2))
+
+    @cached_property
+    def projected(self) -> tuple[F32, F32, F32, NDArray[np.bool_]]:
+        """x, y, z [H, W] in the reference, 0 where the pixel is not in it, and where it is."""
+        m, b = (a.astype(np.float32) for a in self.matrix)
+        u = np.arange(self.camera.width_px, dtype=np.float32)[None] + np.float32(0.5)
+        v = np.arange(self.camera.height_px, dtype=np.float32)[:, None] + np.float32(0.5)
+        d = self.depth
+        with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+            z = d * (m[2, 0] * u + (m[2, 1] * v + m[2, 2])) + b[2]
+            x = (d * (m[0, 0] * u + (m[0, 1] * v + m[0, 2])) + b[0]) / z
+            y = (d * (m[1, 0] * u + (m[1, 1] * v + m[1, 2])) + b[1]) / z
+            inside = (d > 0) & np.isfinite(d) & (z > 0) & np.isfinite(z) & (x >= 0) & (y >= 0)
+            inside &= (x <= self.reference.width_px) & (y <= self.reference.height_px)
+        zero = np.float32(0)
+        return np.where(inside, x, zero), np.where(inside, y, zero), np.where(inside, z, zero), inside
+
+    @property
+    def xy(self) -> tuple[F32, F32]:
+        """x and y of :attr:`projected`."""
+        return self.projected[:2]
+
+
+@dataclass(frozen=True, eq=False)
 class Aligned:
     """A reference brought to the client's view."""
 
     rgb: F32  # [H, W, 3] in [0, 1]; black where the reference says nothing and no clean neighbour is near
     confidence: F32  # [H, W] in [0, 1]: 0 for void, behind, outside or occluded; fades towards the reference's border
     occluded: NDArray[np.bool_]  # [H, W] seen by the client, hidden from the reference
-    x: F32  # [H, W] where the pixel lies in the reference; finite everywhere, meaningful where confidence > 0
-    y: F32  # [H, W]
+    geometry: Reprojection
+    """Where the client's pixels lie in the reference."""
+
+    @property
+    def x(self) -> F32:
+        """[H, W] reference pixels; finite everywhere, meaningful where confidence > 0. Worked out when first asked."""
+        return self.geometry.xy[0]
+
+    @property
+    def y(self) -> F32:
+        """[H, W], see :attr:`x`."""
+        return self.geometry.xy[1]
 
 
 class Aligner(Protocol):
@@ -81,27 +154,6 @@ class Aligner(Protocol):
         Raises ``ValueError`` where ``depth`` does not have the camera's size.
         """
         ...
-
-
-def reprojection(camera: Camera, reference: Camera) -> tuple[F64, F64]:
-    """Matrix M [3, 3] and vector b [3]: client pixel (u, v) of depth D lies at ``M [u, v, 1] D + b`` in the reference.
-
-    The result is homogeneous: ``(x z, y z, z)`` in reference pixels and reference camera-space depth. This is line 1 of
-    the pseudocode with its errata settled: ``x_w = R_l K_l^-1 [u, v, 1] D + T_l`` and ``p_r = K_r R_r^-1 (x_w - T_r)``.
-    """
-    k_l, k_r = _matrix(camera), _matrix(reference)
-    rotation_l, rotation_r = camera.pose.rotation_matrix, reference.pose.rotation_matrix
-    to_reference = k_r @ rotation_r.T
-    shift = np.asarray(camera.pose.position) - np.asarray(reference.pose.position)
-    m: F64 = to_reference @ rotation_l @ np.linalg.inv(k_l)
-    b: F64 = to_reference @ shift
-    return m, b
-
-
-def cell_size(camera: Camera, reference: Camera) -> tuple[float, float]:
-    """Client pixels a reference pixel, in angle at the images' centres, along x and y."""
-    client, other = camera.intrinsics, reference.intrinsics
-    return client.fx_px / other.fx_px, client.fy_px / other.fy_px
 
 
 def _matrix(camera: Camera) -> F64:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.align.base import Aligned, AlignSettings, ReferencePicture, cell_size, reprojection
+from cags_client.align.base import Aligned, AlignSettings, ReferencePicture, Reprojection
 from cags_common.geometry import F32, F64, Camera
 
 Mask = NDArray[np.bool_]
@@ -35,35 +35,29 @@ class ReferenceAligner:
 
     def align(self, reference: ReferencePicture, depth: F32, camera: Camera) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`."""
-        if depth.shape != (camera.height_px, camera.width_px):
-            raise ValueError(f"depth of shape {depth.shape} under a camera of {camera.width_px}x{camera.height_px}")
+        geometry = Reprojection(depth, camera, reference.camera)
         d = np.where(np.isfinite(depth) & (depth > 0), depth, np.nan).astype(np.float64)
-        x, y, z = _project(d, camera, reference.camera)
+        x, y, z = _project(d, geometry)
         inside = (z > 0) & (x >= 0) & (y >= 0) & (x <= reference.camera.width_px) & (y <= reference.camera.height_px)
-        occluded, occluder = self._occlusion(d, _Projected(x, y, z, inside), cell_size(camera, reference.camera))
+        occluded, occluder = self._occlusion(d, _Projected(x, y, z, inside), geometry)
         rgb = np.where(inside[..., None], _bilinear(reference.rgb.astype(np.float64), x, y), 0.0)
         rgb = _erode(rgb, occluded, inside & ~occluded & ~occluder, self._settings)
         confidence = np.where(inside & ~occluded, _border(x, y, reference.camera, self._settings.border_px), 0.0)
-        return Aligned(
-            rgb.astype(np.float32),
-            confidence.astype(np.float32),
-            occluded,
-            np.where(inside, x, 0.0).astype(np.float32),
-            np.where(inside, y, 0.0).astype(np.float32),
-        )
+        return Aligned(rgb.astype(np.float32), confidence.astype(np.float32), occluded, geometry)
 
-    def _occlusion(self, d: F64, p: _Projected, cell_px: tuple[float, float]) -> tuple[Mask, Mask]:
+    def _occlusion(self, d: F64, p: _Projected, geometry: Reprojection) -> tuple[Mask, Mask]:
         """Which pixels the reference does not see, and which of the seen ones share a reference pixel with those."""
         inside, z = p.inside, p.z
         cells, cell = p.cells()
-        nearest = np.full(cells, np.inf)
-        np.minimum.at(nearest, cell[inside], z[inside])
         row, column = np.indices(d.shape)
+        sampled = inside & (row % geometry.stride == 0) & (column % geometry.stride == 0)
+        nearest = np.full(cells, np.inf)
+        np.minimum.at(nearest, cell[sampled], z[sampled])
         index = np.arange(d.size).reshape(d.shape)
         first = np.full(cells, d.size)  # the nearest pixel itself; of equally near ones the first
-        is_nearest = inside & (z == nearest[cell])
+        is_nearest = sampled & (z == nearest[cell])
         np.minimum.at(first, cell[is_nearest], index[is_nearest])
-        sx, sy = cell_px
+        sx, sy = geometry.cell_px
         away = (np.abs(column - first[cell] % d.shape[1]) > sx) | (np.abs(row - first[cell] // d.shape[1]) > sy)
         slack = self._settings.slope_cells * (sx * _slope(d, axis=1) + sy * _slope(d, axis=0))
         occluded = np.zeros(d.shape, dtype=bool)
@@ -91,10 +85,10 @@ class _Projected:
         return stride * (int(row.max()) + 1), row * stride + column
 
 
-def _project(d: F64, camera: Camera, reference: Camera) -> tuple[F64, F64, F64]:
+def _project(d: F64, geometry: Reprojection) -> tuple[F64, F64, F64]:
     """Continuous reference pixels and reference depth of every client pixel; NaN where the client sees nothing."""
-    m, b = reprojection(camera, reference)
-    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px] + 0.5
+    m, b = geometry.matrix
+    v, u = np.indices(d.shape) + 0.5
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ m.T
     p = rays * d[..., None] + b
     z = np.where(p[..., 2] > 0, p[..., 2], np.nan)

@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+import cags_kernels
 from cags_client.align.fast import sample
 from cags_client.restore.base import RestoreInput
 from cags_common.geometry import F32
@@ -33,6 +34,7 @@ from cags_common.settings import check_settings, setting
 class AffineSettings:
     """Strengths of the closed-form restorer."""
 
+    threads: int = setting(2, "threads of a restoration", low=1, high=64)
     radius_cells: int = setting(2, "radius of the local fit, in reference pixels", low=1, high=32)
     gain_prior: float = setting(2e-3, "variance that pulls the detail's gain to 1", low=0, high=1)
     noise: float = setting(2e-4, "variance of the reference's own error: H.264 at crf 20", low=0, high=1)
@@ -52,33 +54,51 @@ class AffineRestorer:
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""
-        aligned, reference = inputs.aligned, inputs.reference
-        if inputs.own is not None:
-            own = np.clip(inputs.own.rgb, 0.0, 1.0)
-        else:
-            own = average_down(inputs.distorted, aligned.x, aligned.y, aligned.confidence, reference.rgb)
-        fields = sample(correction_fields(own, reference.rgb, self._settings), aligned.x, aligned.y)
-        change = inputs.distorted * fields[..., :3] + fields[..., 3:]
+        own = inputs.own.rgb if inputs.own is not None else average_down(inputs)
+        if cags_kernels.native_available():
+            return self._by_kernels(inputs, own)
+        aligned = inputs.aligned
+        fields = correction_fields(np.clip(own, 0.0, 1.0), inputs.reference.rgb, self._settings)
+        sampled = sample(fields, aligned.x, aligned.y)
+        change = inputs.distorted * sampled[..., :3] + sampled[..., 3:]
         change *= aligned.confidence[..., None]
         change += inputs.distorted
         return np.clip(change, 0.0, 1.0, out=change)
 
+    def _by_kernels(self, inputs: RestoreInput, own: F32) -> F32:
+        from cags_kernels import align as kernels
 
-def average_down(picture: F32, x: F32, y: F32, confidence: F32, fallback: F32) -> F32:
-    """Mean [h, w, 3] of ``picture`` over the pixels that land in each reference pixel; ``fallback`` where none does.
+        s, aligned = self._settings, inputs.aligned
+        parameters = kernels.CorrectParameters(s.radius_cells, s.gain_prior, s.noise, s.detail_noise, s.threads)
+        view = kernels.Reprojection(aligned.geometry.depth, *aligned.geometry.matrix)
+        return kernels.correct(
+            own,
+            inputs.reference.rgb,
+            view,
+            parameters,
+            distorted=inputs.distorted,
+            confidence=aligned.confidence,
+        )
+
+
+def average_down(inputs: RestoreInput) -> F32:
+    """Mean [h, w, 3] of the distorted picture over the pixels that land in each reference pixel.
+
+    Where none does it is the reference itself, so that nothing is corrected there.
 
     A stand-in for the client's splats drawn at the reference's pose, for callers without a rasteriser. It is worse at
     silhouettes: pixels that the client does not see are missing from its means.
     """
+    aligned, fallback = inputs.aligned, inputs.reference.rgb
     h, w = fallback.shape[:2]
-    shown = confidence > 0
-    rows = np.minimum(y[shown].astype(np.intp), h - 1)
-    cell: NDArray[np.intp] = rows * w + np.minimum(x[shown].astype(np.intp), w - 1)
+    shown = aligned.confidence > 0
+    rows = np.minimum(aligned.y[shown].astype(np.intp), h - 1)
+    cell: NDArray[np.intp] = rows * w + np.minimum(aligned.x[shown].astype(np.intp), w - 1)
     count = np.bincount(cell, minlength=h * w)
     known = count > 0
     low = fallback.reshape(-1, 3).copy()
     for channel in range(3):
-        total = np.bincount(cell, weights=picture[..., channel][shown], minlength=h * w)
+        total = np.bincount(cell, weights=inputs.distorted[..., channel][shown], minlength=h * w)
         low[known, channel] = total[known] / count[known]
     return low.reshape(h, w, 3)
 

@@ -18,40 +18,60 @@ F64: TypeAlias = NDArray[np.float64]
 _Pointer, _int32, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
 
 
-class _AlignInput(ctypes.Structure):
+class _Reprojection(ctypes.Structure):
     _fields_ = [
         ("depth", _Pointer),
-        ("reference", _Pointer),
         *((name, _int32) for name in ("width", "height", "reference_width", "reference_height")),
         ("m", _float * 9),
         ("b", _float * 3),
-        *((name, _float) for name in ("cell_x", "cell_y", "depth_tolerance", "slope_cells", "border_px")),
+    ]
+
+
+class _AlignInput(ctypes.Structure):
+    _fields_ = [
+        ("view", _Reprojection),
+        ("reference", _Pointer),
+        ("cell_x", _float),
+        ("cell_y", _float),
+        ("stride", _int32),
+        *((name, _float) for name in ("depth_tolerance", "slope_cells", "border_px")),
         *((name, _int32) for name in ("erosion_radius", "erosion_iterations", "threads")),
     ]
 
 
 class _AlignOutput(ctypes.Structure):
-    _fields_ = [(name, _Pointer) for name in ("rgb", "confidence", "occluded", "x", "y")]
+    _fields_ = [(name, _Pointer) for name in ("rgb", "confidence", "occluded")]
 
 
 class _CorrectInput(ctypes.Structure):
     _fields_ = [
+        ("view", _Reprojection),
         ("own", _Pointer),
         ("reference", _Pointer),
-        *((name, _int32) for name in ("reference_width", "reference_height", "radius_cells")),
+        ("radius_cells", _int32),
         *((name, _float) for name in ("gain_prior", "noise", "detail_noise")),
-        *((name, _Pointer) for name in ("distorted", "confidence", "x", "y")),
-        *((name, _int32) for name in ("width", "height", "threads")),
+        ("distorted", _Pointer),
+        ("confidence", _Pointer),
+        ("threads", _int32),
     ]
+
+
+@dataclass(frozen=True, eq=False)
+class Reprojection:
+    """Client pixel (u, v) of depth D lies at ``m [u, v, 1] D + b`` (homogeneous) in the reference."""
+
+    depth: F32  # [H, W]
+    m: F64  # [3, 3]
+    b: F64  # [3]
 
 
 @dataclass(frozen=True)
 class AlignParameters:
-    """Client pixel (u, v) of depth D lies at ``m [u, v, 1] D + b`` (homogeneous) in the reference; see ``AlignSettings``."""
+    """See ``cags_client.align.AlignSettings``; ``cell_px`` is client pixels a reference pixel."""
 
-    m: F64  # [3, 3]
-    b: F64  # [3]
     cell_px: tuple[float, float]
+    stride: int
+    """Every ``stride``-th pixel of every ``stride``-th row may hide others."""
     depth_tolerance: float
     slope_cells: float
     border_px: float
@@ -78,56 +98,60 @@ class AlignedImage:
     rgb: F32 | None  # [H, W, 3]
     confidence: F32  # [H, W]
     occluded: NDArray[np.bool_]  # [H, W]
-    x: F32  # [H, W]
-    y: F32  # [H, W]
 
 
 _buffers = BufferPool()
 
 
-def align(reference: F32, depth: F32, parameters: AlignParameters, *, rgb: bool = True) -> AlignedImage:
-    """Align ``reference`` [h, w, 3] by ``depth`` [H, W]. Without ``rgb`` only the geometry. Raises ``KernelError``."""
-    reference, depth = _checked(reference, (*reference.shape[:2], 3)), _checked(depth, depth.shape[:2])
-    height, width = depth.shape
+def align(reference: F32, view: Reprojection, parameters: AlignParameters, *, rgb: bool = True) -> AlignedImage:
+    """Align ``reference`` [h, w, 3]. Without ``rgb`` only the geometry. Raises ``KernelError``."""
+    height, width = view.depth.shape
+    reference = _checked(reference, (*reference.shape[:2], 3))
     p = parameters
     image = AlignedImage(
         _buffers.empty((height, width, 3)) if rgb else None,
         _buffers.empty((height, width)),
         np.empty((height, width), np.bool_),
-        _buffers.empty((height, width)),
-        _buffers.empty((height, width)),
     )
+    depth = _checked(view.depth, (height, width))
     given = _AlignInput(
-        *(_address(depth), _address(reference), width, height, reference.shape[1], reference.shape[0]),
-        (_float * 9)(*np.ravel(p.m)),
-        (_float * 3)(*np.ravel(p.b)),
-        *(*p.cell_px, p.depth_tolerance, p.slope_cells, p.border_px),
+        _reprojection(view, depth, reference),
+        _address(reference),
+        *(*p.cell_px, p.stride, p.depth_tolerance, p.slope_cells, p.border_px),
         *(p.erosion_radius, p.erosion_iterations, p.threads),
     )
-    arrays = (image.rgb, image.confidence, image.occluded, image.x, image.y)
-    wanted = _AlignOutput(*(_address(array) for array in arrays))
+    wanted = _AlignOutput(*(_address(array) for array in (image.rgb, image.confidence, image.occluded)))
     check(library().cags_align(ctypes.byref(given), ctypes.byref(wanted)), "align")
     return image
 
 
-def correct(own: F32, reference: F32, distorted: F32, aligned: AlignedImage, parameters: CorrectParameters) -> F32:
-    """``distorted`` [H, W, 3] corrected by ``reference`` - ``own`` [h, w, 3] through ``aligned``; in [0, 1].
+def correct(
+    own: F32, reference: F32, view: Reprojection, parameters: CorrectParameters, *, distorted: F32, confidence: F32
+) -> F32:
+    """``distorted`` [H, W, 3] corrected by ``reference`` - ``own`` [h, w, 3] where ``confidence`` [H, W] is; in [0, 1].
 
     Raises ``KernelError`` and, for arrays that do not fit, ``ValueError``.
     """
-    height, width = aligned.confidence.shape
+    height, width = view.depth.shape
     own, reference = _checked(own, (*reference.shape[:2], 3)), _checked(reference, (*reference.shape[:2], 3))
-    distorted = _checked(distorted, (height, width, 3))
-    p = parameters
+    distorted, confidence = _checked(distorted, (height, width, 3)), _checked(confidence, (height, width))
+    depth, p = _checked(view.depth, (height, width)), parameters
     given = _CorrectInput(
-        *(_address(own), _address(reference), reference.shape[1], reference.shape[0]),
-        *(p.radius_cells, p.gain_prior, p.noise, p.detail_noise),
-        *(_address(array) for array in (distorted, aligned.confidence, aligned.x, aligned.y)),
-        *(width, height, p.threads),
+        _reprojection(view, depth, reference),
+        *(_address(own), _address(reference), p.radius_cells, p.gain_prior, p.noise, p.detail_noise),
+        *(_address(distorted), _address(confidence), p.threads),
     )
     restored = _buffers.empty((height, width, 3))
     check(library().cags_correct(ctypes.byref(given), _address(restored)), "correct")
     return restored
+
+
+def _reprojection(view: Reprojection, depth: F32, reference: F32) -> _Reprojection:
+    return _Reprojection(
+        *(_address(depth), depth.shape[1], depth.shape[0], reference.shape[1], reference.shape[0]),
+        (_float * 9)(*np.ravel(view.m)),
+        (_float * 3)(*np.ravel(view.b)),
+    )
 
 
 def _checked(array: F32, shape: tuple[int, ...]) -> F32:

@@ -3,6 +3,7 @@
 #include "support/thread_pool.h"
 
 #include <algorithm>
+#include <cstring>
 
 namespace cags::align {
 namespace {
@@ -14,14 +15,25 @@ struct Mean {
   int count;
 };
 
-Mean mean_of_clean(const Erosion& how, const uint8_t* state, const float* rgb, int64_t pixel) {
+bool any(const uint8_t* bytes, int count) {
+  for (; count >= 8; bytes += 8, count -= 8) {
+    uint64_t eight;
+    std::memcpy(&eight, bytes, sizeof eight);
+    if (eight) return true;
+  }
+  return std::any_of(bytes, bytes + count, [](uint8_t byte) { return byte != 0; });
+}
+
+Mean mean_of_clean(const Erosion& how, const uint8_t* clean, const float* rgb, int64_t pixel) {
   const int row = static_cast<int>(pixel / how.width), column = static_cast<int>(pixel % how.width);
   const int top = std::max(row - how.radius, 0), bottom = std::min(row + how.radius, how.height - 1);
   const int left = std::max(column - how.radius, 0), right = std::min(column + how.radius, how.width - 1);
   Mean mean{{0, 0, 0}, 0};
   for (int y = top; y <= bottom; y++) {
-    for (int64_t i = int64_t{y} * how.width + left; i <= int64_t{y} * how.width + right; i++) {
-      if (state[i] != kFilled && (state[i] != kSeen || how.occluder[i])) continue;
+    const int64_t start = int64_t{y} * how.width + left;
+    if (!any(clean + start, right - left + 1)) continue;
+    for (int64_t i = start; i <= start + right - left; i++) {
+      if (!clean[i]) continue;
       for (int c = 0; c < 3; c++) mean.rgb[c] += rgb[3 * i + c];
       mean.count++;
     }
@@ -32,23 +44,24 @@ Mean mean_of_clean(const Erosion& how, const uint8_t* state, const float* rgb, i
 
 }  // namespace
 
-void erode(const Erosion& how, std::vector<int64_t> holes, uint8_t* state, float* rgb) {
+void erode(const Erosion& how, std::vector<int64_t> holes, uint8_t* clean, float* rgb) {
   std::vector<Mean> means;
   for (int ring = 0; ring < how.iterations && !holes.empty(); ring++) {
     means.resize(holes.size());
     const int chunks = static_cast<int>((holes.size() + kChunk - 1) / kChunk);
     parallel_for(how.threads, chunks, [&](int chunk, int) {
       const size_t end = std::min(holes.size(), (size_t(chunk) + 1) * kChunk);
-      for (size_t i = size_t(chunk) * kChunk; i < end; i++) means[i] = mean_of_clean(how, state, rgb, holes[i]);
+      for (size_t i = size_t(chunk) * kChunk; i < end; i++) means[i] = mean_of_clean(how, clean, rgb, holes[i]);
     });
     size_t left = 0;
     for (size_t i = 0; i < holes.size(); i++) {
+      const int64_t hole = holes[i];
       if (means[i].count == 0) {
-        holes[left++] = holes[i];
+        holes[left++] = hole;
         continue;
       }
-      std::copy(means[i].rgb, means[i].rgb + 3, rgb + 3 * holes[i]);
-      state[holes[i]] = kFilled;
+      std::copy(means[i].rgb, means[i].rgb + 3, rgb + 3 * hole);
+      clean[hole] = 1;
     }
     if (left == holes.size()) return;
     holes.resize(left);

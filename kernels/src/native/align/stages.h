@@ -3,10 +3,11 @@
 #include "align/cags_align.h"
 
 #include <cstdint>
+#include <vector>
 
 namespace cags::align {
 
-// A reference picture with a border of one repeated pixel, so that bilinear taps need no bounds, in groups of `lanes` floats.
+// A picture in the reference's view with a border of one repeated pixel, so that bilinear taps need no bounds.
 struct Padded {
   float* data;  // [height + 2, width + 2, lanes]
   int width, height;
@@ -16,18 +17,24 @@ constexpr int kColourLanes = 4;  // r, g, b, unused
 constexpr int kFieldLanes = 8;   // factors r, g, b, unused, offsets r, g, b, unused
 constexpr int kMomentLanes = 16;
 
-// What a client pixel is to the reference.
-enum State : uint8_t { kOutside = 0, kSeen = 1, kOccluded = 2, kFilled = 3 };
-
 // Depth bits above, pixel index below: the minimum is the nearest pixel and, of equally near ones, the first.
 using Nearest = uint64_t;
 constexpr Nearest kNobody = uint64_t{0x7F800000} << 32;
 
+// What hides what, by reference pixel; cells have a row and a column more than the reference, for points on its edge.
+struct Occlusion {
+  const Nearest* nearest;     // [cells]
+  const float* nearest_depth;  // [cells]: the depth of `nearest`, +inf where nobody is
+};
+
 struct Stages {
-  // One row: where its pixels lie in the reference (x, y; z in `z`), their state, and the nearest pixel of each cell.
-  void (*project)(const CagsAlignInput&, const CagsAlignOutput&, int row, float* z, uint8_t* state, Nearest* nearest);
-  // One row: bilinear colours of the pixels that are in the reference, black elsewhere.
-  void (*sample)(const CagsAlignInput&, const CagsAlignOutput&, const Padded& reference, const uint8_t* state, int row);
+  // One row: the nearest pixel of each cell that it touches.
+  void (*nearest)(const CagsAlignInput&, int row, Nearest* cells);
+  // One row: confidence, occlusion (appended to `holes`) and, where asked, colours before erosion.
+  void (*resolve)(const CagsAlignInput&, const CagsAlignOutput&, const Occlusion&, const Padded& reference, int row,
+                  std::vector<int64_t>& holes);
+  // One row: which pixels may be averaged from, being seen and not in front of an occluded one (`shared` cells).
+  void (*clean)(const CagsAlignInput&, const CagsAlignOutput&, const uint8_t* shared, int row, uint8_t* clean);
   // One row of the reference: horizontal sums of the moments that the local fit needs.
   void (*moments)(const CagsCorrectInput&, int row, float* line, float* sums);
   // One row of the reference: factor and offset of the correction from vertical sums of the moments.

@@ -1,35 +1,47 @@
-// Bilinear sampling of a padded picture with one vector load a tap.
+// Bilinear sampling of padded pictures.
 #pragma once
 #include "align/stages.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 
 namespace cags::align {
 namespace {
 
-template <int lanes>
-struct Vector {
-  typedef float type __attribute__((vector_size(lanes * sizeof(float)), aligned(4), may_alias));
-};
-template <int lanes>
-using Lanes = typename Vector<lanes>::type;
+typedef float Four __attribute__((vector_size(16), aligned(4), may_alias));
+typedef float Eight __attribute__((vector_size(32), aligned(4), may_alias));
 
-// The value at continuous pixel (x, y), centres at + 0.5; x in [0, width], y in [0, height].
-template <int lanes>
-inline Lanes<lanes> bilinear(const Padded& image, float x, float y) {
-  const float px = x + 0.5f, py = y + 0.5f;  // in the padded picture, whose pixel (1, 1) is the picture's (0, 0)
-  const int ix = static_cast<int>(px), iy = static_cast<int>(py);
-  const float ax = px - static_cast<float>(ix), ay = py - static_cast<float>(iy);
-  const int stride = (image.width + 2) * lanes;
-  const float* tap = image.data + iy * static_cast<int64_t>(stride) + ix * lanes;
-  const auto& v00 = *reinterpret_cast<const Lanes<lanes>*>(tap);
-  const auto& v01 = *reinterpret_cast<const Lanes<lanes>*>(tap + lanes);
-  const auto& v10 = *reinterpret_cast<const Lanes<lanes>*>(tap + stride);
-  const auto& v11 = *reinterpret_cast<const Lanes<lanes>*>(tap + stride + lanes);
-  const Lanes<lanes> top = v00 + (v01 - v00) * ax, bottom = v10 + (v11 - v10) * ax;
-  return top + (bottom - top) * ay;
+// Where the four taps of a continuous pixel (centres at + 0.5; x in [0, width], y in [0, height]) begin, and their weights.
+struct Taps {
+  Taps(const Padded& image, float x, float y, int lanes) : stride((image.width + 2) * lanes) {
+    const float px = x + 0.5f, py = y + 0.5f;  // in the padded picture, whose pixel (1, 1) is the picture's (0, 0)
+    const int ix = static_cast<int>(px), iy = static_cast<int>(py);
+    ax = px - static_cast<float>(ix);
+    ay = py - static_cast<float>(iy);
+    first = image.data + iy * static_cast<int64_t>(stride) + ix * lanes;
+  }
+  int stride;
+  float ax, ay;
+  const float* first;
+};
+
+inline const Four& four(const float* at) { return *reinterpret_cast<const Four*>(at); }
+inline const Eight& eight(const float* at) { return *reinterpret_cast<const Eight*>(at); }
+
+inline Four bilinear_colour(const Padded& image, float x, float y) {
+  const Taps t(image, x, y, kColourLanes);
+  const Eight top = eight(t.first), bottom = eight(t.first + t.stride);  // two neighbours lie side by side
+  const Eight both = top + (bottom - top) * t.ay;
+  const Four left = __builtin_shufflevector(both, both, 0, 1, 2, 3), right = __builtin_shufflevector(both, both, 4, 5, 6, 7);
+  return left + (right - left) * t.ax;
+}
+
+inline Eight bilinear_field(const Padded& image, float x, float y) {
+  const Taps t(image, x, y, kFieldLanes);
+  const Eight left = eight(t.first) + (eight(t.first + t.stride) - eight(t.first)) * t.ay;
+  const float* second = t.first + kFieldLanes;
+  const Eight right = eight(second) + (eight(second + t.stride) - eight(second)) * t.ay;
+  return left + (right - left) * t.ax;
 }
 
 }  // namespace

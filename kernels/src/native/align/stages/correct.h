@@ -1,6 +1,7 @@
 // The local fit of the reference on the client's own view, and the correction that it gives.
 #pragma once
 #include "align/stages/bilinear.h"
+#include "align/stages/projection.h"
 
 namespace cags::align {
 namespace {
@@ -25,20 +26,24 @@ inline void moment_of(const float* own, const float* reference, float* out) {
 }
 
 void moments(const CagsCorrectInput& in, int row, float* line, float* sums) {
-  const int w = in.reference_width, r = in.radius_cells;
+  const int w = in.view.reference_width, r = in.radius_cells;
   const int64_t start = int64_t{row} * w * 3;
   float* centre = line + r * kMomentLanes;
   for (int i = 0; i < w; i++) moment_of(in.own + start + 3 * i, in.reference + start + 3 * i, centre + i * kMomentLanes);
   for (int i = 1; i <= r; i++) {
-    std::memcpy(centre - i * kMomentLanes, centre + reflected(-i, w) * kMomentLanes, kMomentLanes * sizeof(float));
     const int beyond = w - 1 + i;
+    std::memcpy(centre - i * kMomentLanes, centre + reflected(-i, w) * kMomentLanes, kMomentLanes * sizeof(float));
     std::memcpy(centre + beyond * kMomentLanes, centre + reflected(beyond, w) * kMomentLanes, kMomentLanes * sizeof(float));
   }
-  using Moment = Lanes<kMomentLanes>;
-  for (int i = 0; i < w; i++) {
-    Moment total = {};
-    for (int j = 0; j <= 2 * r; j++) total += *reinterpret_cast<const Moment*>(line + (i + j) * kMomentLanes);
-    std::memcpy(sums + (int64_t{row} * w + i) * kMomentLanes, &total, sizeof total);
+  float* out = sums + start / 3 * kMomentLanes;
+  for (int i = 0; i < w; i++, line += kMomentLanes, out += kMomentLanes) {
+    Eight low = eight(line), high = eight(line + 8);
+    for (int j = 1; j <= 2 * r; j++) {
+      low += eight(line + j * kMomentLanes);
+      high += eight(line + j * kMomentLanes + 8);
+    }
+    std::memcpy(out, &low, sizeof low);
+    std::memcpy(out + 8, &high, sizeof high);
   }
 }
 
@@ -71,18 +76,21 @@ inline void fit_pixel(const CagsCorrectInput& in, const float* m, const float* o
 }
 
 void fit(const CagsCorrectInput& in, int row, const float* sums, const Padded& fields) {
-  const int w = in.reference_width, h = in.reference_height, r = in.radius_cells;
-  const float count = static_cast<float>((2 * r + 1) * (2 * r + 1));
+  const int w = in.view.reference_width, h = in.view.reference_height, r = in.radius_cells;
+  const float share = 1.0f / static_cast<float>((2 * r + 1) * (2 * r + 1));
   float* field = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
-  using Moment = Lanes<kMomentLanes>;
   for (int i = 0; i < w; i++) {
-    Moment total = {};
+    Eight low = {}, high = {};
     for (int j = -r; j <= r; j++) {
-      total += *reinterpret_cast<const Moment*>(sums + (int64_t{reflected(row + j, h)} * w + i) * kMomentLanes);
+      const float* at = sums + (int64_t{reflected(row + j, h)} * w + i) * kMomentLanes;
+      low += eight(at);
+      high += eight(at + 8);
     }
-    total /= count;
+    low *= share;
+    high *= share;
     float m[kMomentLanes];
-    std::memcpy(m, &total, sizeof m);
+    std::memcpy(m, &low, sizeof low);
+    std::memcpy(m + 8, &high, sizeof high);
     const int64_t pixel = (int64_t{row} * w + i) * 3;
     fit_pixel(in, m, in.own + pixel, in.reference + pixel, field + i * kFieldLanes);
   }
@@ -90,18 +98,30 @@ void fit(const CagsCorrectInput& in, int row, const float* sums, const Padded& f
   std::memcpy(field + w * kFieldLanes, field + (w - 1) * kFieldLanes, kFieldLanes * sizeof(float));
 }
 
+inline void correct_run(const Projected& p, int count, const Padded& fields, const float* confidence, const float* distorted,
+                        float* restored) {
+  for (int i = 0; i < count; i++) {
+    Eight field = {};
+    if (confidence[i] > 0) field = bilinear_field(fields, p.x[i], p.y[i]) * confidence[i];
+    const Four factor = __builtin_shufflevector(field, field, 0, 1, 2, 3), offset = __builtin_shufflevector(field, field, 4, 5, 6, 7);
+    const float* d = distorted + 3 * i;
+    const Four colour = {d[0], d[1], d[2], 0.0f};
+    Four shown = colour + (colour * factor + offset);
+    const Four zero = {}, one = {1.0f, 1.0f, 1.0f, 1.0f};
+    shown = shown < zero ? zero : shown;
+    shown = shown > one ? one : shown;
+    // The fourth float is the next pixel's, which is written next; the last of a run must not touch it.
+    std::memcpy(restored + 3 * i, &shown, i + 1 < count ? sizeof shown : 3 * sizeof(float));
+  }
+}
+
 void correct(const CagsCorrectInput& in, const Padded& fields, int row, float* restored) {
-  const int64_t start = int64_t{row} * in.width;
-  for (int64_t i = start; i < start + in.width; i++) {
-    const float share = in.confidence[i];
-    const float* distorted = in.distorted + 3 * i;
-    float* out = restored + 3 * i;
-    float field[kFieldLanes] = {};
-    if (share > 0) {
-      const Lanes<kFieldLanes> sampled = bilinear<kFieldLanes>(fields, in.x[i], in.y[i]);
-      std::memcpy(field, &sampled, sizeof field);
-    }
-    for (int c = 0; c < 3; c++) out[c] = clipped(distorted[c] + share * (distorted[c] * field[c] + field[4 + c]));
+  Projected p;
+  for (int first = 0; first < in.view.width; first += kRun) {
+    const int count = std::min(kRun, in.view.width - first);
+    const int64_t start = int64_t{row} * in.view.width + first;
+    project(in.view, row, first, 1, count, p);
+    correct_run(p, count, fields, in.confidence + start, in.distorted + 3 * start, restored + 3 * start);
   }
 }
 

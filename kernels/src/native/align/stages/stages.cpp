@@ -1,10 +1,10 @@
 // Compiled once for each instruction set; CAGS_ALIGN_STAGES names the variant's table.
 #include "align/stages.h"
 #include "align/stages/correct.h"
-#include "align/stages/project.h"
+#include "align/stages/resolve.h"
 
 namespace cags::align {
 
-extern const Stages CAGS_ALIGN_STAGES{project, sample, moments, fit, correct};
+extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, fit, correct};
 
 }  // namespace cags::align

@@ -1,0 +1,47 @@
+"""Alignment by the native kernels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import cags_kernels
+from cags_client.align.base import Aligned, AlignSettings, ReferencePicture, Reprojection
+from cags_common.errors import ConfigError
+from cags_common.geometry import F32, Camera
+
+
+class CpuAligner:
+    """The same result as :class:`cags_client.align.reference.ReferenceAligner` in float32, a frame in milliseconds.
+
+    With ``picture`` false the aligned picture itself is left out (black): restorers that work at the reference's
+    resolution do not look at it. Raises :class:`ConfigError` where the native library is missing.
+    """
+
+    name = "cpu"
+
+    def __init__(self, settings: AlignSettings | None = None, *, picture: bool = True) -> None:
+        if not cags_kernels.native_available():
+            raise ConfigError(f"aligner 'cpu' cannot run: {cags_kernels.why_unavailable()}; use 'fast'")
+        self._settings = settings or AlignSettings()
+        self._picture = picture
+
+    def align(self, reference: ReferencePicture, depth: F32, camera: Camera) -> Aligned:
+        """See :class:`cags_client.align.base.Aligner`."""
+        from cags_kernels import align as kernels
+
+        geometry = Reprojection(depth, camera, reference.camera)
+        s = self._settings
+        parameters = kernels.AlignParameters(
+            cell_px=geometry.cell_px,
+            stride=geometry.stride,
+            depth_tolerance=s.depth_tolerance,
+            slope_cells=s.slope_cells,
+            border_px=s.border_px,
+            erosion_radius=s.erosion_radius_px,
+            erosion_iterations=s.erosion_iterations,
+            threads=s.threads,
+        )
+        view = kernels.Reprojection(depth, *geometry.matrix)
+        image = kernels.align(reference.rgb, view, parameters, rgb=self._picture)
+        rgb = np.zeros((*depth.shape, 3), np.float32) if image.rgb is None else image.rgb
+        return Aligned(rgb, image.confidence, image.occluded, geometry)
