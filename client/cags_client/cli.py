@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,12 +16,14 @@ from cags_common.settings import add_settings, load_settings
 if TYPE_CHECKING:
     from cags_client.present import FrameSink, ScoringSpool
     from cags_client.settings import ClientSettings
+    from cags_client.view.settings import ViewSettings
     from cags_common.bundle.manifest import Manifest
 
 PROG = "cags-client"
 
 EXAMPLES = """\
   cags-client --url ws://127.0.0.1:8765/stream
+  cags-client --url ws://127.0.0.1:8765/stream --view              a page to look at and to steer
   cags-client --url ws://127.0.0.1:8765/stream --poses walk.csv --save clip.mp4
   cags-client --url ws://host:8765/stream --poses synthetic:turning:seed=3 --width 1600 --height 1200 \\
       --truth scene.bundle --json report.jsonl --stages pictures --duration 5
@@ -37,6 +39,7 @@ class _Outputs:
     truth: str | None
     stages: str | None
     stages_every: int
+    view: bool
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,7 +64,28 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--stages", metavar="DIR", help="write the intermediate pictures of some frames")
     parser.add_argument("--stages-every", type=int, default=30, metavar="N", help="which frames (default: every 30th)")
     add_settings(parser, ClientSettings)
+    _add_view(parser)
     return parser
+
+
+def _add_view(parser: argparse.ArgumentParser) -> None:
+    from dataclasses import fields
+
+    from cags_client.view.settings import ViewSettings
+
+    page = parser.add_argument_group("live page")
+    page.add_argument(
+        "--view", action="store_true", help="serve a page to look at and to steer; plays until interrupted"
+    )
+    for f in fields(ViewSettings):
+        flag, kind = "--" + f.name.replace("_", "-"), type(f.default)
+        page.add_argument(
+            flag,
+            type=kind,
+            default=f.default,
+            metavar=kind.__name__.upper(),
+            help=f"{f.metadata['help']} (default: {f.default})",
+        )
 
 
 def _body(argv: Sequence[str]) -> int | None:
@@ -69,11 +93,15 @@ def _body(argv: Sequence[str]) -> int | None:
     from cags_client.settings import ClientSettings
 
     settings = load_settings(ClientSettings, arguments)
-    names = ("url", "poses", "save", "json", "truth", "stages", "stages_every")
+    names = ("url", "poses", "save", "json", "truth", "stages", "stages_every", "view")
     outputs = _Outputs(**{name: getattr(arguments, name) for name in names})
     if outputs.stages_every < 1:
         raise ConfigError(f"stages_every = {outputs.stages_every} must be at least 1")
-    _watch(settings, outputs)
+    if outputs.view:
+        _check_view(outputs)
+        _look(settings, outputs, _view_settings(arguments))
+    else:
+        _watch(settings, outputs)
     return None
 
 
@@ -106,6 +134,60 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> None:
         _score(records, spool, truth, outputs)
     last = summary(records, playback.player.stats)
     _report(outputs.json, [*records, last])
+
+
+def _view_settings(arguments: argparse.Namespace) -> ViewSettings:
+    from dataclasses import fields
+
+    from cags_client.view.settings import ViewSettings
+
+    return ViewSettings(**{f.name: getattr(arguments, f.name) for f in fields(ViewSettings)})
+
+
+def _check_view(outputs: _Outputs) -> None:
+    for flag in ("save", "stages"):
+        if getattr(outputs, flag):
+            raise ConfigError(f"--{flag} does not go with --view, which has no end; leave one out")
+
+
+def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> None:
+    """Serve the live page until interrupted."""
+    import asyncio
+
+    from cags_client.app import fetch_info
+    from cags_client.report import summary
+    from cags_client.truth import BundleTruth
+    from cags_client.view.shell import watch_live
+    from cags_common.poses import Focus, open_poses
+
+    _check_json(outputs.json)
+    truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
+    info = fetch_info(outputs.url)
+    focus = Focus(info.focus_centre, info.focus_radius, info.up)
+    walk = open_poses(outputs.poses, focus, window_us=_window_us(settings, info))
+    playback = asyncio.run(
+        watch_live(
+            outputs.url,
+            settings,
+            view,
+            info,
+            walk=walk,
+            sinks=(),
+            truth=truth,
+            on_ready=_tell_page(outputs.json == "-"),
+        )
+    )
+    if outputs.json:
+        _report(outputs.json, [*playback.frames, summary(playback.frames, playback.player.stats)])
+
+
+def _tell_page(as_json: bool) -> Callable[[str], None]:
+    import json
+
+    def tell(url: str) -> None:
+        print(json.dumps({"ready": True, "url": url}) if as_json else f"live page: {url}", flush=True)
+
+    return tell
 
 
 def _window_us(settings: ClientSettings, info: Manifest) -> int:

@@ -1,0 +1,174 @@
+"""A player that the viewer steers: pause, play, seek, speed, loop, and a camera that moves while the clip stands still.
+
+The state of play is one anchor: frame ``f`` is displayed at client time ``t``. Every wish makes a new anchor and tells
+the server. A seek empties the stores, so it waits until no decoding and no drawing is under way, and the display then
+waits for the first whole frame.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cags_client.pipeline import PresentedFrame
+from cags_client.player import Decode, DecodeResult, Player, Present, Traffic
+from cags_common.geometry import Pose
+from cags_protocol import events as ev
+from cags_protocol.messages import Control
+
+SEEK_PATIENCE_US = 2_000_000
+"""How long the display waits for the first frame after a seek before it shows what there is."""
+
+
+class InteractivePlayer(Player):
+    """Plays until :meth:`leave` or the end of ``settings.duration``; at the clip's end it starts again or holds."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        """As :class:`Player`."""
+        self.playing, self.loop, self.rate = True, True, 1.0
+        self.frame = 0
+        """The media frame on display."""
+        self._anchor = (0, 0)
+        self._wanted_frame: int | None = None
+        self._awaited: tuple[int, int] | None = None
+        self._shown_pose: Pose | None = None
+        super().__init__(*arguments, **named)
+        self.frame = self.settings.start_frame
+
+    # ------------------------------------------------------------------------------------------------ viewer's wishes
+
+    def pause(self, now_us: int) -> None:
+        """Hold the frame on display; the camera still moves, and the frame still gains detail."""
+        if self.playing:
+            self.playing = False
+            self._tell("pause", self.frame, now_us, now_us)
+
+    def play(self, now_us: int) -> None:
+        """Go on from the frame on display, or from the beginning when that is the last one."""
+        if self.playing:
+            return
+        self.playing = True
+        if self.frame >= self._end_frame - 1:
+            self._tell("play", self.frame, now_us, now_us)
+            self.seek(0)
+        else:
+            self._tell("play", self.frame, now_us + self.settings.start_delay_ms * 1000, now_us)
+
+    def seek(self, frame: int) -> None:
+        """Go to ``frame`` as soon as what is under way has ended."""
+        if self.stats.started_us is not None:
+            self._wanted_frame = max(0, min(frame, self._end_frame - 1))
+
+    def set_rate(self, rate: float, now_us: int) -> None:
+        """Change the speed from the next frame on."""
+        next_us = max(self._frame_due_us(self.frame + 1), now_us)
+        self.rate = rate
+        if self.playing and self.frame + 1 < self._end_frame:
+            self._tell("rate", self.frame + 1, next_us, now_us)
+
+    def leave(self, now_us: int) -> None:
+        """Say goodbye."""
+        if not self.finished:
+            self._finish(now_us)
+
+    # --------------------------------------------------------------------------------------------------------- in time
+
+    def next_timer_us(self) -> int | None:
+        """See :meth:`Player.next_timer_us`."""
+        if self._awaited is None or self.finished:
+            return super().next_timer_us()
+        times = (self._session.next_timer_us(), self._next_pose_us, self._awaited[1])
+        return min(t for t in times if t is not None)
+
+    def handle_timer(self, now_us: int) -> None:
+        """See :meth:`Player.handle_timer`."""
+        super().handle_timer(now_us)
+        started, duration = self.stats.started_us, self.settings.duration
+        if started is not None and duration is not None and now_us - started >= duration * 1e6:
+            self.leave(now_us)
+
+    def next_action(self, now_us: int) -> Decode | Present | None:
+        """See :meth:`Player.next_action`."""
+        if self._wanted_frame is not None and self.pipeline is not None:
+            if self._decoding or self._presenting:
+                return None
+            self._seek_now(self._wanted_frame, now_us)
+        if self._awaited is not None and now_us >= self._awaited[1]:
+            self._awaited = None
+        if self._awaited is None:
+            return super().next_action(now_us)
+        if self._decodes and not self._decoding and self.pipeline is not None:
+            self._decoding = True
+            return Decode(self._decodes.popleft(), self.pipeline)
+        return None
+
+    def done(self, action: Decode | Present, result: DecodeResult | PresentedFrame, now_us: int) -> None:
+        """See :meth:`Player.done`."""
+        if isinstance(action, Decode):
+            super().done(action, result, now_us)
+            event = action.event
+            if isinstance(event, ev.FrameEnded) and self._awaited and event.message.frame == self._awaited[0]:
+                self._awaited = None
+            return
+        assert isinstance(result, PresentedFrame)
+        self._presenting = False
+        self.stats.frames += 1
+        self.stats.missed += result.missed
+        if self.playing and self._wanted_frame is None and self._next_frame >= self._end_frame:
+            self._at_end(now_us)
+
+    # --------------------------------------------------------------------------------------------------------- details
+
+    def _at_end(self, now_us: int) -> None:
+        if self.loop:
+            self.seek(0)
+        else:
+            self.pause(now_us)
+
+    def _open(self, now_us: int) -> None:
+        super()._open(now_us)
+        if self.info is not None:
+            self._end_frame = self.info.frames
+
+    def _play(self, now_us: int) -> None:
+        first = self.stats.started_us is None
+        super()._play(now_us)
+        if first and self._due_us is not None:
+            self._anchor = (self.settings.start_frame, self._due_us)
+            if not self.playing:
+                self._tell("pause", self.frame, now_us, now_us)
+
+    def _tell(self, action: str, frame: int, at_us: int, now_us: int) -> None:
+        if self.stats.started_us is None:
+            return
+        self._anchor, self._next_frame, self._due_us = (frame, at_us), frame, at_us
+        self._session.control(Control(action, frame, at_us, self.rate), now_us=now_us)
+
+    def _seek_now(self, frame: int, now_us: int) -> None:
+        assert self.pipeline is not None
+        self._wanted_frame = None
+        self._decodes.clear()
+        self.pipeline.reset(frame)
+        self.frame = frame
+        self._tell("seek", frame, now_us + self.settings.start_delay_ms * 1000, now_us)
+        self._awaited = (frame, now_us + SEEK_PATIENCE_US)
+
+    def _frame_due_us(self, frame: int) -> int:
+        assert self.info is not None
+        anchored, at_us = self._anchor
+        return at_us + round((frame - anchored) * 1e6 / (self.info.fps * self.rate))
+
+    def _present(self, now_us: int) -> Present | None:  # type: ignore[override]
+        if self.playing:
+            action = super()._present(now_us)
+            self.frame, self._shown_pose = action.frame, action.pose
+            return action
+        assert self.info is not None
+        assert self.pipeline is not None
+        self._due_us = now_us + round(1e6 / self.info.fps)
+        pose = self._pose(now_us)
+        if pose == self._shown_pose and not (self._tiles_bytes or self._reference_bytes):
+            return None
+        self._shown_pose, self._presenting = pose, True
+        traffic = Traffic(self._tiles_bytes, self._reference_bytes)
+        self._tiles_bytes = self._reference_bytes = 0
+        return Present(self.frame, now_us, pose, self.pipeline, traffic)

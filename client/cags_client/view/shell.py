@@ -1,0 +1,203 @@
+"""The client with a page: the real-time shell around an :class:`InteractivePlayer`, and what the page may change."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from cags_client.app import Playback, _Shell, now_us
+from cags_client.present.base import FrameSink
+from cags_client.restore import RESTORERS
+from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.view.controls import SplatDetail
+from cags_client.view.interactive import InteractivePlayer
+from cags_client.view.live import LiveView
+from cags_client.view.poses import PoseSource
+from cags_client.view.settings import ViewSettings
+from cags_client.view.sink import ViewSink, scene_info
+from cags_common.bundle.manifest import Manifest
+from cags_common.geometry import F32, Camera
+from cags_common.transport import websocket
+from cags_protocol.client import ClientSession
+from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+
+KEPT_RECORDS = 9000
+"""Frames whose figures a live view keeps for the report: the last five minutes."""
+
+Truth = Callable[[int, Camera], tuple[F32, F32]]
+"""Picture and alpha of a frame of the unquantised scene."""
+
+
+class PlayerControls:
+    """The page's :class:`~cags_client.view.controls.Controls` over a player; ``wake`` makes the shell look again."""
+
+    def __init__(
+        self, player: InteractivePlayer, live: LiveSettings, truth: Truth | None, wake: Callable[[], None]
+    ) -> None:
+        self._player, self._live, self._truth, self._wake = player, live, truth, wake
+
+    @property
+    def playing(self) -> bool:
+        """Whether the clip's clock runs."""
+        return self._player.playing
+
+    @property
+    def loop(self) -> bool:
+        """Whether the clip starts again at its end."""
+        return self._player.loop
+
+    @property
+    def rate(self) -> float:
+        """Speed."""
+        return self._player.rate
+
+    @property
+    def restorer(self) -> str:
+        """Restoration in use."""
+        return self._live.restore
+
+    @property
+    def restorers(self) -> tuple[str, ...]:
+        """Restorations to choose from."""
+        return tuple(RESTORERS)
+
+    @property
+    def exactness(self) -> str:
+        """How exactly is drawn."""
+        return self._live.exactness
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the unquantised scene is at hand."""
+        return self._truth is not None
+
+    def play(self) -> None:
+        """Let the clock run."""
+        self._player.play(now_us())
+        self._wake()
+
+    def pause(self) -> None:
+        """Hold the frame."""
+        self._player.pause(now_us())
+        self._wake()
+
+    def seek(self, frame: int) -> None:
+        """Go to a frame."""
+        self._player.seek(frame)
+        self._wake()
+
+    def set_rate(self, rate: float) -> None:
+        """Change the speed."""
+        self._player.set_rate(rate, now_us())
+        self._wake()
+
+    def set_loop(self, on: bool) -> None:
+        """Start again at the end, or hold."""
+        self._player.loop = on
+
+    def set_restorer(self, name: str) -> None:
+        """Restore in another way from the next frame on."""
+        self._live.restore = name
+
+    def set_exactness(self, name: str) -> None:
+        """Draw more or less exactly from the next frame on."""
+        self._live.exactness = name
+
+    def truth(self, frame: int, camera: Camera) -> F32:
+        """The unquantised scene [H, W, 3] in [0, 1]."""
+        assert self._truth is not None
+        return np.clip(self._truth(frame, camera)[0], 0.0, 1.0)
+
+    def detail(self) -> SplatDetail | None:
+        """What is held of the splats on display."""
+        pipeline = self._player.pipeline
+        store = pipeline._store._shown if pipeline is not None else None
+        if pipeline is None or store is None:
+            return None
+        owner = store._owner.copy()
+        lods = np.array([max(held.shown_lod, 0) for held in store._by_index] or [0], np.float32)
+        top = max(pipeline.info.lods - 1, 1)
+        return SplatDetail(store.splats.means.copy(), owner, lods[np.maximum(owner, 0)] / np.float32(top))
+
+
+async def watch_live(
+    url: str,
+    settings: ClientSettings,
+    view_settings: ViewSettings,
+    info: Manifest,
+    *,
+    walk: PoseSource,
+    sinks: Sequence[FrameSink],
+    truth: Truth | None,
+    on_ready: Callable[[str], None],
+    on_frame: Callable[[dict[str, Any]], None] | None = None,
+) -> Playback:
+    """Play with a page until interrupted or ``settings.duration`` is over. Raises :class:`CagsError`.
+
+    ``on_ready`` is given the page's address.
+    """
+    view = LiveView(view_settings, walk)
+    on_ready(await view.start())
+    try:
+        transport = await websocket.connect(
+            url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES, token=settings.token
+        )
+        live = LiveSettings(settings)
+        player = InteractivePlayer(
+            ClientSession(now_us=now_us()),
+            settings,
+            view.poses,
+            now_us=now_us(),
+            near=info.near,
+            live=live,
+            clock=time.perf_counter,
+        )
+
+        def kept(record: dict[str, Any]) -> None:
+            del shell.records[:-KEPT_RECORDS]
+            if on_frame is not None:
+                on_frame(record)
+
+        shell = _Shell(transport, player, [ViewSink(view), *sinks], kept)
+        view.attach(scene_info(info), PlayerControls(player, live, truth, shell._wake.set))
+
+        def leave() -> None:
+            player.leave(now_us())
+            shell._wake.set()
+
+        with _interrupts(leave):
+            try:
+                await shell.run()
+            finally:
+                await transport.close()
+                shell.close()
+    finally:
+        await view.stop()
+    if player.error is not None:
+        raise player.error
+    return Playback(player, shell.records)
+
+
+class _interrupts:  # noqa: N801 - used as a context manager
+    """Turns an interrupt or a request to end into a call, so that the session says goodbye."""
+
+    def __init__(self, end: Callable[[], object]) -> None:
+        self._end = end
+
+    def __enter__(self) -> None:
+        loop = asyncio.get_running_loop()
+        with suppress(NotImplementedError, RuntimeError):  # not in the main thread, or not on this system
+            for number in (signal.SIGINT, signal.SIGTERM):
+                loop.add_signal_handler(number, self._end)
+
+    def __exit__(self, *_: object) -> None:
+        loop = asyncio.get_running_loop()
+        with suppress(NotImplementedError, RuntimeError):
+            for number in (signal.SIGINT, signal.SIGTERM):
+                loop.remove_signal_handler(number)
