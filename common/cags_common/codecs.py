@@ -78,7 +78,23 @@ class SvqTileCodec:
         return decode_base_ids(payload)
 
 
-TILE_CODECS: dict[str, Callable[[Manifest, bytes | memoryview], TileCodec]] = {"svq": SvqTileCodec}
+def _density(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:
+    from cags_common.baselines.density import DensityTileCodec
+
+    return DensityTileCodec(manifest, codebooks)
+
+
+def _video(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:
+    from cags_common.baselines.video import VideoTileCodec
+
+    return VideoTileCodec(manifest, codebooks)
+
+
+TILE_CODECS: dict[str, Callable[[Manifest, bytes | memoryview], TileCodec]] = {
+    "svq": SvqTileCodec,
+    "density": _density,
+    "video": _video,
+}
 
 
 def tile_codec(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:

@@ -70,7 +70,23 @@ def _svq(samples: Splats, settings: EncodeSettings) -> ClipCodec:
     return SvqCodec.train(samples, settings)
 
 
-CLIP_CODECS: dict[str, Callable[[Splats, EncodeSettings], ClipCodec]] = {"svq": _svq}
+def _density(samples: Splats, settings: EncodeSettings) -> ClipCodec:
+    from cags_encoder.baselines.density import DensityCodec
+
+    return DensityCodec(samples, settings)
+
+
+def _video(samples: Splats, settings: EncodeSettings) -> ClipCodec:
+    from cags_encoder.baselines.video import VideoCodec
+
+    return VideoCodec(samples, settings)
+
+
+CLIP_CODECS: dict[str, Callable[[Splats, EncodeSettings], ClipCodec]] = {
+    "svq": _svq,
+    "density": _density,
+    "video": _video,
+}
 
 
 def train_codec(samples: Splats, settings: EncodeSettings) -> ClipCodec:

@@ -1,0 +1,101 @@
+"""Points with byte attributes through Draco, and the head that baseline tiles share: ids and the position grid."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import DracoPy
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.baselines.scalar import U8
+from cags_common.errors import DecodeError
+from cags_common.packing import U32, decode_ids, encode_ids
+from cags_common.splats import MAX_SPLATS, Ids
+from cags_common.tiles import DRACO_LEVEL, MAX_POSITION_BITS, MAX_TILE_SPLATS, PositionGrid
+
+_HEAD = struct.Struct("<4sBBHII4f")
+"""Codec, id range or list, position bits, reserved, splats, first id or bytes of the id list, grid origin and step."""
+
+_DRACO_HEADER = struct.Struct("<5sBBBBHI")  # magic, version (2), geometry type, method, flags, points
+
+
+@dataclass(frozen=True, eq=False)
+class TileHead:
+    """Whose splats a tile holds and on which grid they lie."""
+
+    ids: Ids  # [n] ascending
+    grid: PositionGrid
+    size: int
+    """Bytes that the head took."""
+
+
+def encode_head(kind: bytes, ids: Ids, grid: PositionGrid, *, id_range: bool) -> bytes:
+    """The head of a tile of codec ``kind`` (four bytes). With ``id_range`` the ids [n] are consecutive."""
+    listed = b"" if id_range else encode_ids(ids)
+    field = int(ids[0]) if id_range else len(listed)
+    ox, oy, oz = (float(c) for c in grid.origin)
+    return _HEAD.pack(kind, id_range, grid.bits, 0, len(ids), field, ox, oy, oz, grid.step) + listed
+
+
+def decode_head(payload: bytes | memoryview, kind: bytes) -> TileHead:
+    """Inverse of :func:`encode_head`. Raises :class:`DecodeError`."""
+    if len(payload) < _HEAD.size:
+        raise DecodeError(f"tile: {len(payload)} bytes are too few for its head")
+    found, id_range, bits, _, count, field, ox, oy, oz, step = _HEAD.unpack_from(payload)
+    if found != kind:
+        raise DecodeError(f"tile: is of codec {found!r}, expected {kind!r}")
+    if id_range > 1 or not 1 <= count <= MAX_TILE_SPLATS or not 1 <= bits <= MAX_POSITION_BITS:
+        raise DecodeError(f"tile: claims {count} splats with {bits} position bits; beyond bounds")
+    if not all(map(math.isfinite, (ox, oy, oz, step))) or step < 0:
+        raise DecodeError("tile: its position grid is not finite")
+    listed = 0 if id_range else field
+    if (id_range and field > MAX_SPLATS - count) or listed > len(payload) - _HEAD.size:
+        raise DecodeError(f"tile: its ids reach beyond {MAX_SPLATS} or its end")
+    end = _HEAD.size + listed
+    ids = (
+        np.arange(field, field + count, dtype=np.int32)
+        if id_range
+        else decode_ids(memoryview(payload)[_HEAD.size : end])
+    )
+    if len(ids) != count:
+        raise DecodeError(f"tile: has {len(ids)} ids for {count} splats")
+    return TileHead(ids, PositionGrid(np.array([ox, oy, oz], np.float32), step, bits), end)
+
+
+def encode_cloud(cells: U32, columns: Sequence[U8], bits: int) -> bytes:
+    """Grid coordinates [n, 3] and byte attributes [n, dim], n >= 1, in this order; nothing is lost."""
+    encoded: bytes = DracoPy.encode(
+        cells.astype(np.float32),
+        quantization_bits=bits,
+        quantization_range=float(2**bits - 1),  # Draco's own grid is the integers then
+        quantization_origin=np.zeros(3),
+        compression_level=DRACO_LEVEL,
+        preserve_order=True,
+        generic_attributes=dict(enumerate(columns)),
+    )
+    return encoded
+
+
+def decode_cloud(data: bytes, count: int, dims: Sequence[int]) -> tuple[NDArray[np.float32], list[U8]]:
+    """Inverse of :func:`encode_cloud`: coordinates [count, 3], attributes [count, dim]. Raises :class:`DecodeError`."""
+    if len(data) < _DRACO_HEADER.size:
+        raise DecodeError("tile: Draco data is cut short")
+    magic, _, _, kind, _, flags, points = _DRACO_HEADER.unpack_from(data)
+    if magic != b"DRACO" or kind != 0 or flags or points != count:
+        raise DecodeError(f"tile: Draco data is not a point cloud of {count} points")
+    try:
+        cloud = DracoPy.decode(data)
+    except (ValueError, RuntimeError, DracoPy.FileTypeException, DracoPy.EncodingFailedException) as error:
+        raise DecodeError(f"tile: Draco cannot decode it ({error})") from error
+    columns = {a["unique_id"]: a["data"] for a in cloud.attributes if a["attribute_type"] != 0}
+    found = [columns.get(i) for i in range(len(dims))]
+    for column, dim in zip(found, dims, strict=True):
+        if column is None or column.shape != (count, dim) or column.dtype != np.uint8:
+            raise DecodeError("tile: Draco data lacks an attribute or holds one of another shape")
+    if getattr(cloud.points, "shape", None) != (count, 3) or not np.isfinite(cloud.points).all():
+        raise DecodeError("tile: Draco data holds no finite positions")
+    return cloud.points, [column for column in found if column is not None]
