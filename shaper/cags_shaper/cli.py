@@ -18,6 +18,7 @@ EXAMPLES = """\
   cags-shaper --listen 127.0.0.1:9000 --to 127.0.0.1:8765 --trace traces/5g-mmwave.csv
   cags-shaper --listen 127.0.0.1:0 --to 127.0.0.1:8765 --trace generated:steady-30 --delay-ms 20 --queue-bytes 150000
   cags-shaper --listen 127.0.0.1:9000 --to 127.0.0.1:8765 --trace down.csv --uplink-trace up.mahi --log shaper.jsonl
+  cags-shaper --plot shaper.jsonl
 
 a trace is a mahimahi file (one 1,504-byte opportunity a line, ms), rows `time_s,mbps`, rows `time mbps` (Pensieve), or
 generated:NAME[:seed=N][:duration_s=N] with NAME 5g-mmwave, lte-driving, step, sawtooth, blackout, steady-N (N Mbps)
@@ -79,8 +80,11 @@ def _run(argv: Sequence[str]) -> int:
         "cags-shaper", "A TCP proxy with the rate, delay and queue of a recorded network.", EXAMPLES
     )
     add_settings(parser, ShaperSettings)
+    parser.add_argument("--plot", metavar="LOG", help="draw a log that --log wrote into a PNG beside it, and end")
     parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
     arguments = parser.parse_args(argv)
+    if arguments.plot is not None:
+        return _plot(arguments.plot)
     settings = load_settings(ShaperSettings, arguments)
     from cags_shaper.trace import open_trace
 
@@ -95,4 +99,13 @@ def _run(argv: Sequence[str]) -> int:
 
     logging.basicConfig(format="cags-shaper: %(message)s", stream=sys.stderr)
     asyncio.run(Service(settings, traces, arguments.json).run())
+    return 0
+
+
+def _plot(log: str) -> int:
+    from pathlib import Path
+
+    from cags_shaper.plot import plot_log
+
+    print(plot_log(Path(log)))
     return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cags_common.errors import ConfigError
@@ -55,6 +56,7 @@ class NetworkSettings:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of the command."""
     add_settings(parser, NetworkSettings)
+    parser.add_argument("--plot", metavar="TRACE", help="draw a session's event trace into a PNG beside it, and end")
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
@@ -62,6 +64,11 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     from cags_bench.jsonl import summary
     from cags_bench.network.checks import checks
 
+    if arguments.plot is not None:
+        from cags_bench.network.plot import plot_session
+
+        yield {"plot": str(plot_session(Path(arguments.plot)))}
+        return
     settings = load_settings(NetworkSettings, arguments)
     lines: list[dict[str, Any]] = []
     for line in _cases(settings):

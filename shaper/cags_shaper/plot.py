@@ -1,0 +1,55 @@
+"""A picture of a shaper's log: what the link allowed, what it delivered, how long its queue was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from cags_common.errors import TraceError
+from cags_shaper.log import INTERVAL_US
+
+
+def plot_log(path: Path) -> Path:
+    """Draw ``path`` into a PNG beside it, and return that. Raises :class:`TraceError` for anything else."""
+    rows = read_log(path)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 6), layout="constrained")
+    FigureCanvasAgg(figure)
+    rate, queue = figure.subplots(2, 1, sharex=True)
+    for direction, colour in (("down", "tab:blue"), ("up", "tab:orange")):
+        here = [row for row in rows if row["direction"] == direction]
+        seconds = [row["t_us"] / 1e6 for row in here]
+        spans_us = [b["t_us"] - a["t_us"] for a, b in zip([{"t_us": 0}, *here[:-1]], here, strict=True)]
+        if direction == "down" and here and here[0]["capacity_bytes"] is not None:
+            allowed = [row["capacity_bytes"] * 8 / max(us, 1) for row, us in zip(here, spans_us, strict=True)]
+            rate.fill_between(seconds, allowed, step="pre", color="0.85", label="capacity, down")
+        delivered = [row["delivered_bytes"] * 8 / max(us, 1) for row, us in zip(here, spans_us, strict=True)]
+        rate.step(seconds, delivered, color=colour, label=f"delivered, {direction}")
+        queue.step(seconds, [row["queued_bytes"] / 1024 for row in here], color=colour, label=direction)
+    rate.set_ylabel("Mbps")
+    queue.set_ylabel("queue, KiB")
+    queue.set_xlabel("time, s")
+    rate.legend(loc="upper right")
+    queue.legend(loc="upper right")
+    out = path.with_suffix(".png")
+    figure.savefig(out, dpi=110)
+    return out
+
+
+def read_log(path: Path) -> list[dict[str, Any]]:
+    """The samples of a log; a last line cut short is left out. Raises :class:`TraceError`."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError) as error:
+        raise TraceError(f"{path}: cannot be read ({error}); give a file written by cags-shaper --log") from error
+    try:
+        header, *rows = [json.loads(line) for line in lines if line.endswith("\n")]
+        known = header["log"] == "cags-shaper" and header["interval_us"] == INTERVAL_US
+    except (ValueError, KeyError, TypeError) as error:
+        raise TraceError(f"{path}: is no log of cags-shaper ({error})") from error
+    if not known or not rows:
+        raise TraceError(f"{path}: is no log of this version of cags-shaper, or holds no samples")
+    return rows

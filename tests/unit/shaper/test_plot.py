@@ -1,0 +1,57 @@
+import io
+
+import pytest
+
+from cags_common.errors import TraceError
+from cags_shaper.cli import ShaperSettings, main
+from cags_shaper.link import Link
+from cags_shaper.log import LogWriter
+from cags_shaper.trace import open_trace
+
+
+class Direction:
+    """As much of a shaped direction as a log looks at."""
+
+    def __init__(self, link):
+        self.link, self.time_us = link, 0
+
+    def now_us(self):
+        return self.time_us
+
+
+def written_log(trace):
+    file = io.StringIO()
+    writer = LogWriter(file, ShaperSettings())
+    down, up = Direction(Link(trace)), Direction(Link(None))
+    for step in range(1, 20):
+        for direction in (down, up):
+            direction.time_us = step * 100_000
+            direction.link.push(direction.time_us, b"x" * 1000)
+            direction.link.pop_due(direction.time_us)
+        writer.sample("down", down)
+        writer.sample("up", up)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("trace", ["generated:steady-10", None])
+def test_a_log_is_drawn_beside_itself(tmp_path, capsys, trace):
+    log = tmp_path / "s.jsonl"
+    log.write_text(written_log(open_trace(trace) if trace else None) + '{"cut')
+    assert main(["--plot", str(log)]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "s.png")
+    assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("text", ["", "{}\n", "[]\n", "hello\n", '{"log": "other", "interval_us": 100000}\n'])
+def test_what_is_no_log_is_refused(tmp_path, capsys, text):
+    log = tmp_path / "s.jsonl"
+    log.write_text(text)
+    assert main(["--plot", str(log)]) == 1
+    assert "s.jsonl: is no log" in capsys.readouterr().err
+
+
+def test_a_missing_log_is_named(tmp_path):
+    from cags_shaper.plot import read_log
+
+    with pytest.raises(TraceError, match="nowhere"):
+        read_log(tmp_path / "nowhere")

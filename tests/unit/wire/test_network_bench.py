@@ -1,0 +1,92 @@
+"""Parts of ``cags-bench network`` that need no scene."""
+
+import json
+
+import pytest
+
+from cags_bench.network.checks import checks
+from cags_bench.network.command import NetworkSettings
+from cags_bench.network.content import freezes, outage_ends, recovery_ms
+from cags_bench.network.crowd import crowd_line
+from cags_bench.network.load import run_load
+from cags_bench.network.plot import plot_session
+from cags_bench.network.sending import figures
+from cags_common.errors import ConfigError, TraceError
+from cags_protocol import ServerSession
+from cags_protocol.tracing import EventTrace
+from cags_server.bandwidth import MeasuredEstimator, OracleEstimator
+from cags_shaper.link import LinkSettings
+from cags_shaper.trace import open_trace, trace_of_rates
+from support.wire_pair import Pair, tile
+
+LINK = LinkSettings(delay_us=10_000)
+
+
+@pytest.mark.parametrize("estimator", [MeasuredEstimator, lambda: OracleEstimator(open_trace("generated:steady-20"))])
+def test_a_steady_link_is_used_without_a_long_queue(estimator):
+    trace = open_trace("generated:steady-20")
+    log = run_load(trace, estimator(), 6_000_000, LINK)
+    found = figures(log, trace, 2_000_000, 6_000_000)
+    assert 0.85 < found["utilisation"] < 1
+    assert found["latency_ms"] < 100
+    assert found["reference_latency_ms"] < found["latency_ms"]
+    assert found["wasted_share"] < 0.01
+
+
+def test_after_a_fall_latency_comes_back():
+    fall = trace_of_rates("fall", [0.0, 3.0], [20.0, 1.5], 60.0)
+    found = figures(run_load(fall, MeasuredEstimator(), 9_000_000, LINK), fall, 5_000_000, 9_000_000)
+    assert found["latency_ms"] <= 120
+
+
+def test_two_loads_are_the_same():
+    trace = open_trace("generated:lte-driving")
+    assert run_load(trace, MeasuredEstimator(), 2_000_000, LINK) == run_load(
+        trace, MeasuredEstimator(), 2_000_000, LINK
+    )
+
+
+def test_a_crowd_is_served_whole():
+    line = crowd_line(10, 500_000, 10_000)
+    assert line["silent_sessions"] == 0
+    assert line["messages"] > 100
+
+
+def test_outages_and_recovery():
+    trace = trace_of_rates("t", [0, 1, 4, 5], [10, 0, 10, 10], 6)
+    assert [round(t / 1e6) for t in outage_ends(trace, 6_000_000)] == [4]
+    records = [{"time_us": t * 100_000, "missed": 11 <= t < 43} for t in range(60)]
+    assert recovery_ms(records, trace) == pytest.approx(300, abs=10)
+    assert freezes(records) == 1
+    assert recovery_ms(records, open_trace("generated:steady-10")) is None
+
+
+def test_checks_name_target_and_value():
+    (found, *_) = checks([{"case": "crowd", "seconds": 200.0, "silent_sessions": 0}])
+    assert (found["ok"], found["value"], found["target"]) == (False, 200.0, "<= 120")
+    lines = [
+        {"case": "content", "trace": "generated:steady-30", "policy": policy, "psnr_db": db, "black_frames": 0}
+        | {"recovery_ms": None, "first_picture_ms": 300.0}
+        for policy, db in (("paper", 30.0), ("utility", 30.6))
+    ]
+    gains = [c for c in checks(lines) if "utility" in c["name"]]
+    assert [c["ok"] for c in gains] == [True, True]
+
+
+def test_an_unknown_part_is_refused():
+    with pytest.raises(ConfigError, match="'dance' is unknown"):
+        NetworkSettings(parts="sending,dance")
+
+
+def test_a_session_trace_is_drawn(tmp_path):
+    path = tmp_path / "s1.jsonl"
+    with path.open("w") as file:
+        pair = Pair()
+        pair.server = ServerSession(now_us=0, trace=EventTrace(lambda r: file.write(json.dumps(r) + "\n"), "s1"))
+        pair.open()
+        pair.queue(*(tile(0, i, 20_000, deadline_us=pair.now_us + 90_000) for i in range(10)))
+        pair.run(2_000_000)
+    assert plot_session(path).read_bytes().startswith(b"\x89PNG")
+    path.write_text("{}\n")
+    with pytest.raises(TraceError, match="is no event trace"):
+        plot_session(path)
