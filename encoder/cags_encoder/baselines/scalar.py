@@ -17,6 +17,9 @@ from cags_common.tiles import PositionGrid
 from cags_encoder.codecs import EncodedTile
 from cags_encoder.settings import EncodeSettings
 
+POSITION_BITS = 16
+"""Bits an axis over each tile's cube, as V3 has them, unless the settings say otherwise."""
+
 
 @dataclass(frozen=True, eq=False)
 class ByteSplats:
@@ -38,7 +41,7 @@ class ScalarCodec(ABC):
 
     def __init__(self, samples: Splats, settings: EncodeSettings) -> None:
         self.book = ScalarBook.over(split_attributes(samples))
-        self._position_bits = settings.position_bits
+        self._position_bits = settings.position_bits or POSITION_BITS
 
     def codebooks(self) -> bytes:
         """The ranges."""
