@@ -31,15 +31,20 @@ def paper_order(books: CodebookSet) -> tuple[LodLayer, ...]:
 
 
 def order_of(name: str, books: CodebookSet) -> tuple[LodLayer, ...]:
-    """The order that a setting names: ``paper`` or a file of lines ``attribute layer``. Raises :class:`ConfigError`."""
-    return paper_order(books) if name == "paper" else _read_order(Path(name), books)
+    """The order that a setting names: ``paper`` or a file of lines ``attribute layer``. Raises :class:`ConfigError`.
+
+    For ``measured`` it is the one to begin with.
+    """
+    return paper_order(books) if name in ("paper", "measured") else _read_order(Path(name), books)
 
 
 def _read_order(path: Path, books: CodebookSet) -> tuple[LodLayer, ...]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"lod_order = {str(path)!r} is not 'paper' and cannot be read as a file ({error})") from error
+        raise ConfigError(
+            f"lod_order = {str(path)!r} is not 'measured' or 'paper' and cannot be read as a file ({error})"
+        ) from error
     order = []
     for number, line in enumerate(lines, start=1):
         words = line.split("#")[0].split()

@@ -12,13 +12,16 @@ from cags_common.bundle.source import encode_source
 from cags_common.bundle.writer import GofWriter
 from cags_common.errors import SceneError
 from cags_common.geometry import DEFAULT_NEAR, F64, Vec3
+from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_encoder.codecs import ClipCodec, train_codec
 from cags_encoder.frames.differential import DifferentialFrame, GofEncoder
 from cags_encoder.frames.identity import IdentityTracker
+from cags_encoder.measuring import cameras_around, measured
 from cags_encoder.sampling import LOOKS, check_degree, training_splats
 from cags_encoder.scenes import Focus, FrameSource, focus_of
 from cags_encoder.settings import EncodeSettings
+from cags_encoder.svq_codec import SvqCodec
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage's name, steps done and steps in all."""
@@ -90,7 +93,24 @@ def _train(source: FrameSource, count: int, settings: EncodeSettings, tell: Prog
     tell("codebooks", 0, 1)
     codec = train_codec(samples, settings)
     tell("codebooks", 1, 1)
+    if settings.lod_order == "measured" and isinstance(codec, SvqCodec):
+        return _measured(codec, source, tell)
     return codec
+
+
+def _measured(codec: SvqCodec, source: FrameSource, tell: Progress) -> ClipCodec:
+    """The codec with its LoD order measured, where a rasteriser is there that is fast enough for dozens of renders."""
+    rasteriser = create("auto")
+    if rasteriser.name == "reference":
+        return codec
+    focus = source.focus
+    cameras = cameras_around(focus.centre, focus.radius, source.up, near_plane(focus))
+    return measured(codec, source.frame(0), cameras, rasteriser, lambda done, total: tell("order", done, total))
+
+
+def near_plane(focus: Focus) -> float:
+    """Near plane for a scene of this size."""
+    return min(DEFAULT_NEAR, float(focus.radius) / 10)
 
 
 class _ClipEncoder:
@@ -142,7 +162,7 @@ class _ClipEncoder:
             up=_vector(np.asarray(source.up)),
             focus_centre=_vector(np.asarray(focus.centre)),
             focus_radius=float(focus.radius),
-            near=min(DEFAULT_NEAR, float(focus.radius) / 10),
+            near=near_plane(focus),
         )
 
     def _open_gof(self, index: int) -> None:

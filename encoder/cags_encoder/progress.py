@@ -10,7 +10,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from cags_encoder.pipeline import Progress as Tell
 
-_TITLES = {"sample": "looking at frames", "codebooks": "training codebooks", "encode": "encoding frames"}
+_TITLES = {
+    "sample": "looking at frames",
+    "codebooks": "training codebooks",
+    "order": "measuring levels",
+    "encode": "encoding frames",
+}
 
 
 @contextmanager

@@ -20,8 +20,17 @@ class EncodeSettings:
     )
     codec: str = setting("svq", "how tiles are coded; others than svq are baselines to compare with")
     quantiser: str = setting("layered", "configuration of svq", choices=QUANTISERS)
-    lod_order: str = setting("paper", "'paper' (scale, rotation, SH, opacity) or a file of 'attribute layer' lines")
-    position_bits: int = setting(16, "bits an axis of positions, over each tile's own cube", low=4, high=22)
+    lod_order: str = setting(
+        "measured",
+        "'measured' on renders of the first frame (needs the kernels, else as 'paper'), 'paper' (scale, rotation, SH, "
+        "opacity), or a file of 'attribute layer' lines",
+    )
+    position_step: float = setting(
+        0.125, "step of positions, in radii of a tile's smaller splats (lower quartile)", low=1e-4, high=10
+    )
+    position_bits: int | None = setting(
+        None, "bits an axis of positions over each tile's own cube, instead of position_step", low=4, high=22
+    )
     change_threshold: float = setting(
         0.01, "visible effect (0..1 of a pixel's colour) by which a splat must be wrong to be sent again", low=0, high=1
     )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.attributes import join_attributes
@@ -12,12 +14,17 @@ from cags_common.geometry import F32
 from cags_common.lod import LodLayer
 from cags_common.packing import U32
 from cags_common.splats import Ids, Splats
-from cags_common.tiles import PositionGrid, encode_base, encode_layer
+from cags_common.tiles import MAX_POSITION_BITS, PositionGrid, encode_base, encode_layer
 from cags_encoder.codecs import EncodedTile
 from cags_encoder.lod_order import order_of
 from cags_encoder.quantiser.configs import quantiser_config
 from cags_encoder.quantiser.training import Quantiser, train
 from cags_encoder.settings import EncodeSettings
+
+SMALL_SPLATS = 0.25
+"""Quantile of a tile's radii that its position step is measured by."""
+
+MIN_POSITION_BITS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +32,12 @@ class SvqSplats:
     """Quantised splats."""
 
     means: F32  # [n, 3] true
+    radii: F32  # [n] standard deviation along the middle axis, metres
     codes: dict[str, U32]  # attribute -> [n] codes of full length
 
     def take(self, rows: NDArray[Any]) -> SvqSplats:
         """The splats at ``rows``."""
-        return SvqSplats(self.means[rows], {name: codes[rows] for name, codes in self.codes.items()})
+        return SvqSplats(self.means[rows], self.radii[rows], {name: codes[rows] for name, codes in self.codes.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +47,15 @@ class SvqCodec:
     quantiser: Quantiser
     lod_order: tuple[LodLayer, ...]
     lod_gains_db: tuple[float, ...]
-    position_bits: int
+    position_bits: int | None
+    position_step: float
 
     @staticmethod
     def train(samples: Splats, settings: EncodeSettings) -> SvqCodec:
         """Train codebooks on ``samples`` and choose the LoD order."""
         quantiser = train(samples, quantiser_config(settings.quantiser), settings.seed)
-        return SvqCodec(quantiser, order_of(settings.lod_order, quantiser.books), (), settings.position_bits)
+        order = order_of(settings.lod_order, quantiser.books)
+        return SvqCodec(quantiser, order, (), settings.position_bits, settings.position_step)
 
     def codebooks(self) -> bytes:
         """Serialised :class:`~cags_common.svq.CodebookSet`."""
@@ -57,7 +67,8 @@ class SvqCodec:
 
     def quantise(self, prepared: Splats) -> SvqSplats:
         """Codes of full length."""
-        return SvqSplats(prepared.means, self.quantiser.encode(prepared))
+        radii = np.exp(np.clip(np.median(prepared.log_scales, axis=1), -30, 30))
+        return SvqSplats(prepared.means, radii, self.quantiser.encode(prepared))
 
     def decode(self, coded: SvqSplats) -> Splats:
         """All layers looked up."""
@@ -66,7 +77,7 @@ class SvqCodec:
     def encode_tile(self, ids: Ids, coded: SvqSplats, *, id_range: bool) -> EncodedTile:
         """Positions and base layers by Draco, then one packed layer a LoD."""
         books = self.quantiser.books
-        grid = PositionGrid.over(coded.means, self.position_bits)
+        grid = self._grid(coded)
         base = {name: books[name].layer(codes, 0) for name, codes in coded.codes.items()}
         payloads = [encode_base(ids, coded.means, base, grid, id_range=id_range)]
         for item in self.lod_order:
@@ -74,4 +85,13 @@ class SvqCodec:
             layer = book.layer(coded.codes[item.attribute], item.layer)
             payloads.append(encode_layer(layer, book.layer_bits[item.layer]))
         rounded = grid.dequantise(grid.quantise(coded.means))
-        return EncodedTile(tuple(payloads), self.decode(SvqSplats(rounded, coded.codes)))
+        return EncodedTile(tuple(payloads), self.decode(replace(coded, means=rounded)))
+
+    def _grid(self, coded: SvqSplats) -> PositionGrid:
+        """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size."""
+        if self.position_bits is not None:
+            return PositionGrid.over(coded.means, self.position_bits)
+        step = self.position_step * float(np.quantile(coded.radii, SMALL_SPLATS)) if len(coded.radii) else 1.0
+        extent = float(np.ptp(coded.means.astype(np.float64), axis=0).max(initial=0.0)) if len(coded.means) else 0.0
+        bits = math.ceil(math.log2(extent / max(step, 1e-30) + 1))
+        return PositionGrid.over(coded.means, min(max(bits, MIN_POSITION_BITS), MAX_POSITION_BITS))
