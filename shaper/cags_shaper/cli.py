@@ -13,12 +13,14 @@ from cags_common.settings import add_settings, check_settings, load_settings, se
 
 if TYPE_CHECKING:
     from cags_shaper.link import LinkSettings
+    from cags_shaper.trace import Trace
 
 EXAMPLES = """\
   cags-shaper --listen 127.0.0.1:9000 --to 127.0.0.1:8765 --trace traces/5g-mmwave.csv
   cags-shaper --listen 127.0.0.1:0 --to 127.0.0.1:8765 --trace generated:steady-30 --delay-ms 20 --queue-bytes 150000
   cags-shaper --listen 127.0.0.1:9000 --to 127.0.0.1:8765 --trace down.csv --uplink-trace up.mahi --log shaper.jsonl
   cags-shaper --plot shaper.jsonl
+  sudo cags-shaper --tun --trace lte.csv --loss 0.01 -- sh -c 'cags-client --url ws://$CAGS_SHAPER_HOST:8765/stream'
 
 a trace is a mahimahi file (one 1,504-byte opportunity a line, ms), rows `time_s,mbps`, rows `time mbps` (Pensieve), or
 generated:NAME[:seed=N][:duration_s=N] with NAME 5g-mmwave, lte-driving, step, sawtooth, blackout, steady-N (N Mbps)
@@ -36,6 +38,9 @@ class ShaperSettings:
     delay_ms: float = setting(0.0, "propagation delay each way, ms", low=0, high=60_000)
     jitter_ms: float = setting(0.0, "mean extra delay, exponential, order kept, ms", low=0, high=60_000)
     queue_bytes: int = setting(300_000, "bound of each queue; full, it holds the sender back", low=2000, high=2**31)
+    queue_packets: int | None = setting(None, "bound of each queue in packets; only with --tun", low=1, high=2**31)
+    loss: float = setting(0.0, "probability that a packet is lost; only with --tun", low=0, high=0.99)
+    tun: bool = setting(False, "shape packets of COMMAND, run in a namespace of its own (Linux, root), not streams")
     loop: bool = setting(True, "start the trace again at its end")
     seed: int = setting(0, "seed of the jitter", low=0, high=2**31)
     cap_mbps: float | None = setting(None, "highest rate each way, whatever the trace allows", low=0.001, high=1e6)
@@ -46,6 +51,10 @@ class ShaperSettings:
         check_settings(self)
         for flag in ("listen", "to", "control"):
             self.address(flag)
+        if not self.tun and (self.loss or self.queue_packets is not None):
+            raise ConfigError(
+                "--loss and --queue-packets act on packets: a stream loses nothing; add --tun and a COMMAND"
+            )
 
     def address(self, flag: str) -> tuple[str, int] | None:
         """The ``HOST:PORT`` of a flag (an IPv6 host in brackets), None if not given. Raises :class:`ConfigError`."""
@@ -64,7 +73,9 @@ class ShaperSettings:
         return LinkSettings(
             delay_us=round(self.delay_ms * 1000),
             jitter_us=round(self.jitter_ms * 1000),
+            loss=self.loss,
             queue_bytes=self.queue_bytes,
+            queue_packets=self.queue_packets,
             seed=self.seed,
             cap_bps=None if self.cap_mbps is None else self.cap_mbps * 1e6,
         )
@@ -80,12 +91,15 @@ def _run(argv: Sequence[str]) -> int:
         "cags-shaper", "A TCP proxy with the rate, delay and queue of a recorded network.", EXAMPLES
     )
     add_settings(parser, ShaperSettings)
+    parser.add_argument("command", nargs="*", metavar="COMMAND", help="with --tun: what to run behind the link")
     parser.add_argument("--plot", metavar="LOG", help="draw a log that --log wrote into a PNG beside it, and end")
     parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
     arguments = parser.parse_args(argv)
     if arguments.plot is not None:
         return _plot(arguments.plot)
     settings = load_settings(ShaperSettings, arguments)
+    if bool(arguments.command) != settings.tun:
+        raise ConfigError("--tun and a COMMAND go together: cags-shaper --tun --trace FILE -- COMMAND")
     from cags_shaper.trace import open_trace
 
     traces = [
@@ -95,11 +109,25 @@ def _run(argv: Sequence[str]) -> int:
     import asyncio
     import logging
 
+    if settings.tun:
+        return _run_packets(settings, traces, arguments.command)
     from cags_shaper.service import Service
 
     logging.basicConfig(format="cags-shaper: %(message)s", stream=sys.stderr)
     asyncio.run(Service(settings, traces, arguments.json).run())
     return 0
+
+
+def _run_packets(settings: ShaperSettings, traces: list[Trace | None], command: list[str]) -> int:
+    import asyncio
+    import os
+
+    from cags_shaper.link import Link
+    from cags_shaper.tun import TunNames, run_behind
+
+    down: Link[bytes] = Link(traces[0], settings.link())
+    up: Link[bytes] = Link(traces[1], settings.link())
+    return asyncio.run(run_behind(command, TunNames(os.getpid()), down, up))
 
 
 def _plot(log: str) -> int:

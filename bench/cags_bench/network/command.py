@@ -34,7 +34,9 @@ class NetworkSettings:
     scene: str = setting("procedural:size=60000,frames=90", "scene of the content and real-time parts")
     frames: int = setting(90, "media frames to play", low=2, high=1_000_000)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
-    traces: str = setting("", "traces of the content part, comma separated; empty: all generated ones")
+    traces: str = setting(
+        "", "traces of the content part, comma separated; empty: all generated ones, and 2 and 10 Mbps"
+    )
     policies: str = setting("paper,utility,buffer", "rate policies of the content part, comma separated")
     estimator: str = setting("measured", "bandwidth estimator of the content part", choices=("measured", "oracle"))
     restore: str = setting("affine", "restorer")
@@ -97,13 +99,13 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
     from cags_bench.bundles import cached_bundle
     from cags_bench.network.content import content_lines, scenario
     from cags_bench.network.realtime import realtime_lines
-    from cags_bench.network.sending import SHIPPED
+    from cags_bench.network.sending import SHIPPED, SLOW
     from cags_encoder import EncodeSettings
 
     bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
     base: Scenario = scenario(bundle, settings)
     if "content" in parts:
-        traces = settings.traces.split(",") if settings.traces else list(SHIPPED)
+        traces = settings.traces.split(",") if settings.traces else [*SLOW, *SHIPPED]
         yield from content_lines(bundle, traces, settings.policies.split(","), base)
     if "realtime" in parts:
         yield from realtime_lines(base)

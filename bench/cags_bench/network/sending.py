@@ -14,6 +14,9 @@ from cags_shaper.link import LinkSettings
 from cags_shaper.trace import Trace, open_trace, trace_of_rates
 
 SHIPPED = (*(f"generated:steady-{rate}" for rate in STEADY_MBPS), *(f"generated:{name}" for name in MODELS))
+SLOW = ("generated:steady-2", "generated:steady-10")
+"""Links on which the first picture must still come soon."""
+
 SETTLE_US = 2_000_000
 """Figures leave out the first two seconds of a session, and of a fall."""
 
