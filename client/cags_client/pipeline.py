@@ -20,10 +20,10 @@ from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.tile_store import Committed, GofStore, TileStore
 from cags_common import raster
 from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import tile_codec
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
 from cags_common.raster.base import Exactness, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.svq import CodebookSet
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 
 
@@ -63,7 +63,7 @@ class ClientPipeline:
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self._clock = clock
-        self._store = TileStore(info, CodebookSet.from_bytes(codebooks))
+        self._store = TileStore(info, tile_codec(info, codebooks))
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
@@ -76,6 +76,10 @@ class ClientPipeline:
     def on_tile(self, message: TileLayers, payload: memoryview) -> None:
         """Decode layers of a tile. Raises :class:`DecodeError`; what was held stays."""
         self._store.add(message.frame, message.tile, message.from_lod, message.split(payload))
+
+    def flush(self) -> None:
+        """After a run of :meth:`on_tile`: dequantise what they touched, each tile once, off the display path."""
+        self._store.flush()
 
     def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:
         """Decode a reference; False asks for an IDR picture. Raises :class:`DecodeError`."""
@@ -165,7 +169,7 @@ class ClientPipeline:
 def _faded(aligned: Aligned, freshness: float) -> Aligned:
     if freshness >= 1.0:
         return aligned
-    return replace(aligned, confidence=aligned.confidence * np.float32(freshness))
+    return replace(aligned, paint=lambda: aligned.rgb, confidence=aligned.confidence * np.float32(freshness))
 
 
 def _depth(view: RenderedView) -> F32:

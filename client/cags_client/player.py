@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from cags_client.pipeline import ClientPipeline, PresentedFrame
 from cags_client.settings import ClientSettings, LiveSettings
@@ -27,6 +27,9 @@ from cags_protocol.limits import PROTOCOL_VERSION
 from cags_protocol.messages import Control, Hello, PoseSample
 
 CODEBOOKS_BLOB = "codebooks"
+DECODE_BATCH = 32
+"""Messages decoded in one go: enough to dequantise a tile once for all its layers, few enough to stay prompt."""
+
 KEYFRAME_RETRY_US = 250_000
 """A lost reference video is asked for again after this long."""
 
@@ -39,34 +42,48 @@ class PoseSource(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Decode:
-    """A message to decode; :meth:`run` returns what went wrong, if anything did."""
-
-    event: ev.TileReceived | ev.ReferenceReceived | ev.FrameEnded
-    pipeline: ClientPipeline
-
-    def run(self) -> DecodeResult:
-        """Decode into the pipeline."""
-        try:
-            match self.event:
-                case ev.TileReceived(message, payload):
-                    self.pipeline.on_tile(message, payload)
-                case ev.ReferenceReceived(reference, payload):
-                    return DecodeResult(None, not self.pipeline.on_reference(reference, payload))
-                case ev.FrameEnded(end, payload):
-                    self.pipeline.on_frame_end(end, payload)
-        except DecodeError as error:
-            return DecodeResult(error, isinstance(self.event, ev.ReferenceReceived))
-        return DecodeResult(None, False)
+DataEvent: TypeAlias = ev.TileReceived | ev.ReferenceReceived | ev.FrameEnded
 
 
 @dataclass(frozen=True)
 class DecodeResult:
     """What a :class:`Decode` found."""
 
-    error: DecodeError | None
+    errors: tuple[DecodeError, ...]
     needs_idr: bool
+    whole: int
+    """The latest frame whose end was decoded; -1 if none was."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decode:
+    """Messages to decode, in order; :meth:`run` returns what came of it. In one go, a tile is dequantised once."""
+
+    events: tuple[DataEvent, ...]
+    pipeline: ClientPipeline
+
+    def run(self) -> DecodeResult:
+        """Decode into the pipeline. A damaged message is left out and reported; the others count."""
+        errors: list[DecodeError] = []
+        needs_idr, whole = False, -1
+        for event in self.events:
+            try:
+                match event:
+                    case ev.TileReceived(message, payload):
+                        self.pipeline.on_tile(message, payload)
+                    case ev.ReferenceReceived(reference, payload):
+                        needs_idr = not self.pipeline.on_reference(reference, payload)
+                    case ev.FrameEnded(end, payload):
+                        self.pipeline.on_frame_end(end, payload)
+                        whole = max(whole, end.frame)
+            except DecodeError as error:
+                errors.append(error)
+                needs_idr |= isinstance(event, ev.ReferenceReceived)
+        try:
+            self.pipeline.flush()
+        except DecodeError as error:
+            errors.append(error)
+        return DecodeResult(tuple(errors), needs_idr, whole)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +156,7 @@ class Player:
         self._session, self._poses, self._clock = session, poses, clock
         self._made_us = now_us
         self._codebooks: bytes | None = None
-        self._decodes: deque[ev.TileReceived | ev.ReferenceReceived | ev.FrameEnded] = deque()
+        self._decodes: deque[DataEvent] = deque()
         self._decoding = self._presenting = False
         self._next_frame = settings.start_frame
         self._due_us: int | None = None
@@ -197,8 +214,7 @@ class Player:
         if self.finished or self.pipeline is None:
             return None
         if self._decodes and not self._decoding:
-            self._decoding = True
-            return Decode(self._decodes.popleft(), self.pipeline)
+            return self._decode(self.pipeline)
         if self._due_us is not None and now_us >= self._due_us and not self._presenting:
             return self._present(now_us)
         return None
@@ -215,10 +231,10 @@ class Player:
             return
         assert isinstance(result, DecodeResult)
         self._decoding = False
-        self.stats.decode_errors += result.error is not None
+        self.stats.decode_errors += len(result.errors)
         if result.needs_idr:
             self._ask_idr(action.pipeline.last_reference_seq, now_us)
-        if isinstance(action.event, ev.FrameEnded) and action.event.message.frame >= self.settings.start_frame:
+        if result.whole >= self.settings.start_frame:
             self._play(now_us)
 
     # ---------------------------------------------------------------------------------------------------------- details
@@ -282,6 +298,11 @@ class Player:
         assert self.info is not None
         assert self.stats.started_us is not None
         return self.stats.started_us + round((frame - self.settings.start_frame) * 1e6 / self.info.fps)
+
+    def _decode(self, pipeline: ClientPipeline) -> Decode:
+        self._decoding = True
+        count = min(len(self._decodes), DECODE_BATCH)
+        return Decode(tuple(self._decodes.popleft() for _ in range(count)), pipeline)
 
     def _present(self, now_us: int) -> Present:
         frame = self._next_frame

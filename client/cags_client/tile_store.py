@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import TileCodec, TileDecoder
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, Camera
 from cags_common.splats import SH_REST_OF_DEGREE, Ids, Splats
-from cags_common.svq import CodebookSet
-from cags_common.tiles import TileState, decode_base
 
 ABSENT_LOGIT = np.float32(-30.0)
 """Opacity logit of a row without a splat: drawn opacity 1e-13, which every rasteriser culls."""
@@ -44,7 +43,7 @@ class _Held:
 
     index: int
     frame: int
-    state: TileState
+    state: TileDecoder
     centre: F32  # [3] of its means
     radius: float
     owned: int = 0
@@ -54,6 +53,7 @@ class _Held:
 @dataclass(eq=False)
 class _Staged:
     held: _Held
+    ids: Ids
     splats: Splats
     lod: int
 
@@ -75,7 +75,7 @@ class GofStore:
 
     capacity: int
     sh_degree: int
-    codebooks: CodebookSet
+    codec: TileCodec
     manifest: Manifest
     splats: Splats = field(init=False)
 
@@ -93,19 +93,35 @@ class GofStore:
         self._by_index: list[_Held] = []
         self._waiting: OrderedDict[Key, list[tuple[int, bytes]]] = OrderedDict()
         self._waiting_bytes = 0
+        self._touched: dict[Key, _Held] = {}
         self._staged: dict[Key, _Staged] = {}
         self._ends: dict[int, Ids] = {}
         self._ended: set[int] = set()
         self._lock = threading.Lock()
+        self._decoding = threading.Lock()
 
     # ------------------------------------------------------------------------------------------ arrival (decode thread)
 
     def add(self, frame: int, tile: int, from_lod: int, payloads: list[memoryview]) -> None:
-        """Decode LoDs ``from_lod`` onwards of a tile and stage the result. Duplicates change nothing.
+        """Decode LoDs ``from_lod`` onwards of a tile. Duplicates change nothing.
 
         Raises :class:`DecodeError` for damaged payloads and ids beyond the group's capacity; what was held stays.
         """
-        key = (frame, tile)
+        with self._decoding:
+            self._add((frame, tile), from_lod, payloads)
+
+    def flush(self, horizon: int | None = None) -> None:
+        """Dequantise the tiles that :meth:`add` touched (of frames up to ``horizon``), each once, and stage them."""
+        with self._decoding:
+            for key in [k for k in self._touched if horizon is None or k[0] <= horizon]:
+                held = self._touched.pop(key)
+                ids = held.state.ids
+                self._check_ids(ids, f"tile {key[1]} of frame {key[0]}")
+                staged = _Staged(held, ids, held.state.dequantise(), held.state.lod)
+                with self._lock:
+                    self._staged[key] = staged
+
+    def _add(self, key: Key, from_lod: int, payloads: list[memoryview]) -> None:
         if key in self._tiles and self._tiles[key] is None:
             return
         held = self._tiles.get(key)
@@ -121,7 +137,7 @@ class GofStore:
         for lod, payload in layers:
             changed |= lod > 0 and held.state.add_layer(lod, payload)
         if changed:
-            self._stage(key, held)
+            self._touched[key] = held
 
     def end(self, frame: int, removed: Ids) -> None:
         """Nothing more is planned for ``frame``; ``removed`` ids end there. Raises :class:`DecodeError`."""
@@ -134,10 +150,9 @@ class GofStore:
     def _open(self, key: Key, payload: memoryview) -> _Held:
         if len(self._by_index) >= MAX_TILES_PER_GOF:
             raise DecodeError(f"tile {key[1]} of frame {key[0]}: the group already has {MAX_TILES_PER_GOF} tiles")
-        base = decode_base(payload, self.codebooks)
-        self._check_ids(base.ids, f"tile {key[1]} of frame {key[0]}")
-        low, high = (base.means.min(axis=0), base.means.max(axis=0)) if len(base) else (np.zeros(3), np.zeros(3))
-        state = TileState(base, self.codebooks, self.manifest.lod_order)
+        state = self.codec.open_tile(payload)
+        self._check_ids(state.ids, f"tile {key[1]} of frame {key[0]}")
+        low, high = (state.means.min(axis=0), state.means.max(axis=0)) if len(state) else (np.zeros(3), np.zeros(3))
         centre, radius = ((low + high) / 2).astype(np.float32), float(np.linalg.norm(high - low) / 2)
         held = _Held(len(self._by_index), key[0], state, centre, radius)
         with self._lock:
@@ -148,11 +163,6 @@ class GofStore:
     def _check_ids(self, ids: Ids, what: str) -> None:
         if len(ids) and (int(ids.min()) < 0 or int(ids.max()) >= self.capacity):
             raise DecodeError(f"{what}: id {int(ids.max())} is outside the group's capacity {self.capacity}")
-
-    def _stage(self, key: Key, held: _Held) -> None:
-        staged = _Staged(held, held.state.dequantise(), held.state.lod)
-        with self._lock:
-            self._staged[key] = staged
 
     def _wait(self, key: Key, layers: list[tuple[int, memoryview]]) -> None:
         """Keep layers whose base has not come yet; the oldest go when too many bytes wait."""
@@ -175,6 +185,8 @@ class GofStore:
         """Show what has come for frames up to ``frame``: the rows that changed, and whether ``frame`` is whole."""
         with self._lock:
             horizon = max((f for f in self._ended if f <= frame), default=-1)
+        self.flush(horizon)
+        with self._lock:
             updates = sorted(
                 ((key, s) for key, s in self._staged.items() if key[0] <= horizon), key=lambda item: item[0]
             )
@@ -200,7 +212,7 @@ class GofStore:
         touched[gone] = True
 
     def _write(self, staged: _Staged, touched: NDArray[np.bool_]) -> None:
-        held, ids = staged.held, staged.held.state.base.ids
+        held, ids = staged.held, staged.ids
         mine = self._owner[ids] == held.index
         newer = (self._source[ids] < held.frame) & (self._removed_at[ids] <= held.frame)
         claimed = ids[newer & ~mine]
@@ -274,8 +286,8 @@ def _in_view(centres: NDArray[np.float64], radii: NDArray[np.float64], camera: C
 class TileStore:
     """The groups of frames that a client holds: the one on display and those that arrive ahead."""
 
-    def __init__(self, manifest: Manifest, codebooks: CodebookSet) -> None:
-        self._manifest, self._codebooks = manifest, codebooks
+    def __init__(self, manifest: Manifest, codec: TileCodec) -> None:
+        self._manifest, self._codec = manifest, codec
         self._gofs: dict[int, GofStore] = {}
         self._shown: GofStore | None = None
         self._oldest = 0
@@ -286,6 +298,13 @@ class TileStore:
         store = self._store(frame)
         if store is not None:
             store.add(frame, tile, from_lod, payloads)
+
+    def flush(self) -> None:
+        """Dequantise what :meth:`add` touched, each tile once. Else :meth:`commit` does it, on the display path."""
+        with self._lock:
+            stores = list(self._gofs.values())
+        for store in stores:
+            store.flush()
 
     def end(self, frame: int, removed: Ids) -> None:
         """The server plans nothing more for ``frame``. Raises :class:`DecodeError`."""
@@ -327,5 +346,5 @@ class TileStore:
                 return None
             if gof not in self._gofs:
                 capacity = self._manifest.capacity[gof]
-                self._gofs[gof] = GofStore(capacity, self._manifest.sh_degree, self._codebooks, self._manifest)
+                self._gofs[gof] = GofStore(capacity, self._manifest.sh_degree, self._codec, self._manifest)
             return self._gofs[gof]

@@ -6,6 +6,7 @@ reference. Coordinates ``x, y`` below are continuous reference pixels in that se
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -123,11 +124,20 @@ class Reprojection:
 class Aligned:
     """A reference brought to the client's view."""
 
-    rgb: F32  # [H, W, 3] in [0, 1]; black where the reference says nothing and no clean neighbour is near
+    paint: Callable[[], F32]
+    """Makes :attr:`rgb`; called once."""
     confidence: F32  # [H, W] in [0, 1]: 0 for void, behind, outside or occluded; fades towards the reference's border
     occluded: NDArray[np.bool_]  # [H, W] seen by the client, hidden from the reference
     geometry: Reprojection
     """Where the client's pixels lie in the reference."""
+
+    @cached_property
+    def rgb(self) -> F32:
+        """[H, W, 3] in [0, 1]; black where the reference says nothing and no clean neighbour is near.
+
+        Made when first looked at: restorers that work at the reference's resolution never do.
+        """
+        return self.paint()
 
     @property
     def x(self) -> F32:

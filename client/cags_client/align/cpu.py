@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 import cags_kernels
 from cags_client.align.base import Aligned, AlignSettings, ReferencePicture, Reprojection
 from cags_common.errors import ConfigError
@@ -13,17 +11,15 @@ from cags_common.geometry import F32, Camera
 class CpuAligner:
     """The same result as :class:`cags_client.align.reference.ReferenceAligner` in float32, a frame in milliseconds.
 
-    With ``picture`` false the aligned picture itself is left out (black): restorers that work at the reference's
-    resolution do not look at it. Raises :class:`ConfigError` where the native library is missing.
+    Raises :class:`ConfigError` where the native library is missing.
     """
 
     name = "cpu"
 
-    def __init__(self, settings: AlignSettings | None = None, *, picture: bool = True) -> None:
+    def __init__(self, settings: AlignSettings | None = None) -> None:
         if not cags_kernels.native_available():
             raise ConfigError(f"aligner 'cpu' cannot run: {cags_kernels.why_unavailable()}; use 'fast'")
         self._settings = settings or AlignSettings()
-        self._picture = picture
 
     def align(self, reference: ReferencePicture, depth: F32, camera: Camera) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`."""
@@ -42,6 +38,11 @@ class CpuAligner:
             threads=s.threads,
         )
         view = kernels.Reprojection(depth, *geometry.matrix)
-        image = kernels.align(reference.rgb, view, parameters, rgb=self._picture)
-        rgb = np.zeros((*depth.shape, 3), np.float32) if image.rgb is None else image.rgb
-        return Aligned(rgb, image.confidence, image.occluded, geometry)
+        image = kernels.align(reference.rgb, view, parameters, rgb=False)
+
+        def paint() -> F32:
+            rgb = kernels.align(reference.rgb, view, parameters).rgb
+            assert rgb is not None
+            return rgb
+
+        return Aligned(paint, image.confidence, image.occluded, geometry)

@@ -27,12 +27,16 @@ class FastAligner:
         x, y, _, inside = geometry.projected
         cell = y.astype(np.int32) * (w + 1) + x.astype(np.int32)
         occluded, occluder = _occlusion(geometry, cell, s)
-        rgb = sample(reference.rgb, x, y)
-        rgb[~inside] = 0.0
-        _erode(rgb, occluded, inside & ~occluded & ~occluder, s)
         distance = np.minimum(np.minimum(x, w - x), np.minimum(y, h - y))
         confidence = np.clip(distance / np.float32(max(s.border_px, 1e-6)), 0, 1) * (inside & ~occluded)
-        return Aligned(rgb, confidence.astype(np.float32, copy=False), occluded, geometry)
+
+        def paint() -> F32:
+            rgb = sample(reference.rgb, x, y)
+            rgb[~inside] = 0.0
+            _erode(rgb, occluded, inside & ~occluded & ~occluder, s)
+            return rgb
+
+        return Aligned(paint, confidence.astype(np.float32, copy=False), occluded, geometry)
 
 
 def sample(image: F32, x: F32, y: F32) -> F32:

@@ -43,7 +43,8 @@ class ReferenceAligner:
         rgb = np.where(inside[..., None], _bilinear(reference.rgb.astype(np.float64), x, y), 0.0)
         rgb = _erode(rgb, occluded, inside & ~occluded & ~occluder, self._settings)
         confidence = np.where(inside & ~occluded, _border(x, y, reference.camera, self._settings.border_px), 0.0)
-        return Aligned(rgb.astype(np.float32), confidence.astype(np.float32), occluded, geometry)
+        painted = rgb.astype(np.float32)
+        return Aligned(lambda: painted, confidence.astype(np.float32), occluded, geometry)
 
     def _occlusion(self, d: F64, p: _Projected, geometry: Reprojection) -> tuple[Mask, Mask]:
         """Which pixels the reference does not see, and which of the seen ones share a reference pixel with those."""

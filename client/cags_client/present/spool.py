@@ -71,6 +71,6 @@ class ScoringSpool:
         size = int(np.prod(shape))
         self._file.seek(item.offset)
         return {
-            name: np.frombuffer(self._file.read(size), np.uint8).reshape(shape).astype(np.float32) / 255
+            name: np.frombuffer(self._file.read(size), np.uint8).reshape(shape).astype(np.float32) / np.float32(255)
             for name in item.names
         }

@@ -54,7 +54,7 @@ class AffineRestorer:
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""
-        own = inputs.own.rgb if inputs.own is not None else average_down(inputs)
+        own = inputs.own.rgb if inputs.own is not None else _averaged(inputs)
         if cags_kernels.native_available():
             return self._by_kernels(inputs, own)
         aligned = inputs.aligned
@@ -81,24 +81,26 @@ class AffineRestorer:
         )
 
 
-def average_down(inputs: RestoreInput) -> F32:
-    """Mean [h, w, 3] of the distorted picture over the pixels that land in each reference pixel.
+def _averaged(inputs: RestoreInput) -> F32:
+    aligned = inputs.aligned
+    return average_down(inputs.distorted, aligned.x, aligned.y, aligned.confidence, inputs.reference.rgb)
 
-    Where none does it is the reference itself, so that nothing is corrected there.
+
+def average_down(picture: F32, x: F32, y: F32, confidence: F32, fallback: F32) -> F32:
+    """Mean [h, w, 3] of ``picture`` over the pixels that land in each reference pixel; ``fallback`` where none does.
 
     A stand-in for the client's splats drawn at the reference's pose, for callers without a rasteriser. It is worse at
     silhouettes: pixels that the client does not see are missing from its means.
     """
-    aligned, fallback = inputs.aligned, inputs.reference.rgb
     h, w = fallback.shape[:2]
-    shown = aligned.confidence > 0
-    rows = np.minimum(aligned.y[shown].astype(np.intp), h - 1)
-    cell: NDArray[np.intp] = rows * w + np.minimum(aligned.x[shown].astype(np.intp), w - 1)
+    shown = confidence > 0
+    rows = np.minimum(y[shown].astype(np.intp), h - 1)
+    cell: NDArray[np.intp] = rows * w + np.minimum(x[shown].astype(np.intp), w - 1)
     count = np.bincount(cell, minlength=h * w)
     known = count > 0
     low = fallback.reshape(-1, 3).copy()
     for channel in range(3):
-        total = np.bincount(cell, weights=inputs.distorted[..., channel][shown], minlength=h * w)
+        total = np.bincount(cell, weights=picture[..., channel][shown], minlength=h * w)
         low[known, channel] = total[known] / count[known]
     return low.reshape(h, w, 3)
 

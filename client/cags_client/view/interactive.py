@@ -12,7 +12,6 @@ from typing import Any
 from cags_client.pipeline import PresentedFrame
 from cags_client.player import Decode, DecodeResult, Player, Present, Traffic
 from cags_common.geometry import Pose
-from cags_protocol import events as ev
 from cags_protocol.messages import Control
 
 SEEK_PATIENCE_US = 2_000_000
@@ -60,6 +59,9 @@ class InteractivePlayer(Player):
 
     def set_rate(self, rate: float, now_us: int) -> None:
         """Change the speed from the next frame on."""
+        if self.stats.started_us is None:
+            self.rate = rate
+            return
         next_us = max(self._frame_due_us(self.frame + 1), now_us)
         self.rate = rate
         if self.playing and self.frame + 1 < self._end_frame:
@@ -97,16 +99,15 @@ class InteractivePlayer(Player):
         if self._awaited is None:
             return super().next_action(now_us)
         if self._decodes and not self._decoding and self.pipeline is not None:
-            self._decoding = True
-            return Decode(self._decodes.popleft(), self.pipeline)
+            return self._decode(self.pipeline)
         return None
 
     def done(self, action: Decode | Present, result: DecodeResult | PresentedFrame, now_us: int) -> None:
         """See :meth:`Player.done`."""
         if isinstance(action, Decode):
             super().done(action, result, now_us)
-            event = action.event
-            if isinstance(event, ev.FrameEnded) and self._awaited and event.message.frame == self._awaited[0]:
+            assert isinstance(result, DecodeResult)
+            if self._awaited and result.whole >= self._awaited[0]:
                 self._awaited = None
             return
         assert isinstance(result, PresentedFrame)

@@ -7,6 +7,7 @@ import pytest
 
 from cags_client.tile_store import ABSENT_LOGIT, TileStore
 from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.lod import LodLayer
@@ -42,7 +43,7 @@ def manifest(frames: int = 8, starts: tuple[int, ...] = (0, 4)) -> Manifest:
         bounds=((0, 0, 0), (1, 1, 1)),
         lod_order=ORDER,
         lod_gains_db=(),
-        codec="test",
+        codec="svq",
     )
 
 
@@ -64,7 +65,7 @@ def removed(*ids: int) -> np.ndarray:
 
 @pytest.fixture
 def store() -> TileStore:
-    return TileStore(manifest(), books())
+    return TileStore(manifest(), SvqTileCodec(manifest(), books().to_bytes()))
 
 
 def xs(store: TileStore, frame: int) -> list[float]:
@@ -114,7 +115,7 @@ def test_any_order_of_arrival_ends_in_the_same_splats() -> None:
         ("add", 0, 0, 1, [layer(4, 1)]),
     )
     for order in itertools.permutations(arrivals):
-        store = TileStore(manifest(), books())
+        store = TileStore(manifest(), SvqTileCodec(manifest(), books().to_bytes()))
         for name, *arguments in order:
             getattr(store, name)(*arguments)
         assert xs(store, 2)[:4] == [-1, 2, 3, -1], [item[:3] for item in order]

@@ -4,6 +4,7 @@ comes.
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,8 @@ class OpenVinoRuntime:
     def _request(self, batch: list[F32]) -> Any:
         shapes = tuple(image.shape for image in batch)
         if self._ready is None or self._ready[0] != shapes:
-            with torch.inference_mode():
+            with warnings.catch_warnings(), torch.inference_mode():
+                warnings.simplefilter("ignore")  # tracing tells of its deprecation and of sizes becoming constants
                 model = openvino.convert_model(
                     self._network,
                     example_input=tuple(torch.from_numpy(image) for image in batch),

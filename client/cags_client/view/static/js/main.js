@@ -11,7 +11,7 @@ const $ = (id) => document.getElementById(id);
 const FIGURES_MS = 500;
 
 /** What the page measured of itself; for the figures in the head, for tests, and for a look in the console. */
-const measured = { frames: 0, fps: 0, photonMs: [], codec: "", frame: -1, pose: null, picture: null };
+const measured = { frames: 0, fps: 0, photonMs: [], codec: "", frame: -1, pose: null, picture: null, stats: {} };
 window.cags = measured;
 
 const h264 = await canDecodeH264().catch(() => false);
@@ -132,7 +132,8 @@ function measure(header, now) {
   measured.pose = header.pose;
   measured.codec = header.pictures[0]?.codec ?? "";
   measured.picture = header.pictures[0] ?? null;
-  plots.add(now, { ...header.stats, capacity_mbps: header.stats.capacity_mbps ?? capacity, photon_ms: photon }, header.stages_ms);
+  measured.stats = { ...header.stats, capacity_mbps: header.stats.capacity_mbps ?? capacity, photon_ms: photon };
+  plots.add(now, measured.stats, header.stages_ms);
   tellFigures(now, header.stats);
 }
 
