@@ -1,0 +1,216 @@
+"""Pause, play, seek, speed and loop, in session time without sockets."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cags_client.pipeline import PresentedFrame
+from cags_client.player import Decode, DecodeResult, Present
+from cags_client.settings import ClientSettings
+from cags_client.view.interactive import SEEK_PATIENCE_US, InteractivePlayer
+from cags_client.view.poses import LivePoses
+from cags_common.geometry import Pose
+from cags_protocol import events as ev
+from cags_protocol.messages import Control, FrameEnd
+from support.live_page import StillWalk
+
+FRAMES, FPS, DELAY_US = 30, 30.0, 250_000
+FRAME_US = 1e6 / FPS
+
+
+class FakeSession:
+    """Keeps what the player says."""
+
+    def __init__(self) -> None:
+        self.controls: list[Control] = []
+        self.gone = False
+
+    def hello(self, hello: Any, *, now_us: int) -> None: ...
+
+    def control(self, control: Control, *, now_us: int) -> None:
+        self.controls.append(control)
+
+    def send_poses(self, samples: Any, *, now_us: int) -> None: ...
+
+    def handle_timer(self, *, now_us: int) -> None: ...
+
+    def next_event(self) -> None:
+        return None
+
+    def next_timer_us(self) -> None:
+        return None
+
+    def bye(self, *, now_us: int) -> None:
+        self.gone = True
+
+
+class FakePipeline:
+    """Draws nothing, and remembers when it was emptied."""
+
+    def __init__(self) -> None:
+        self.resets: list[int] = []
+        self.settings = ClientSettings()
+
+    def reset(self, frame: int) -> None:
+        self.resets.append(frame)
+
+
+class Stage:
+    """A player with its first frame decoded, and a clock of the test's own."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.session, self.pipeline = FakeSession(), FakePipeline()
+        self.poses = LivePoses(StillWalk())
+        self.now_us = 0
+        self.player = InteractivePlayer(self.session, ClientSettings(**settings), self.poses, now_us=0)  # type: ignore[arg-type]
+        self.player.info = SimpleNamespace(fps=FPS, frames=FRAMES)  # type: ignore[assignment]
+        self.player.pipeline = self.pipeline  # type: ignore[assignment]
+        self.player._end_frame = FRAMES
+        self.end(0)
+
+    def end(self, frame: int) -> None:
+        """Frame ``frame`` has been decoded whole."""
+        action = Decode((ev.FrameEnded(FrameEnd(frame), memoryview(b"")),), self.pipeline)  # type: ignore[arg-type]
+        self.player.done(action, DecodeResult((), False, frame), self.now_us)
+
+    def turn(self) -> int | None:
+        """Draw what is due; the frame that was drawn."""
+        action = self.player.next_action(self.now_us)
+        if not isinstance(action, Present):
+            return None
+        blank = np.zeros((2, 2, 3), np.float32)
+        shown = PresentedFrame(action.frame, None, blank, blank, None, blank, blank, None, 0.0, False, {})  # type: ignore[arg-type]
+        self.player.done(action, shown, self.now_us)
+        return action.frame
+
+    def run(self, microseconds: float, step_us: int = 5_000) -> list[int]:
+        """Let time pass; the frames that were drawn."""
+        drawn, end_us = [], self.now_us + microseconds
+        while self.now_us < end_us:
+            self.now_us += step_us
+            frame = self.turn()
+            if frame is not None:
+                drawn.append(frame)
+        return drawn
+
+
+@pytest.fixture
+def stage() -> Stage:
+    return Stage()
+
+
+def test_plays_in_time_and_starts_again_at_the_end(stage: Stage) -> None:
+    assert stage.run(DELAY_US + FRAMES * FRAME_US + 20_000) == list(range(FRAMES))
+    stage.turn()
+    assert stage.session.controls[-1].action == "seek"
+    assert stage.session.controls[-1].frame == 0
+    assert stage.pipeline.resets == [0]
+    assert stage.run(DELAY_US + 100_000) == []
+    stage.end(0)
+    assert stage.run(100_000)[0] >= 0
+    assert not stage.player.finished
+
+
+def test_holds_the_last_frame_without_loop_and_plays_again_when_asked(stage: Stage) -> None:
+    stage.player.loop = False
+    stage.run(DELAY_US + FRAMES * FRAME_US + 200_000)
+    assert not stage.player.playing
+    assert stage.player.frame == FRAMES - 1
+    assert stage.session.controls[-1].action == "pause"
+    stage.player.play(stage.now_us)
+    stage.turn()
+    assert [control.action for control in stage.session.controls[-2:]] == ["play", "seek"]
+    assert stage.pipeline.resets == [0]
+
+
+def test_a_paused_frame_is_drawn_again_only_when_there_is_something_new(stage: Stage) -> None:
+    stage.run(DELAY_US + 10 * FRAME_US)
+    stage.player.pause(stage.now_us)
+    held = stage.player.frame
+    assert stage.session.controls[-1] == Control("pause", held, stage.now_us, 1.0)
+    assert set(stage.run(500_000)) <= {held}
+    assert stage.run(500_000) == []
+    stage.poses.hold(Pose((1, 2, 3), (1, 0, 0, 0)), 1)
+    assert stage.run(100_000) == [held]
+    stage.player._tiles_bytes = 10
+    assert stage.run(100_000) == [held]
+    stage.player.play(stage.now_us)
+    assert stage.session.controls[-1] == Control("play", held, stage.now_us + DELAY_US, 1.0)
+    assert stage.run(DELAY_US + 3 * FRAME_US + 10_000)[:2] == [held, held + 1]
+
+
+def test_a_seek_waits_for_work_under_way_and_then_for_its_frame(stage: Stage) -> None:
+    stage.run(DELAY_US + 5 * FRAME_US)
+    stage.player._decoding = True
+    stage.player.seek(20)
+    assert stage.player.next_action(stage.now_us) is None
+    assert stage.pipeline.resets == []
+    stage.player._decoding = False
+    stage.turn()
+    assert stage.pipeline.resets == [20]
+    assert stage.session.controls[-1].frame == 20
+    stage.end(7)
+    assert stage.run(400_000) == []
+    stage.end(20)
+    drawn = stage.run(100_000)
+    assert drawn
+    assert all(frame >= 20 for frame in drawn)
+
+
+def test_a_seek_whose_frame_never_comes_shows_what_there_is(stage: Stage) -> None:
+    stage.player.loop = False
+    stage.run(DELAY_US + 5 * FRAME_US)
+    stage.player.seek(3)
+    stage.turn()
+    assert stage.run(SEEK_PATIENCE_US - 50_000) == []
+    assert stage.run(100_000)
+
+
+def test_seeking_while_paused_shows_that_frame(stage: Stage) -> None:
+    stage.run(DELAY_US + 5 * FRAME_US)
+    stage.player.pause(stage.now_us)
+    stage.run(100_000)
+    stage.player.seek(999)
+    stage.turn()
+    stage.end(FRAMES - 1)
+    stage.player._tiles_bytes = 1
+    assert FRAMES - 1 in stage.run(DELAY_US + 100_000)
+    assert not stage.player.playing
+
+
+def test_half_speed_takes_twice_as_long(stage: Stage) -> None:
+    stage.run(DELAY_US + 5 * FRAME_US)
+    before = stage.player.frame
+    stage.player.set_rate(0.5, stage.now_us)
+    assert stage.session.controls[-1].rate == 0.5
+    drawn = stage.run(10 * FRAME_US)
+    assert drawn[0] == before + 1
+    assert 4 <= len(drawn) <= 6
+
+
+def test_wishes_before_the_first_frame_do_no_harm() -> None:
+    session = FakeSession()
+    player = InteractivePlayer(session, ClientSettings(), LivePoses(StillWalk()), now_us=0)  # type: ignore[arg-type]
+    player.pause(0)
+    player.seek(5)
+    player.set_rate(2.0, 0)
+    assert session.controls == []
+    assert player.next_action(10) is None
+    player.leave(20)
+    assert session.gone
+    player.leave(30)
+
+
+def test_the_duration_ends_it() -> None:
+    stage = Stage(duration=1.0)
+    stage.run(DELAY_US + 900_000)
+    stage.player.handle_timer(stage.now_us)
+    assert not stage.player.finished
+    stage.run(200_000)
+    stage.player.handle_timer(stage.now_us)
+    assert stage.player.finished
+    assert stage.session.gone
