@@ -16,7 +16,7 @@ from cags_protocol.messages import Control, FrameEnd, Hello, PoseSample, Referen
 from cags_server.abr import Decision, Observation, TileView, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.clock import ClientClock
-from cags_server.fov import FovObservation, create_fov_policy, widened
+from cags_server.fov import FovObservation, FovOptions, create_fov_policy, widened
 from cags_server.inventory import ClientInventory
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.opening import opening_tiles
@@ -40,10 +40,15 @@ MAX_BUDGET_TICKS = 4
 """A stretch of skipped frames earns at most the budget of so many."""
 
 
+def fov_options(settings: ServerSettings) -> FovOptions:
+    """The settings that field-of-view policies take."""
+    return FovOptions(settings.fov_margin, settings.fov_quantile, settings.fov_gain)
+
+
 def check_choices(settings: ServerSettings) -> None:
     """Check the names that settings pick implementations by. Raises :class:`~cags_common.errors.ConfigError`."""
     create_predictor(settings.predictor)
-    create_fov_policy(settings.fov, settings.fov_margin)
+    create_fov_policy(settings.fov, fov_options(settings))
     create_rate_policy(settings.abr)
 
 
@@ -63,7 +68,7 @@ class Streamer:
         self._library, self._settings, self._hello = library, settings, hello
         self._estimator = estimator
         self._predictor = create_predictor(settings.predictor)
-        self._fov = create_fov_policy(settings.fov, settings.fov_margin)
+        self._fov = create_fov_policy(settings.fov, fov_options(settings))
         self._policy = create_rate_policy(settings.abr)
         self._encoder = H264Encoder(
             settings.reference_width,

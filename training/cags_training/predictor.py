@@ -14,7 +14,7 @@ from cags_common.geometry import F64
 from cags_common.poses import PoseTrace
 from cags_server.predict.pooled import HORIZON_STEPS, ORDERS, PooledWeights, displacements, windows
 from cags_server.predict.tangent import STEP_US
-from cags_training.walks import read_walks, split_people
+from cags_server.predict.walks import read_walks, split_people
 
 PHASES = 3
 """Each walk is sampled on so many shifted grids, so that all of its samples are used."""

@@ -3,20 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from cags_common.errors import ConfigError
 from cags_server.fov.base import MAX_REFERENCE_FOV_RAD, FovObservation, FovPolicy, widened
 from cags_server.fov.fixed import FixedFov
+from cags_server.fov.lstm import LstmFov
+from cags_server.fov.quantile import QuantileFov
 
-FOV_POLICIES: dict[str, Callable[[float], FovPolicy]] = {"fixed": FixedFov}
-"""Every policy by name; the number is the margin that ``fixed`` uses."""
+
+@dataclass(frozen=True)
+class FovOptions:
+    """Numbers of the policies; each uses its own."""
+
+    margin: float = 0.1
+    quantile: float = 0.9
+    gain: float = 1.0
 
 
-def create_fov_policy(name: str, margin: float) -> FovPolicy:
-    """The policy called ``name``. Raises :class:`ConfigError` for an unknown one."""
+FOV_POLICIES: dict[str, Callable[[FovOptions], FovPolicy]] = {
+    "fixed": lambda options: FixedFov(options.margin),
+    "quantile": lambda options: QuantileFov(options.quantile),
+    "lstm": lambda options: LstmFov(options.gain),
+}
+"""Every policy by name."""
+
+
+def create_fov_policy(name: str, options: FovOptions | None = None) -> FovPolicy:
+    """The policy called ``name``. Raises :class:`ConfigError` for an unknown one, or weights that cannot be read."""
     if name not in FOV_POLICIES:
         raise ConfigError(f"fov = {name!r} is unknown; known: {', '.join(FOV_POLICIES)}")
-    return FOV_POLICIES[name](margin)
+    return FOV_POLICIES[name](options or FovOptions())
 
 
-__all__ = ["FOV_POLICIES", "MAX_REFERENCE_FOV_RAD", "FovObservation", "FovPolicy", "create_fov_policy", "widened"]
+__all__ = [
+    "FOV_POLICIES",
+    "MAX_REFERENCE_FOV_RAD",
+    "FovObservation",
+    "FovOptions",
+    "FovPolicy",
+    "create_fov_policy",
+    "widened",
+]

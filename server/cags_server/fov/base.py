@@ -39,16 +39,20 @@ class FovPolicy(Protocol):
         ...
 
 
+def client_halves(client: Intrinsics) -> tuple[float, float]:
+    """Half angles of a centred view that covers the client's, horizontally and vertically."""
+    return (
+        math.atan(max(client.cx_px, client.width_px - client.cx_px) / client.fx_px),
+        math.atan(max(client.cy_px, client.height_px - client.cy_px) / client.fy_px),
+    )
+
+
 def widened(client: Intrinsics, margins: tuple[float, float], width_px: int, height_px: int) -> Intrinsics:
     """Intrinsics of a centred reference image whose angles are the client's times (1 + margin), within bounds.
 
     A client whose principal point is off centre is covered by a view that reaches as far on both sides as the
     client's wider side. The result never reaches ``MAX_REFERENCE_FOV_RAD`` unless the client's own view does.
     """
-    halves = (
-        math.atan(max(client.cx_px, client.width_px - client.cx_px) / client.fx_px),
-        math.atan(max(client.cy_px, client.height_px - client.cy_px) / client.fy_px),
-    )
-    full = [2 * half for half in halves]
+    full = [2 * half for half in client_halves(client)]
     wide = [min(fov * (1 + max(0.0, s)), max(fov, MAX_REFERENCE_FOV_RAD)) for fov, s in zip(full, margins, strict=True)]
     return Intrinsics.of_fov(width_px, height_px, wide[0], wide[1])

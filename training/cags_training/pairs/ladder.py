@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,6 @@ from numpy.typing import NDArray
 
 from cags_common.bundle import BundleReader, Manifest
 from cags_common.splats import Splats
-from cags_common.svq import CodebookSet
-from cags_common.tiles import TileState, decode_base
 from cags_encoder.pipeline import encode
 from cags_encoder.scenes import open_scene
 from cags_encoder.settings import EncodeSettings
@@ -24,16 +23,16 @@ class Ladder:
     def __init__(self, reader: BundleReader) -> None:
         self.manifest: Manifest = reader.manifest
         self.truth: Splats = reader.source(0).splats
-        self._books = CodebookSet.from_bytes(reader.codebooks())
+        self._codec = reader.codec
         levels = range(self.manifest.lods)
         self._payloads = [[reader.payload(0, tile.tile, lod) for lod in levels] for tile in reader.frame(0).tiles]
 
     @classmethod
-    def of_scene(cls, spec: str, seed: int = 0) -> Ladder:
+    def of_scene(cls, spec: str, settings: EncodeSettings) -> Ladder:
         """Encode the first frame of the scene that ``spec`` names. Raises what opening and encoding raise."""
         with tempfile.TemporaryDirectory(prefix="cags-pairs-") as folder:
             url = str(Path(folder) / "scene.cags")
-            encode(open_scene(spec), EncodeSettings(frames=1, seed=seed), url)
+            encode(open_scene(spec), replace(settings, frames=1), url)
             with BundleReader.open(url) as reader:
                 return cls(reader)
 
@@ -51,10 +50,10 @@ class Ladder:
         """All splats, each tile decoded to its own LoD of ``lods`` [tiles], 0 to :attr:`top`."""
         parts = []
         for payloads, lod in zip(self._payloads, lods, strict=True):
-            state = TileState(decode_base(payloads[0], self._books), self._books, self.manifest.lod_order)
+            tile = self._codec.open_tile(payloads[0])
             for level in range(1, int(lod) + 1):
-                state.add_layer(level, payloads[level])
-            parts.append(state.dequantise())
+                tile.add_layer(level, payloads[level])
+            parts.append(tile.dequantise())
         return Splats.concatenate(parts)
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cags_common.settings import check_settings, setting
+from cags_encoder.settings import EncodeSettings
 
 
 @dataclass(frozen=True)
 class PairSettings:
     """The distribution that a restorer is trained on; names are flags and TOML keys."""
 
+    quantisers: str = setting("layered,paper-66", "quantiser configurations that views are shared out to")
     views: int = setting(60, "views drawn in each scene", low=1, high=100_000)
     crops: int = setting(8, "crops kept of each view", low=1, high=1000)
     crop: int = setting(160, "side of a crop, client pixels; a multiple of 8", low=32, high=1024)
@@ -25,3 +27,10 @@ class PairSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        for name in self.quantiser_list:
+            EncodeSettings(quantiser=name)  # refuses unknown ones
+
+    @property
+    def quantiser_list(self) -> list[str]:
+        """Names of quantiser configurations."""
+        return [word.strip() for word in self.quantisers.split(",")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,13 +42,20 @@ def crops_of_scenes(
 
 
 def _made(spec: str, walks: Sequence[str], settings: PairSettings, tell: Tell) -> Crops:
-    tell(f"encode {spec}", 0, 1)
-    ladder = Ladder.of_scene(spec, settings.seed)
-    tell(f"encode {spec}", 1, 1)
     rng = np.random.default_rng((settings.seed, int(_key(spec, (), settings), 16)))
-    placed = open_walks(tuple(walks), focus_of_manifest(ladder.manifest), settings.seed)
-    maker = PairMaker(ladder, placed, settings)
-    return make_crops(maker, settings, rng, lambda done, total: tell(f"pairs of {spec}", done, total))
+    names = settings.quantiser_list
+    share = replace(settings, views=-(-settings.views // len(names)))
+    parts: list[Crops] = []
+    for number, name in enumerate(names):
+        ladder = Ladder.of_scene(spec, EncodeSettings(seed=settings.seed, quantiser=name))
+        placed = open_walks(tuple(walks), focus_of_manifest(ladder.manifest), settings.seed)
+        made = share.views * number
+
+        def told(done: int, total: int, made: int = made) -> None:
+            tell(f"pairs of {spec}", made + done, total * len(names))
+
+        parts.append(make_crops(PairMaker(ladder, placed, settings), share, rng, told))
+    return Crops.concatenate(parts)
 
 
 def _key(spec: str, walks: Sequence[str], settings: PairSettings) -> str:

@@ -1,4 +1,4 @@
-"""Recorded walks for training: files by person, and people held out."""
+"""Recorded walks to fit and to judge predictors by: files by person, and people held out."""
 
 from __future__ import annotations
 

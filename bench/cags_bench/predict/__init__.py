@@ -1,0 +1,1 @@
+"""How well is the viewer predicted, and how wide must the reference be? ``cags-bench predict``."""

@@ -1,0 +1,149 @@
+"""``cags-bench predict``: predictors and field-of-view policies on recorded head motion."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cags_server.predict.walks import Walk
+
+SUMMARY = "Precision of pose prediction, and coverage of the reference's field of view, on recorded walks."
+
+EXAMPLES = """\
+  cags-bench predict --poses poses/ --json
+  cags-bench predict --poses poses/ --horizons-ms 100,200 --every-ms 250 --people all
+  cags-bench predict --poses poses/ --bundle room.cags --bundle clip.cags    # and end to end
+"""
+
+LEAD_US = 200_000
+AREAS = (1.2, 1.3, 1.4, 1.5, 1.6, 1.75)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of the subcommand."""
+    parser.add_argument("--poses", required=True, metavar="DIR", help="folder of SCENE_userNN.csv walks")
+    parser.add_argument("--horizons-ms", default="33,100,200,300,500", metavar="N,..", help="horizons")
+    parser.add_argument("--every-ms", type=int, default=500, metavar="N", help="time between two predictions")
+    parser.add_argument(
+        "--people",
+        choices=("held-out", "all"),
+        default="held-out",
+        help="only people whose walks no shipped weights were fitted on, or also the others, apart",
+    )
+    parser.add_argument("--seconds", type=float, default=20.0, metavar="X", help="of each walk for the policies")
+    parser.add_argument("--bundle", action="append", default=[], metavar="DIR", help="stream it with every choice")
+    parser.add_argument("--frames", type=int, default=30, metavar="N", help="frames to stream of each bundle")
+
+
+def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """One line a predictor and horizon, a policy, a scene, and the targets last."""
+    from cags_bench.jsonl import summary
+    from cags_server.predict.walks import read_walks
+
+    held_out, fitted_on = split(read_walks(args.poses))
+    lines: list[dict[str, Any]] = []
+    for people, walks in (("held-out", held_out), ("fitted-on", fitted_on)):
+        if walks and (people == "held-out" or args.people == "all"):
+            for line in (*_precision(args, walks), *_coverage(args, walks), *_table(walks)):
+                lines.append({"people": people, "walks": len(walks), **line})
+                yield lines[-1]
+    if args.bundle:
+        from cags_bench.predict.end_to_end import stream_all
+
+        yield from stream_all(args.bundle, (held_out or fitted_on)[0], args.frames)
+    yield summary("predict", checks(lines))
+
+
+def split(walks: Sequence[Walk]) -> tuple[list[Walk], list[Walk]]:
+    """Walks of people that no shipped weights were fitted on, and the others."""
+    from cags_server.fov.lstm import LstmWeights
+    from cags_server.predict.pooled import PooledWeights
+
+    used: set[str] = set()
+    for provenance in (PooledWeights.load().provenance, LstmWeights.load().provenance):
+        used |= {*provenance.get("data", ()), *provenance.get("validation", ())}
+    people = {walk.person for walk in walks if walk.name in used}
+    return [w for w in walks if w.person not in people], [w for w in walks if w.person in people]
+
+
+def _precision(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict[str, Any]]:
+    from cags_bench.predict.baseline import PooledAr10
+    from cags_bench.predict.precision import measure
+    from cags_common.errors import ConfigError
+    from cags_server.predict import PREDICTORS, create_predictor
+
+    try:
+        horizons = [int(part) * 1000 for part in args.horizons_ms.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"horizons-ms = {args.horizons_ms!r} must be whole numbers, such as 100,200") from error
+    if not horizons or min(horizons) < 0 or max(horizons) > 1_000_000 or args.every_ms < 1:
+        raise ConfigError(f"horizons-ms = {args.horizons_ms} must lie in [0, 1000] and every-ms above 0")
+    predictors = {"pooled-ar10": PooledAr10(), **{name: create_predictor(name) for name in PREDICTORS}}
+    for name, horizon, errors in measure(walks, predictors, horizons, args.every_ms * 1000):
+        yield {"case": "predictor", "predictor": name, "horizon_ms": horizon // 1000, **errors.figures()}
+
+
+def _coverage(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict[str, Any]]:
+    from cags_bench.predict.coverage import fast_against_exact, measure
+    from cags_server.fov import FOV_POLICIES, create_fov_policy
+    from cags_server.predict import create_predictor
+
+    make = {name: (lambda name=name: create_fov_policy(name)) for name in FOV_POLICIES}
+    for name, curve in measure(walks, create_predictor("autoregressive"), make, LEAD_US, args.seconds).items():
+        yield {"case": "fov", "policy": name, "lead_ms": LEAD_US // 1000, **curve.figures(AREAS)}
+    some = walks[:: max(1, len(walks) // 4)]
+    yield {
+        "case": "fov-truth",
+        **fast_against_exact(some, create_predictor("autoregressive"), LEAD_US, 4_000_000),
+    }
+
+
+def _table(walks: Sequence[Walk]) -> Iterator[dict[str, Any]]:
+    """The supplement's precision table: a row a scene."""
+    from cags_bench.predict.coverage import measure as measure_coverage
+    from cags_bench.predict.precision import measure
+    from cags_server.fov import create_fov_policy
+    from cags_server.predict import create_predictor
+    from cags_server.settings import ServerSettings
+
+    defaults = ServerSettings()
+    for scene in sorted({walk.name.rsplit("_user", 1)[0] for walk in walks}):
+        here = [walk for walk in walks if walk.name.startswith(scene)]
+        predictor = create_predictor(defaults.predictor)
+        (_, _, errors), *_ = measure(here, {"default": predictor}, [LEAD_US], 1_000_000)
+        policy = {"default": lambda: create_fov_policy(defaults.fov)}
+        curve = measure_coverage(here, predictor, policy, LEAD_US, 8.0)["default"].figures(AREAS)
+        yield {
+            "case": "table",
+            "dataset": scene,
+            "position_mae_m": float(errors.distances_m.mean()),
+            "angular_mae_deg": float(errors.angles_deg.mean()),
+            "fov_coverage_pct": curve["coverage_pct"],
+            "fov_area": curve["area"],
+        }
+
+
+def checks(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The targets, on held-out people."""
+    from cags_bench.jsonl import check
+
+    mine = [line for line in lines if line.get("people") == "held-out"]
+    found: list[dict[str, Any]] = []
+    at_200 = {line["predictor"]: line for line in mine if line["case"] == "predictor" and line["horizon_ms"] == 200}
+    if "pooled-ar10" in at_200:
+        base = at_200.pop("pooled-ar10")
+        best = min(at_200.values(), key=lambda line: line["angular_mean_deg"])
+        for figure in ("angular_mean_deg", "angular_p95_deg"):
+            target, value = f"below pooled AR(10): {base[figure]:.3f}", best[figure]
+            found.append(check(f"{best['predictor']} {figure} at 200 ms", target, value, value < base[figure]))
+    policies = {line["policy"]: line for line in mine if line["case"] == "fov"}
+    if policies:
+        at_equal_area = {name: line["coverage_at_area_pct"]["1.5"] for name, line in policies.items()}
+        best_policy = max(at_equal_area, key=lambda name: at_equal_area[name])
+        value = at_equal_area[best_policy]
+        found.append(check(f"coverage of {best_policy} at 1.5x area", ">= 98 %", value, value >= 98.0))
+        beats = at_equal_area["lstm"] > max(at_equal_area["fixed"], at_equal_area["quantile"])
+        found.append(check("lstm against fixed and quantile at 1.5x", "lstm highest", at_equal_area, beats))
+    return found
