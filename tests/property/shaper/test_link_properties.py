@@ -1,50 +1,11 @@
 """The link against mahimahi's own loop, written out as its source does it, and conservation of bytes and order."""
 
-from collections import deque
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import OPPORTUNITY_BYTES, trace_of_times
-
-
-class MahimahiQueue:
-    """mahimahi's LinkQueue::rationalize, with a drop-tail queue: one opportunity at a time."""
-
-    def __init__(self, times_ms, queue_bytes=None, queue_packets=None):
-        self.schedule, self.base, self.next = times_ms, 0, 0
-        self.queue_bytes, self.queue_packets = queue_bytes, queue_packets
-        self.waiting, self.transit, self.left = deque(), None, 0
-        self.out = []
-
-    def next_ms(self):
-        return self.schedule[self.next] + self.base
-
-    def rationalize(self, now_ms):
-        while self.next_ms() <= now_ms:
-            time, budget = self.next_ms(), OPPORTUNITY_BYTES
-            self.next = (self.next + 1) % len(self.schedule)
-            if self.next == 0:
-                self.base += self.schedule[-1]
-            while budget > 0:
-                if not self.left:
-                    if not self.waiting:
-                        break
-                    self.transit, self.left = self.waiting.popleft()
-                used = min(budget, self.left)
-                budget, self.left = budget - used, self.left - used
-                if not self.left:
-                    self.out.append((time, self.transit))
-
-    def push(self, now_ms, name, size):
-        self.rationalize(now_ms)
-        full = self.queue_bytes is not None and sum(s for _, s in self.waiting) + size > self.queue_bytes
-        if full or (self.queue_packets is not None and len(self.waiting) + 1 > self.queue_packets):
-            return False
-        self.waiting.append((name, size))
-        return True
-
+from support.mahimahi import MahimahiQueue
 
 TIMES = st.lists(st.integers(0, 60), min_size=1, max_size=30).map(sorted).filter(lambda times: times[-1] > 0)
 ARRIVALS = st.lists(st.tuples(st.integers(0, 30_000), st.integers(1, 1504)), max_size=60)

@@ -69,13 +69,15 @@ LATER: list[tuple[str, m.Message, bytes]] = [
     ),
 ]
 
+TILE = {"type": "tile", "frame": 0, "tile": 0, "from_lod": 0, "to_lod": 1}
+
 REFUSED: list[tuple[str, bytes]] = [
     ("an unknown type", raw({"type": "teleport"})),
     ("another version", raw({"type": "hello", "version": 2, "view": "lightfield"})),
     ("a missing field", raw({"type": "ping"})),
     ("a float for an integer", raw({"type": "ping", "t_us": 5.0})),
     ("a payload where none belongs", raw({"type": "ping", "t_us": 5}, b"x")),
-    ("sizes that do not add up", raw({"type": "tile", "frame": 0, "tile": 0, "from_lod": 0, "to_lod": 1, "sizes": [9], "crcs": [0]}, b"x")),
+    ("sizes that do not add up", raw({**TILE, "sizes": [9], "crcs": [0]}, b"x")),
     ("a crc that does not match", raw({"type": "ping", "t_us": 5})[:-1] + b"\0"),
     ("no crc", msgpack.packb({"type": "ping", "t_us": 5})),
 ]  # fmt: skip
