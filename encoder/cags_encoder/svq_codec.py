@@ -35,7 +35,7 @@ class SvqSplats:
     radii: F32  # [n] standard deviation along the middle axis, metres
     codes: dict[str, U32]  # attribute -> [n] codes of full length
 
-    def take(self, rows: NDArray[Any]) -> SvqSplats:
+    def take(self, rows: NDArray[Any] | slice) -> SvqSplats:
         """The splats at ``rows``."""
         return SvqSplats(self.means[rows], self.radii[rows], {name: codes[rows] for name, codes in self.codes.items()})
 
@@ -77,7 +77,7 @@ class SvqCodec:
     def encode_tile(self, ids: Ids, coded: SvqSplats, *, id_range: bool) -> EncodedTile:
         """Positions and base layers by Draco, then one packed layer a LoD."""
         books = self.quantiser.books
-        grid = self._grid(coded)
+        grid = self.grid(coded)
         base = {name: books[name].layer(codes, 0) for name, codes in coded.codes.items()}
         payloads = [encode_base(ids, coded.means, base, grid, id_range=id_range)]
         for item in self.lod_order:
@@ -87,7 +87,7 @@ class SvqCodec:
         rounded = grid.dequantise(grid.quantise(coded.means))
         return EncodedTile(tuple(payloads), self.decode(replace(coded, means=rounded)))
 
-    def _grid(self, coded: SvqSplats) -> PositionGrid:
+    def grid(self, coded: SvqSplats) -> PositionGrid:
         """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size."""
         if self.position_bits is not None:
             return PositionGrid.over(coded.means, self.position_bits)
