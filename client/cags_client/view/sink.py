@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 
 from cags_client.pipeline import PresentedFrame
 from cags_client.present.base import FrameStats
 from cags_client.view.controls import SceneInfo, ShownFrame
 from cags_client.view.live import LiveView
 from cags_common.bundle.manifest import Manifest
+from cags_common.geometry import F32
 
 GOODPUT_WINDOW_US = 1_000_000
 PLOTTED = ("lod_mean", "latency_ms", "buffer_ms", "prediction_error_deg", "prediction_error_m", "aligned_share")
@@ -46,23 +48,43 @@ class ViewSink:
 
 def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> ShownFrame:
     """The page's view of a presented frame."""
-    pictures = {"restored": presented.rgb, "distorted": presented.distorted}
-    if presented.aligned is not None:
-        pictures["aligned"] = presented.aligned.rgb
-    if presented.reference is not None:
-        pictures["reference"] = presented.reference.rgb
+    pictures: dict[str, Callable[[], F32]] = {
+        "restored": lambda: presented.rgb,
+        "distorted": lambda: presented.distorted,
+    }
+    aligned, reference = presented.aligned, presented.reference
+    if aligned is not None:
+        pictures["aligned"] = lambda: aligned.rgb  # painted when it is looked at, and not before
+    if reference is not None:
+        pictures["reference"] = lambda: reference.rgb
     return ShownFrame(
         frame=presented.frame,
         camera=presented.camera,
-        pictures=pictures,
+        pictures=_Pictures(pictures),
         depth=presented.depth,
-        occluded=None if presented.aligned is None else presented.aligned.occluded,
-        confidence=None if presented.aligned is None else presented.aligned.confidence,
-        reference_camera=None if presented.reference is None else presented.reference.camera,
+        occluded=None if aligned is None else aligned.occluded,
+        confidence=None if aligned is None else aligned.confidence,
+        reference_camera=None if reference is None else reference.camera,
         stages_ms=presented.stages_ms,
         stats=figures,
         missed=presented.missed,
     )
+
+
+class _Pictures(Mapping[str, F32]):
+    """Pictures that are made when they are asked for."""
+
+    def __init__(self, makers: Mapping[str, Callable[[], F32]]) -> None:
+        self._makers = makers
+
+    def __getitem__(self, name: str) -> F32:
+        return self._makers[name]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._makers)
+
+    def __len__(self) -> int:
+        return len(self._makers)
 
 
 def scene_info(manifest: Manifest) -> SceneInfo:
