@@ -21,22 +21,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ErrorBound:
-    """How far a level of exactness may be from the reference, colours of at most 1 (else relative to the brightest)."""
+    """How far a level may be from the reference, as a share of the brightest colour (of 1 where none is brighter)."""
 
-    rms: float
+    usual: float
+    """For 99 % of the pixels."""
     largest: float
+    """For all: at a splat's rim rounding decides whether a last alpha of 1 / 255 is drawn."""
 
 
 BOUNDS = {
-    Exactness.FAST: ErrorBound(rms=2e-3, largest=0.02),
-    Exactness.BALANCED: ErrorBound(rms=3e-4, largest=0.01),
-    Exactness.EXACT: ErrorBound(rms=1e-4, largest=0.004),
+    Exactness.FAST: ErrorBound(usual=6e-3, largest=0.02),
+    Exactness.BALANCED: ErrorBound(usual=1e-3, largest=0.01),
+    Exactness.EXACT: ErrorBound(usual=1e-5, largest=0.004),
 }
-"""The levels' bounds; docs/rasteriser.md tells what each level gives up.
-
-The largest error is that of a pixel at a splat's rim, where rounding decides whether a last alpha of 1 / 255 is drawn; in
-a small picture a few such pixels are also what the root mean square holds.
-"""
+"""The levels' bounds; docs/rasteriser.md tells what each level gives up."""
 
 _EXACTNESS = {Exactness.FAST: 0, Exactness.BALANCED: 1, Exactness.EXACT: 2}
 _DEPTH = {DepthKind.NONE: 0, DepthKind.EXPECTED: 1, DepthKind.MEDIAN: 2}

@@ -32,6 +32,8 @@ def _load() -> tuple[ctypes.CDLL | None, str]:
     if version != ABI_VERSION:
         return None, f"{path} has interface version {version}, this package needs {ABI_VERSION}; reinstall cags-kernels"
     loaded.cags_instruction_set.restype = ctypes.c_char_p
+    loaded.cags_multiply_adds.restype = ctypes.c_double
+    loaded.cags_multiply_adds.argtypes = [ctypes.c_int64]
     return loaded, ""
 
 
@@ -68,3 +70,8 @@ def instruction_set() -> str:
 def use_instruction_set(name: str) -> None:
     """Run another variant from now on (tests, benchmarks). Raises :class:`KernelError` if this processor cannot."""
     check(library().cags_use_instruction_set(name.encode()), f"use_instruction_set({name!r})")
+
+
+def multiply_adds(rounds: int) -> float:
+    """Do ``rounds`` rounds of independent vector multiply-adds; how many they were, lane by lane (benchmarks)."""
+    return float(library().cags_multiply_adds(rounds))

@@ -48,6 +48,9 @@ struct CagsRasterStatistics {
   int64_t visible, entries, block_visits;
 };
 
+// Does independent multiply-adds, for benchmarks; returns how many.
+CAGS_API double cags_multiply_adds(int64_t rounds);
+
 struct CagsRasterScene;
 
 CAGS_API int32_t cags_abi_version();

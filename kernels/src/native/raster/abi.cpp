@@ -1,5 +1,6 @@
 #include "cags_kernels.h"
 #include "raster/frame.h"
+#include "raster/stages.h"
 #include "support/thread_pool.h"
 
 #include <algorithm>
@@ -104,3 +105,5 @@ int32_t cags_raster_back_project(CagsRasterScene* scene, const CagsCamera* camer
   if (!residual) return CAGS_INVALID;
   return run(scene, *camera, *options, {nullptr, nullptr, nullptr, residual}, {4, 3, weighted_residual, weight}, nullptr);
 }
+
+double cags_multiply_adds(int64_t rounds) { return cags::raster::active_stages().multiply_adds(rounds); }

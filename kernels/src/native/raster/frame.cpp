@@ -16,17 +16,6 @@ namespace {
 constexpr int kMinChunk = 2048;   // splats: less is not worth a thread's while
 constexpr int kMaxChunks = 64;    // bounds the counters a tile
 
-const Stages& active_stages() {
-#ifdef CAGS_X86
-  switch (active_instruction_set()) {
-    case InstructionSet::avx512: return stages_avx512;
-    case InstructionSet::avx2: return stages_avx2;
-    default: break;
-  }
-#endif
-  return stages_portable;
-}
-
 // Largest transmittance at which a block is given up, by level.
 float stop_of(int exactness) {
   switch (exactness) {
@@ -48,6 +37,17 @@ class Stopwatch {
 };
 
 }  // namespace
+
+const Stages& active_stages() {
+#ifdef CAGS_X86
+  switch (active_instruction_set()) {
+    case InstructionSet::avx512: return stages_avx512;
+    case InstructionSet::avx2: return stages_avx2;
+    default: break;
+  }
+#endif
+  return stages_portable;
+}
 
 View make_view(const CagsCamera& camera, const CagsRasterOptions& options) {
   View view{};

@@ -14,6 +14,7 @@ struct Stages {
   // Sorts and composites one tile into the targets, or carries the residual back through it.
   void (*composite)(const View&, const FrameData&, const Targets&, TileScratch&, int tile);
   void (*back_project)(const View&, const FrameData&, const Targets&, TileScratch&, int tile);
+  double (*multiply_adds)(int64_t rounds);
   size_t work_bytes;
 };
 
@@ -21,5 +22,7 @@ extern const Stages stages_portable;
 #ifdef CAGS_X86
 extern const Stages stages_avx2, stages_avx512;
 #endif
+
+const Stages& active_stages();  // of the instruction set in use
 
 }  // namespace cags::raster

@@ -1,10 +1,11 @@
 // The hot stages, compiled once for each instruction set; CAGS_STAGES names the variant's table.
 #include "raster/stages.h"
+#include "raster/stages/peak.h"
 #include "raster/stages/project.h"
 #include "raster/stages/tile.h"
 
 namespace cags::raster {
 
-extern const Stages CAGS_STAGES{project, scatter, composite, back_project, sizeof(TileWork)};
+extern const Stages CAGS_STAGES{project, scatter, composite, back_project, multiply_adds, sizeof(TileWork)};
 
 }  // namespace cags::raster

@@ -1,0 +1,1 @@
+"""``cags-bench raster``: speed and exactness of the rasteriser."""

@@ -1,0 +1,81 @@
+"""``cags-bench raster``: speed and exactness of the ``cpu`` backend, beside the prototype, in one interleaved run."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cags_common.errors import ConfigError
+from cags_common.settings import add_settings, check_settings, load_settings, setting
+
+SUMMARY = (
+    "Time the CPU rasteriser in interleaved runs beside the prototype, and measure its error against the reference."
+)
+
+EXAMPLES = """\
+  cags-bench raster --shared ../shared --json
+  cags-bench raster --sizes 400x300 --threads 2 --repetitions 5
+  cags-bench raster --scenes procedural:size=100000 --no-growth
+"""
+
+
+@dataclass(frozen=True)
+class RasterSettings:
+    """What is measured."""
+
+    shared: str = setting("../shared", "folder with scenes/ and prototypes/; what is not there is left out")
+    scenes: str = setting("", "scenes, separated by ';'; empty: three captures of --shared, or a procedural one")
+    sizes: str = setting("400x300,800x600,1600x1200", "image sizes in pixels, WIDTHxHEIGHT, separated by commas")
+    threads: str = setting("1,2", "numbers of threads, separated by commas")
+    repetitions: int = setting(9, "timed frames of each contender and case", low=1, high=1000)
+    warm_up: int = setting(2, "frames before them that are not timed", low=0, high=100)
+    reference: bool = setting(True, "whether to render the float64 reference and report errors (seconds a view)")
+    growth: bool = setting(True, "whether to time 50,000 to 800,000 splats as well")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @property
+    def size_list(self) -> list[tuple[int, int]]:
+        """Image sizes, pixels."""
+        try:
+            pairs = [text.lower().split("x") for text in self.sizes.split(",")]
+            return [(int(width), int(height)) for width, height in pairs]
+        except ValueError as error:
+            raise ConfigError(f"sizes = {self.sizes!r} must be like 400x300,800x600") from error
+
+    @property
+    def thread_list(self) -> list[int]:
+        """Numbers of threads."""
+        try:
+            counts = [int(text) for text in self.threads.split(",")]
+        except ValueError as error:
+            raise ConfigError(f"threads = {self.threads!r} must be like 1,2") from error
+        if min(counts) < 1:
+            raise ConfigError(f"threads = {self.threads!r} must be at least 1 each")
+        return counts
+
+    @property
+    def scene_list(self) -> list[str]:
+        """Scene names that open_scene reads."""
+        if self.scenes:
+            return self.scenes.split(";")
+        folder = Path(self.shared) / "scenes"
+        captures = ("plant/plant.splat", "statues/st-peter.sog", "playbot/1_0")
+        found = [str(folder / name) for name in captures if (folder / name).exists()]
+        return found or ["procedural:size=150000"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's flags."""
+    add_settings(parser, RasterSettings)
+
+
+def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """One line a case, then growth, then the machine's limit, then the summary."""
+    from cags_bench.raster.cases import measure
+
+    return measure(load_settings(RasterSettings, arguments))
