@@ -289,7 +289,8 @@ def _draco_decode(data: bytes, count: int, attributes: int) -> tuple[F32, Iterab
         raise DecodeError(f"tile: Draco cannot decode it ({error})") from error
     columns = {a["unique_id"]: a["data"] for a in cloud.attributes if a["attribute_type"] != 0}
     shapes = [getattr(columns.get(i), "shape", None) for i in range(attributes)]
-    if cloud.points.shape != (count, 3) or shapes != [(count, 1)] * attributes:
+    # Damaged data may give a cloud without points, whose ``points`` is None.
+    if getattr(cloud.points, "shape", None) != (count, 3) or shapes != [(count, 1)] * attributes:
         raise DecodeError("tile: Draco data lacks an attribute or holds one of another shape")
     return cloud.points, (columns[i][:, 0].astype(np.uint32) for i in range(attributes))
 

@@ -1,0 +1,85 @@
+"""Payloads come back; damaged ones raise the one error, and never anything else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cags_common.errors import DecodeError
+from cags_common.packing import decode_ids, encode_ids, pack_bits, packed_bytes, unpack_bits
+from cags_common.tiles import PositionGrid, decode_base, decode_layer, encode_base, encode_layer
+from support.codec_scenes import books, cloud
+
+BOOKS = books((4, 2))
+QUICK = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+def some_payload() -> bytes:
+    means = cloud(60).means
+    codes = {name: np.arange(60, dtype=np.uint32) % 16 for name in BOOKS.attributes}
+    return encode_base(np.arange(0, 120, 2, dtype=np.int32), means, codes, PositionGrid.over(means, 12), id_range=False)
+
+
+PAYLOAD = some_payload()
+LAYER = encode_layer(np.arange(60, dtype=np.uint32) % 4, 2)
+
+
+@given(st.integers(1, 32), st.data())
+@QUICK
+def test_packed_codes_come_back(bits: int, data: st.DataObject) -> None:
+    codes = np.array(data.draw(st.lists(st.integers(0, 2**bits - 1), max_size=40)), np.uint32)
+    packed = pack_bits(codes, bits)
+    assert len(packed) == packed_bytes(len(codes), bits)
+    assert np.array_equal(unpack_bits(packed, len(codes), bits), codes)
+
+
+@given(st.sets(st.integers(0, 2**24), max_size=60))
+@QUICK
+def test_id_lists_come_back(ids: set[int]) -> None:
+    given_ids = np.array(sorted(ids), np.int32)
+    assert np.array_equal(decode_ids(encode_ids(given_ids)), given_ids)
+
+
+@given(st.lists(st.tuples(*[st.floats(-1e6, 1e6, width=32)] * 3), min_size=1, max_size=30), st.integers(1, 22))
+@QUICK
+def test_positions_come_back_within_half_a_step(points: list[tuple[float, float, float]], bits: int) -> None:
+    means = np.array(points, np.float32)
+    grid = PositionGrid.over(means, bits)
+    codes = {name: np.zeros(len(means), np.uint32) for name in BOOKS.attributes}
+    tile = decode_base(encode_base(np.arange(len(means), dtype=np.int32), means, codes, grid, id_range=True), BOOKS)
+    rounding = np.spacing(np.abs(means).max()) * 2
+    assert np.abs(tile.means.astype(np.float64) - means).max() <= grid.step * 0.5000001 + rounding
+
+
+def damaged(data: bytes, draw: st.DataObject) -> bytes:
+    out = bytearray(data)
+    for _ in range(draw.draw(st.integers(1, 4))):
+        out[draw.draw(st.integers(0, len(out) - 1))] = draw.draw(st.integers(0, 255))
+    return bytes(out[: draw.draw(st.integers(0, len(out)))] if draw.draw(st.booleans()) else out)
+
+
+def check_damage(draw: st.DataObject) -> None:
+    for decode, data in (
+        (lambda bad: decode_base(bad, BOOKS), PAYLOAD),
+        (lambda bad: decode_layer(bad, 60, 2), LAYER),
+        (decode_ids, encode_ids(np.arange(0, 900, 7, dtype=np.int32))),
+    ):
+        try:
+            decode(damaged(data, draw))
+        except DecodeError:
+            continue
+
+
+@given(st.data())
+@settings(max_examples=700, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_damaged_payloads_raise_decode_errors_only(draw: st.DataObject) -> None:
+    check_damage(draw)
+
+
+@pytest.mark.nightly
+@given(st.data())
+@settings(max_examples=35_000, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_damaged_payloads_raise_decode_errors_only_nightly(draw: st.DataObject) -> None:
+    check_damage(draw)
