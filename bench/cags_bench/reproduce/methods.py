@@ -55,7 +55,7 @@ METHODS: dict[str, Method] = {
     "reference-only": Method(
         "remote rendering",
         "no splats at all: the server's picture for the predicted pose at the client's resolution, shown as it is",
-        server={"abr": "none", "send_tiles": False},
+        server={"abr": "none", "opening_tiles": False},
         client={"restore": "reference", "align": "unaligned", "adapt": "none"},
     ),
     "no-prpa": Method(

@@ -91,3 +91,21 @@ def test_page_and_data_hold_the_section(tmp_path):
     lines = [json.loads(line) for line in (tmp_path / "fixed.jsonl").read_text().splitlines()]
     assert [line["PSNR [dB]"] for line in lines] == [31.25, None]
     assert len((tmp_path / "fixed.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_methods_are_configurations_that_the_program_accepts(name):
+    from cags_client import align, restore
+    from cags_client.settings import ClientSettings
+    from cags_encoder import EncodeSettings
+    from cags_server.abr import create_rate_policy
+    from cags_server.fov import create_fov_policy
+    from cags_server.settings import ServerSettings
+
+    method = METHODS[name]
+    server, client = ServerSettings(**method.server), ClientSettings(**method.client)
+    EncodeSettings(**method.encode)
+    align.create(client.align)
+    restore.create(client.restore)
+    create_rate_policy(server.abr)
+    create_fov_policy(server.fov, server.fov_margin)
