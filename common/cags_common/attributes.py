@@ -94,11 +94,13 @@ def _quaternions(values: Mapping[str, F32]) -> F32:
     if "rotation" not in values:
         return unit_quaternions(np.concatenate([values["rotation_real"], values["rotation_imag"]], axis=1))
     rodrigues = values["rotation"]
-    square = np.einsum("ij,ij->i", rodrigues, rodrigues)[:, None]
-    quats = np.concatenate([1 - square, 2 * rodrigues], axis=1) / (1 + square)
+    square = np.einsum("ij,ij->i", rodrigues, rodrigues)
     # Refinement may carry parameters a little beyond length 1, which is a turn of more than 180 degrees.
-    canonical: F32 = np.where(quats[:, :1] < 0, -quats, quats)
-    return canonical
+    shrink = np.where(square > 1, np.float32(-1), np.float32(1)) / (1 + square)
+    quats = np.empty((len(square), 4), np.float32)
+    np.multiply(1 - square, shrink, out=quats[:, 0])
+    np.multiply(rodrigues, (2 * shrink)[:, None], out=quats[:, 1:])
+    return quats
 
 
 def unit_quaternions(quats: F32) -> F32:
