@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +18,9 @@ from cags_common.tiles import DRACO_LEVEL, MAX_POSITION_BITS, MAX_TILE_SPLATS, P
 
 _HEAD = struct.Struct("<4sBBHII4f")
 """Codec, id range or list, position bits, reserved, splats, first id or bytes of the id list, grid origin and step."""
+
+MAX_REACH = 1e30
+"""Largest coordinate, world units; sums of such still fit float32."""
 
 _DRACO_HEADER = struct.Struct("<5sBBBBHI")  # magic, version (2), geometry type, method, flags, points
 
@@ -50,8 +52,8 @@ def decode_head(payload: bytes | memoryview, kind: bytes) -> TileHead:
         raise DecodeError(f"tile: is of codec {found!r}, expected {kind!r}")
     if id_range > 1 or not 1 <= count <= MAX_TILE_SPLATS or not 1 <= bits <= MAX_POSITION_BITS:
         raise DecodeError(f"tile: claims {count} splats with {bits} position bits; beyond bounds")
-    if not all(map(math.isfinite, (ox, oy, oz, step))) or step < 0:
-        raise DecodeError("tile: its position grid is not finite")
+    if not all(abs(c) <= MAX_REACH for c in (ox, oy, oz)) or not 0 <= step * 2**bits <= MAX_REACH:
+        raise DecodeError(f"tile: its position grid reaches beyond {MAX_REACH:g}")
     listed = 0 if id_range else field
     if (id_range and field > MAX_SPLATS - count) or listed > len(payload) - _HEAD.size:
         raise DecodeError(f"tile: its ids reach beyond {MAX_SPLATS} or its end")
