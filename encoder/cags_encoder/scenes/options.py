@@ -43,7 +43,10 @@ def parse_options(cls: type[S], spec: str, options: dict[str, str]) -> S:
         if key not in names:
             raise ConfigError(f"scene {spec!r}: unknown option {key!r}; known: {', '.join(names)}")
         values[key] = _convert(spec, key, text, hints[key])
-    return cls(**values)
+    try:
+        return cls(**values)
+    except ConfigError as error:
+        raise ConfigError(f"scene {spec!r}: {error}") from error
 
 
 def _convert(spec: str, key: str, text: str, hint: Any) -> Any:

@@ -29,7 +29,7 @@ def test_splitting(spec: str, head: str, options: dict[str, str]) -> None:
 @pytest.mark.parametrize(
     ("spec", "words"),
     [
-        ("procedural:size=10", "size = 10 must lie in"),
+        ("procedural:size=10", "scene 'procedural:size=10': size = 10 must lie in"),
         ("procedural:size=many", "size = 'many' must be of type int"),
         ("procedural:sise=600", "unknown option 'sise'; known: size, frames, seed, fps, degree"),
         ("procedural:size=600,size=700", "'size' is given twice"),
