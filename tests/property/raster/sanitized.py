@@ -46,7 +46,7 @@ def main() -> int:
             "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",  # the interpreter itself leaks
             "UBSAN_OPTIONS": "print_stacktrace=1:halt_on_error=1",
         }
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *(sys.argv[1:] or TESTS)]
+        command = [sys.executable, "-m", "pytest", "-q", "-s", "-p", "no:cacheprovider", *(sys.argv[1:] or TESTS)]
         return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
 
 

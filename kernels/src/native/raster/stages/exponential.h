@@ -28,14 +28,14 @@ inline Floats exp2(Floats x) {
     p = p * f + 0.69314718f;
     p = p * f + 1.0f;
   }
-  return Floats(Ints(p) + (Ints(shifted) << 23));
+  return Floats(Words(p) + (Words(shifted) << 23));
 }
 
 // log2 of a positive normal number, to float32 rounding: atanh's series about a mantissa in [sqrt(1/2), sqrt(2)).
 inline Floats log2(Floats x) {
   const Ints half_root = Ints{} + 0x3f3504f3;
   const Ints exponent = (Ints(x) - half_root) >> 23;
-  const Floats mantissa = Floats(Ints(x) - (exponent << 23));
+  const Floats mantissa = Floats(Words(x) - (Words(exponent) << 23));
   const Floats t = (mantissa - 1.0f) / (mantissa + 1.0f), t2 = t * t;
   Floats p = all(1.0f / 9) * t2 + 1.0f / 7;
   p = p * t2 + 1.0f / 5;

@@ -20,6 +20,7 @@ constexpr int kWidth = 4;
 #endif
 
 typedef float Floats __attribute__((vector_size(kWidth * sizeof(float))));
+typedef uint32_t Words __attribute__((vector_size(kWidth * sizeof(uint32_t))));  // wrap around, where Ints may not
 typedef int32_t Ints __attribute__((vector_size(kWidth * sizeof(int32_t))));
 typedef double Doubles __attribute__((vector_size(kWidth * sizeof(double))));
 
