@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from cags_common.errors import ProtocolError
 from cags_protocol import ServerSession
 from cags_protocol import events as ev
+from cags_protocol.inventory import unpack_inventory
 from cags_protocol.messages import Buffer, Hello
 from cags_protocol.server import ServerSessionSettings
 from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
@@ -122,10 +124,20 @@ class Connection:
         if refusal is not None:
             self.session.refuse(*refusal, now_us=now_us)
             return
-        self.streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, now_us=now_us)
+        resumed = hello.resume.startswith(f"{self._library.digest}-")
+        try:
+            inventory = unpack_inventory(hello.inventory) if resumed else ()
+        except ProtocolError as error:
+            self.session.refuse("malformed", "inventory", str(error), now_us=now_us)
+            return
+        streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, now_us=now_us)
+        streamer.resume(inventory)
+        self.streamer = streamer
         self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
-        self.session.accept(self.streamer.welcome(self.name), now_us=now_us)
-        self._queue(self.streamer.opening(now_us), now_us)
+        # Any server of this bundle can take a session over: its name says of which bundle the client holds tiles.
+        session = f"{self._library.digest}-{self.name}"
+        self.session.accept(streamer.welcome(session, resumed=resumed), now_us=now_us)
+        self._queue(streamer.opening(now_us), now_us)
 
     def _queue(self, outgoing: Iterable[ev.Outgoing], now_us: int) -> None:
         for each in outgoing:

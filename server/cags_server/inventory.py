@@ -41,6 +41,10 @@ class ClientInventory:
         held.travelling &= ~_bits(message)
         held.delivered |= _bits(message)
 
+    def hold(self, frame: int, tile: int, lods: int) -> None:
+        """The client holds LoDs 0 .. ``lods`` - 1 of a tile."""
+        self._tiles.setdefault((frame, tile), _Held()).delivered |= (1 << lods) - 1
+
     def dropped(self, message: TileLayers) -> None:
         """Layers will not arrive."""
         held = self._tiles.get((message.frame, message.tile))

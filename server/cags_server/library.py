@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -35,6 +36,8 @@ class SceneLibrary:
         self.scenes = SourceScenes(reader, rasteriser)
         self._owners: OrderedDict[tuple[int, int], NDArray[np.int32]] = OrderedDict()  # by (group, frame)
         self._lock = threading.Lock()
+        self.digest = hashlib.sha256(reader.manifest.to_json()).hexdigest()[:12]
+        """Names the bundle: what a client holds of one is worth nothing for another."""
 
     @property
     def manifest(self) -> Manifest:

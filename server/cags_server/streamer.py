@@ -7,12 +7,14 @@ Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from cags_common.geometry import Camera, Pose
 from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Encoder
 from cags_protocol import events as ev
 from cags_protocol.blobs import blob_chunks
-from cags_protocol.messages import Control, FrameEnd, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.messages import Control, FrameEnd, HeldTile, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, TileView, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.clock import ClientClock
@@ -93,15 +95,16 @@ class Streamer:
         self._reference_seq = 0
         self._idr_seq = 0
         self._needs_idr = True
+        self._from_nothing = False
         self._unsettled: list[FrameRecord] = []
         self._started_us = now_us
 
     # ------------------------------------------------------------------------------------------------------- joining
 
-    def welcome(self, session: str) -> Welcome:
+    def welcome(self, session: str, *, resumed: bool = False) -> Welcome:
         """The answer to the client's Hello."""
         manifest = self._library.manifest
-        return Welcome(session=session, fps=manifest.fps, frames=manifest.frames, info=manifest.public_json())
+        return Welcome(session, manifest.fps, manifest.frames, resumed, manifest.public_json())
 
     def opening(self, now_us: int) -> list[ev.Outgoing]:
         """What every client gets first: codebooks, then the base layers of the start frame, the ones in view first."""
@@ -109,15 +112,22 @@ class Streamer:
             ev.Outgoing(blob, chunk, BLOB_PRIORITY)
             for blob, chunk in blob_chunks("codebooks", self._library.reader.codebooks())
         ]
-        frame = self._timeline.frame
-        camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
-        in_view, hidden = opening_tiles(self._library, frame, camera)
-        if not self._settings.opening_tiles:
-            in_view, hidden = [], []
-        out += [self._tile(key, (0, 1), BASE_PRIORITY) for key in in_view]
+        return self._counted(out + self._beginning(self._timeline.frame, self._hello.pose))
+
+    def resume(self, inventory: Iterable[HeldTile]) -> None:
+        """The client still holds these tiles from an earlier session: they are not sent again."""
+        for held in inventory:
+            if held.lods:
+                self._inventory.hold(held.frame, held.tile, held.lods)
+
+    def _beginning(self, frame: int, pose: Pose) -> list[ev.Outgoing]:
+        """A picture from nothing, whatever the budget: base layers in view, the frame's end, the other base layers."""
+        camera = Camera(self._hello.intrinsics, pose, self._hello.near)
+        in_view, hidden = opening_tiles(self._library, frame, camera) if self._settings.opening_tiles else ([], [])
+        lacking = [[key for key in keys if not self._inventory.holds(*key, 0)] for keys in (in_view, hidden)]
+        out = [self._tile(key, (0, 1), BASE_PRIORITY) for key in lacking[0]]
         out += self._frame_ends(frame)
-        out += [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in hidden]
-        return self._counted(out)
+        return out + [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in lacking[1]]
 
     # -------------------------------------------------------------------------------------------------------- events
 
@@ -167,8 +177,7 @@ class Streamer:
         self._generation += 1
         self._next_tick = 0
         if control.action == "seek":  # the client has forgotten everything
-            self._inventory.clear()
-            self._ended = None
+            self._start_anew()
             self._needs_idr = True
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
@@ -276,6 +285,9 @@ class Streamer:
             record.reference_bytes = len(render.access_unit)
         else:
             self._needs_idr = True
+        if self._from_nothing:
+            self._from_nothing = False
+            out += self._beginning(plan.frame, plan.predicted.pose)
         decision = self._decide(render.visible, record, now_us)
         deadline_us = self._clock.to_server(plan.display_us) + int(self._settings.tile_deadline_ms * 1000)
         base = [u for u in decision.upgrades if u.from_lod == 0]
@@ -312,12 +324,17 @@ class Streamer:
             return
         left, entered = self._library.manifest.gof_of(self._ended), self._library.manifest.gof_of(frame)
         if frame < self._ended:
-            self._inventory.clear()
-            self._ended = None
+            self._start_anew()
         elif left != entered:
             frames = self._library.manifest.gof_frames(left)
             self._inventory.keep(frames[0], frames[-1])
             self._ended = None
+
+    def _start_anew(self) -> None:
+        """The client holds nothing any more."""
+        self._inventory.clear()
+        self._ended = None
+        self._from_nothing = True
 
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps = self._estimator.estimate_bps(now_us)

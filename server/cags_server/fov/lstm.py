@@ -15,6 +15,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -60,10 +61,10 @@ class LstmWeights:
     def load(path: Path = SHIPPED) -> LstmWeights:
         """Read what :meth:`save` wrote. Raises :class:`ConfigError` for anything else."""
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 arrays = {name: file[name].astype(np.float32) for name in _NAMES}
                 provenance = json.loads(file["provenance"].tobytes())
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, BadZipFile) as error:
             raise ConfigError(f"{path}: cannot be read as LSTM weights ({error})") from error
         hidden = arrays["w_hidden"].shape[-1]
         shapes = ((4 * hidden, INPUTS), (4 * hidden, hidden), (4 * hidden,), (2, hidden), (2,), (INPUTS,), (INPUTS,))

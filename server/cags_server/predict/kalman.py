@@ -28,7 +28,7 @@ from cags_server.predict.tangent import POSITION, ROTATION, distribution
 WINDOW_US = 500_000
 """Samples older than this no longer matter."""
 
-MIN_SPACING_US = 10_000
+MIN_SPACING_US = 20_000
 """Faster input is thinned to this spacing."""
 
 INNOVATION_MEMORY = 20.0

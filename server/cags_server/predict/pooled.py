@@ -12,6 +12,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -89,10 +90,10 @@ class PooledWeights:
         try:
             if path.stat().st_size > MAX_WEIGHTS_BYTES:
                 raise ConfigError(f"{path}: larger than {MAX_WEIGHTS_BYTES} bytes; these are not predictor weights")
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 provenance = json.loads(file["provenance"].tobytes())
                 matrices = {order: file[f"order_{order}"].astype(np.float64) for order in ORDERS}
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, BadZipFile) as error:
             raise ConfigError(f"{path}: cannot be read as predictor weights ({error})") from error
         for order, matrix in matrices.items():
             if matrix.shape != (len(HORIZON_STEPS), 6 * order, 6) or not np.isfinite(matrix).all():

@@ -3,7 +3,8 @@
 from cags_common.geometry import Pose
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, FrameEnd, PoseSample
+from cags_protocol.inventory import pack_inventory
+from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample
 from cags_server.connection import Connection
 from support.server_scene import SETTINGS, hello, library
 
@@ -13,11 +14,11 @@ STEP_US = 5_000
 class Pair:
     """A connection and a client, exchanging everything every 5 ms of virtual time."""
 
-    def __init__(self, **options: object) -> None:
+    def __init__(self, resume: str = "", inventory: bytes = b"", **options: object) -> None:
         self.now_us = 0
         self.connection = Connection(library(), SETTINGS, name="s1", now_us=0, **options)
         self.client = ClientSession(now_us=0)
-        self.client.hello(hello(), now_us=0)
+        self.client.hello(hello(resume=resume, inventory=inventory), now_us=0)
         self.events: list[ev.ClientEvent] = []
 
     def step(self) -> None:
@@ -110,3 +111,28 @@ def test_a_lost_connection_ends_the_session() -> None:
     pair.connection.connection_lost("reset by peer", pair.now_us)
     assert pair.connection.closed
     assert pair.connection.ending.code == "lost"
+
+
+def test_a_client_that_comes_back_is_not_sent_what_it_holds() -> None:
+    pair = Pair()
+    pair.run(100)
+    name = pair.of(ev.Welcomed)[0].welcome.session
+    again = Pair(resume=name, inventory=pack_inventory([HeldTile(0, tile, 2) for tile in range(3)]))
+    again.run(100)
+    assert again.of(ev.Welcomed)[0].welcome.resumed
+    assert {t.message.tile for t in again.of(ev.TileReceived)} == {3}
+    assert again.of(ev.FrameEnded)[0].message == FrameEnd(0)
+
+
+def test_what_is_held_of_another_bundle_is_ignored() -> None:
+    pair = Pair(resume="0123456789ab-s1", inventory=b"whatever")
+    pair.run(100)
+    assert not pair.of(ev.Welcomed)[0].welcome.resumed
+    assert {t.message.tile for t in pair.of(ev.TileReceived)} == {0, 1, 2, 3}
+
+
+def test_a_damaged_inventory_is_refused() -> None:
+    name = f"{library().digest}-s9"
+    pair = Pair(resume=name, inventory=b"\xff\xff\xff")
+    pair.run(100)
+    assert pair.of(ev.Refused)[0].refusal.field == "inventory"

@@ -309,3 +309,13 @@ def test_a_reference_only_stream_sends_no_tile() -> None:
     assert of(TileLayers, sent) == []
     assert len(of(ReferenceFrame, sent)) == 4
     assert [e.frame for e in of(FrameEnd, sent)] == [0, 1, 2, 3]
+
+
+def test_after_a_seek_base_layers_come_whatever_the_budget() -> None:
+    rig = Rig(initial_bps=65_000)
+    rig.play()
+    rig.step()
+    rig.control("seek", 7, 400_000)
+    first, second = rig.step(), rig.step()
+    assert {t.tile for t in of(TileLayers, first) if t.frame == 6} == {0, 1, 2, 3}
+    assert not [t for t in of(TileLayers, second) if t.frame == 6 and t.from_lod == 0]

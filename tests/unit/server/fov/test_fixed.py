@@ -4,7 +4,7 @@ import pytest
 
 from cags_common.errors import ConfigError
 from cags_common.geometry import Intrinsics, Pose
-from cags_server.fov import MAX_REFERENCE_FOV_RAD, FovObservation, create_fov_policy, widened
+from cags_server.fov import MAX_REFERENCE_FOV_RAD, FovObservation, FovOptions, create_fov_policy, widened
 from cags_server.predict import PoseDistribution
 
 CLIENT = Intrinsics.of_fov(1600, 1200, 1.48, 1.20)
@@ -34,11 +34,11 @@ def test_a_client_off_centre_is_covered_on_its_wide_side() -> None:
 
 
 def test_fixed_is_fixed() -> None:
-    policy = create_fov_policy("fixed", 0.15)
+    policy = create_fov_policy("fixed", FovOptions(margin=0.15))
     distribution = PoseDistribution(Pose.identity(), (0.3,) * 3, (0.3,) * 3)
     assert policy.scale(FovObservation(3, distribution, CLIENT, Pose.identity())) == (0.15, 0.15)
 
 
 def test_an_unknown_policy_is_named() -> None:
     with pytest.raises(ConfigError, match="'wide' is unknown"):
-        create_fov_policy("wide", 0.1)
+        create_fov_policy("wide")
