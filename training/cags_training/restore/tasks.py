@@ -38,6 +38,10 @@ NETWORKS: Mapping[str, tuple[Callable[[], nn.Module], Task]] = {
 """Network and task by name."""
 
 
+ERROR_FLOOR = 1e-6
+"""Squared error (60 dB) under which pictures count as equal: small, for nothing may be lost at the top of the ladder."""
+
+
 def loss(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
     """Mean over patches of the logarithm of the squared error: a decibel counts the same at every LoD.
 
@@ -48,7 +52,7 @@ def loss(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
     shown = shown + 0.05 * (restored - shown)
     weight = (0.1 + 0.9 * covered)[..., None]
     squared = ((shown - truth) ** 2 * weight).mean(dim=(1, 2, 3)) / weight.mean(dim=(1, 2, 3))
-    return torch.log(squared + 1e-5).mean()
+    return torch.log(squared + ERROR_FLOOR).mean()
 
 
 def covered_psnr(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:

@@ -43,8 +43,12 @@ def half_features(inputs: RestoreInput) -> F32:
 
 def _evidence(inputs: RestoreInput) -> F32:
     """What the reference shows minus what the client's splats show there, [H, W, 3] of the reference."""
-    own = average_down(inputs) if inputs.own is None else np.clip(inputs.own.rgb, 0.0, 1.0)
-    return np.asarray(inputs.reference.rgb - own, dtype=np.float32)
+    aligned, reference = inputs.aligned, inputs.reference.rgb
+    if inputs.own is None:
+        own = average_down(inputs.distorted, aligned.x, aligned.y, aligned.confidence, reference)
+    else:
+        own = np.clip(inputs.own.rgb, 0.0, 1.0)
+    return np.asarray(reference - own, dtype=np.float32)
 
 
 def filled(aligned: F32, confidence: F32, distorted: F32) -> F32:

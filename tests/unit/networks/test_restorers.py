@@ -1,0 +1,166 @@
+"""Restorers that run networks: what they show, where they keep silent, and that every runtime says the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cags_client import align
+from cags_client.align import AlignSettings, ReferencePicture
+from cags_client.restore import RestoreInput
+from cags_client.restore.networks import NETWORKS, Weights, create, from_weights, network_of, runtimes
+from cags_client.restore.networks.inputs import CHANNELS, filled, half_features, padded, reach
+from cags_client.restore.networks.lite import Lite
+from cags_client.restore.networks.srresnet import Sees, SrResNet
+from cags_common.errors import ConfigError
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.raster.base import RenderedView
+
+
+def scene(height=48, width=64, seed=0, error=0.1):
+    """A smooth picture, its distorted copy (too dark by ``error``), and a reference of a quarter the size."""
+    rng = np.random.default_rng(seed)
+    h, w = max(1, height // 4), max(1, width // 4)
+    truth = np.full((height, width, 3), 0.5, np.float32) + rng.uniform(-0.02, 0.02, (height, width, 3)).astype("f")
+    small = np.full((h, w, 3), 0.5, np.float32)
+    client, other = (Camera(Intrinsics.of_fov(*size, 1.0, 1.0), Pose.identity()) for size in ((width, height), (w, h)))
+    reference = ReferencePicture(small, other, 0)
+    settings = AlignSettings(border_px=0.0)
+    aligned = align.create("fast", settings).align(reference, np.ones((height, width), np.float32), client)
+    own = RenderedView(small - np.float32(error), np.ones((h, w), np.float32), None, None)
+    alpha = np.ones((height, width), np.float32)
+    return RestoreInput(truth - np.float32(error), alpha, aligned, reference, own), truth
+
+
+def weights_of(network, name):
+    return Weights(name, {k: p.detach().numpy() for k, p in network.named_parameters()}, {})
+
+
+def lite_untrained():
+    return from_weights(weights_of(Lite(), "lite"))
+
+
+def silent(inputs):
+    return replace(inputs, aligned=replace(inputs.aligned, confidence=np.zeros_like(inputs.aligned.confidence)))
+
+
+def test_features_are_the_picture_the_evidence_and_the_confidence():
+    inputs, _ = scene()
+    features = half_features(inputs)
+    assert features.shape == (24, 32, CHANNELS)
+    np.testing.assert_allclose(features[..., 3:6], 0.1, atol=1e-6)
+    np.testing.assert_allclose(features[..., 6], 1.0)
+
+
+def test_features_without_own_splats_compare_with_the_picture_itself():
+    inputs, _ = scene()
+    np.testing.assert_allclose(half_features(replace(inputs, own=None))[..., 3:6], 0.1, atol=0.03)
+
+
+def test_untrained_lite_puts_a_wrong_brightness_right():
+    inputs, truth = scene()
+    assert np.abs(lite_untrained().restore(inputs) - truth).max() < 1e-5
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (3, 2), (31, 17), (48, 64), (50, 66)])
+def test_any_size(size):
+    inputs, _ = scene(*size)
+    for restorer in (lite_untrained(), from_weights(weights_of(SrResNet(), "srresnet"))):
+        shown = restorer.restore(inputs)
+        assert shown.shape == (*size, 3)
+        assert shown.dtype == np.float32
+        assert np.isfinite(shown).all()
+        assert shown.min() >= 0
+        assert shown.max() <= 1
+
+
+@pytest.mark.parametrize("name", ["lite", "srresnet"])
+def test_without_a_say_of_the_reference_the_distorted_picture_stays_bit_for_bit(name):
+    inputs, _ = scene()
+    network = {"lite": Lite, "srresnet": SrResNet}[name]()
+    restorer = from_weights(weights_of(network, name))
+    np.testing.assert_array_equal(restorer.restore(silent(inputs)), inputs.distorted)
+
+
+def test_inputs_are_not_changed():
+    inputs, _ = scene()
+    before = [a.copy() for a in (inputs.distorted, inputs.aligned.rgb, inputs.reference.rgb)]
+    lite_untrained().restore(inputs)
+    for a, b in zip(before, (inputs.distorted, inputs.aligned.rgb, inputs.reference.rgb), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_one_input_variants_look_at_one_input():
+    inputs, _ = scene()
+    other = replace(inputs, distorted=inputs.distorted[::-1] * np.float32(0.5))
+    reference_only = from_weights(weights_of(SrResNet(Sees.REFERENCE), "sr-align-ref"))
+    np.testing.assert_array_equal(reference_only.restore(inputs), reference_only.restore(other))
+    distorted_only = from_weights(weights_of(SrResNet(Sees.DISTORTED), "cr-no-ref"))
+    np.testing.assert_array_equal(distorted_only.restore(inputs), inputs.distorted)
+
+
+@pytest.mark.parametrize("name", ["openvino", "onnxruntime"])
+@pytest.mark.parametrize("network", [Lite, SrResNet])
+def test_every_runtime_says_the_same(name, network):
+    pytest.importorskip(name, reason=f"needs {name}: pip install cags-stream[runtimes]")
+    torch = pytest.importorskip("torch")
+    torch.manual_seed(1)
+    made = network()
+    torch.nn.init.normal_(made.tail.weight, std=0.1)
+    rng = np.random.default_rng(2)
+    channels, count = (CHANNELS, 1) if network is Lite else (3, 2)
+    for shape in ((24, 32), (16, 8)):
+        images = [rng.uniform(size=(*shape, channels)).astype(np.float32) for _ in range(count)]
+        expected = runtimes.create("torch", made).run(*images)
+        np.testing.assert_allclose(runtimes.create(name, made, threads=1).run(*images), expected, atol=1e-3)
+
+
+def test_unknown_names_are_refused_with_the_known_ones():
+    with pytest.raises(ConfigError, match="lite, srresnet"):
+        create("deep")
+    with pytest.raises(ConfigError, match="torch, cuda, openvino"):
+        from_weights(weights_of(Lite(), "lite"), "abacus")
+
+
+def test_cuda_without_a_device_says_so():
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device")
+    with pytest.raises(ConfigError, match="CUDA device"):
+        from_weights(weights_of(Lite(), "lite"), "cuda")
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_shipped_weights_fit_their_network(name):
+    try:
+        weights = Weights.shipped(name)
+    except ConfigError:
+        pytest.skip(f"no weights of {name} are shipped")
+    network_of(weights)
+    assert weights.about["command"].startswith("cags-train restore")
+
+
+def test_padding_repeats_edges_or_adds_zeros():
+    image = np.arange(6, dtype=np.float32).reshape(2, 3)
+    assert padded(image).shape == (8, 8)
+    assert padded(image)[7, 7] == 5
+    assert padded(image, zero=True)[7, 7] == 0
+    whole = np.zeros((8, 16, 3), np.float32)
+    assert padded(whole) is whole
+
+
+def test_filled_keeps_what_alignment_found():
+    aligned = np.zeros((2, 2, 3), np.float32)
+    aligned[0, 0], aligned[0, 1] = 0.3, 0.4
+    confidence = np.float32([[1, 0], [1, 0]])  # (0, 1) was filled by erosion, (1, 0) is truly black
+    out = filled(aligned, confidence, np.full((2, 2, 3), 0.9, np.float32))
+    np.testing.assert_allclose(out[..., 0], [[0.3, 0.4], [0, 0.9]], rtol=1e-6)
+
+
+def test_reach_is_one_inside_and_zero_far_outside():
+    confidence = np.zeros((64, 96), np.float32)
+    confidence[:, :32] = 1
+    out = reach(confidence)
+    assert out.shape == confidence.shape
+    assert out[:, :32].min() > 0.99
+    assert out[:, 60:].max() == 0
