@@ -1,8 +1,8 @@
 """A player that the viewer steers: pause, play, seek, speed, loop, and a camera that moves while the clip stands still.
 
 The state of play is one anchor: frame ``f`` is displayed at client time ``t``. Every wish makes a new anchor and tells
-the server. A seek empties the stores, so it waits until no decoding and no drawing is under way, and the display then
-waits for the first whole frame.
+the server. A seek empties the stores, so it waits until no decoding and no drawing is under way. The server is asked to
+hold the frame; when that has come whole, the clip goes on from it. So nothing is skipped, however slow the link is.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 from cags_client.pipeline import PresentedFrame
 from cags_client.player import Decode, DecodeResult, Player, Present, Traffic
 from cags_common.geometry import Pose
+from cags_protocol import events as ev
 from cags_protocol.messages import Control
 
 SEEK_PATIENCE_US = 2_000_000
@@ -95,7 +96,7 @@ class InteractivePlayer(Player):
                 return None
             self._seek_now(self._wanted_frame, now_us)
         if self._awaited is not None and now_us >= self._awaited[1]:
-            self._awaited = None
+            self._go_on(now_us)
         if self._awaited is None:
             return super().next_action(now_us)
         if self._decodes and not self._decoding and self.pipeline is not None:
@@ -107,8 +108,9 @@ class InteractivePlayer(Player):
         if isinstance(action, Decode):
             super().done(action, result, now_us)
             assert isinstance(result, DecodeResult)
-            if self._awaited and result.whole >= self._awaited[0]:
-                self._awaited = None
+            ended = {event.message.frame for event in action.events if isinstance(event, ev.FrameEnded)}
+            if self._awaited is not None and self._awaited[0] in ended:  # later ones may have been on their way before
+                self._go_on(now_us)
             return
         assert isinstance(result, PresentedFrame)
         self._presenting = False
@@ -150,8 +152,18 @@ class InteractivePlayer(Player):
         self._decodes.clear()
         self.pipeline.reset(frame)
         self.frame = frame
-        self._tell("seek", frame, now_us + self.settings.start_delay_ms * 1000, now_us)
+        self._tell("seek", frame, now_us, now_us)
+        if self.playing:
+            self._session.control(Control("pause", frame, now_us, self.rate), now_us=now_us)
         self._awaited = (frame, now_us + SEEK_PATIENCE_US)
+
+    def _go_on(self, now_us: int) -> None:
+        """The frame that was sought is there."""
+        self._awaited = self._shown_pose = None
+        if self.playing:
+            self._tell("play", self.frame, now_us + self.settings.start_delay_ms * 1000, now_us)
+        else:
+            self._due_us = now_us
 
     def _frame_due_us(self, frame: int) -> int:
         assert self.info is not None
