@@ -1,7 +1,7 @@
 """Image buffers that are used again once nobody holds them.
 
-A fresh large array costs a page fault for every 4 KiB, milliseconds for a frame of 1600x1200. A :class:`Lease` owns a block
-of memory while any array or view made of it lives; when the last one is gone the block goes back to its pool.
+A fresh large array costs a page fault for every 4 KiB, milliseconds for a frame of 1600x1200. A :class:`Lease` owns a
+block of memory while any array or view made of it lives; when the last one is gone the block goes back to its pool.
 """
 
 from __future__ import annotations

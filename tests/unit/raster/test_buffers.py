@@ -1,0 +1,55 @@
+"""Image memory is used again only when nobody can see it any more."""
+
+from __future__ import annotations
+
+import gc
+
+import numpy as np
+
+from cags_kernels.buffers import BufferPool
+
+
+def address(array: np.ndarray) -> int:
+    return array.__array_interface__["data"][0]
+
+
+def test_a_block_comes_back_when_its_last_view_is_gone():
+    pool = BufferPool()
+    first = pool.empty((4, 5))
+    where, view = address(first), first[1:, ::2].T
+    del first
+    gc.collect()
+    assert address(pool.empty((4, 5))) != where  # the view still shows it
+    del view
+    gc.collect()
+    assert address(pool.empty((2, 10))) == where
+
+
+def test_torch_tensors_hold_on_to_their_block():
+    import torch
+
+    pool = BufferPool()
+    array = pool.empty((8,))
+    array[:] = 3
+    tensor = torch.from_numpy(array)
+    del array
+    gc.collect()
+    pool.empty((8,))[:] = 4
+    assert tensor.tolist() == [3.0] * 8
+
+
+def test_arrays_are_writable_contiguous_float32_of_the_shape_asked():
+    array = BufferPool().empty((3, 0, 2))
+    assert array.shape == (3, 0, 2)
+    full = BufferPool().empty((3, 2))
+    assert full.dtype == np.float32
+    assert full.flags.c_contiguous
+    assert full.flags.writeable
+
+
+def test_few_blocks_wait():
+    pool = BufferPool()
+    arrays = [pool.empty((100,)) for _ in range(40)]
+    del arrays
+    gc.collect()
+    assert len(pool._waiting) <= 12
