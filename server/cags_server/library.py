@@ -15,6 +15,9 @@ from cags_common.geometry import F32
 from cags_common.raster.base import Rasteriser
 from cags_server.scenes import SourceScenes
 
+LOOK_AHEAD, LONGEST_STAY = 8, 60
+"""Frames looked ahead for what the media will replace, and the longest stay that detail is credited with."""
+
 OWNER_FRAMES = 64
 """Frames whose owner tables stay in memory."""
 
@@ -26,6 +29,10 @@ class VisibleTile:
     frame: int
     tile: int
     count: int
+    weight: float
+    """Pixels of the reference that its splats make up."""
+    frames_left: float
+    """Frames until the media replaces those splats, about."""
 
 
 class SceneLibrary:
@@ -79,11 +86,27 @@ class SceneLibrary:
 
     def visible_tiles(self, frame: int, contribution: F32, least: float) -> tuple[VisibleTile, ...]:
         """Tiles that own a splat whose ``contribution`` [capacity] exceeds ``least``, most visible first."""
-        owners = self.owners(frame)[contribution > least]
-        counts = np.bincount(owners[owners >= 0])
-        numbers = np.flatnonzero(counts)
-        tiles = [VisibleTile(*self.tile_of(frame, int(n)), int(counts[n])) for n in numbers]
+        seen = contribution > least
+        owners = self.owners(frame)
+        seen &= owners >= 0
+        numbers, where = np.unique(owners[seen], return_inverse=True)
+        weights = np.bincount(where, weights=contribution[seen], minlength=len(numbers))
+        counts = np.bincount(where, minlength=len(numbers))
+        left = np.bincount(where, weights=self._frames_left(frame, owners)[seen], minlength=len(numbers)) / counts
+        rows = zip(numbers.tolist(), counts.tolist(), weights.tolist(), left.tolist(), strict=True)
+        tiles = [VisibleTile(*self.tile_of(frame, number), *rest) for number, *rest in rows]
         return tuple(sorted(tiles, key=lambda t: (-t.count, t.frame, t.tile)))
+
+    def _frames_left(self, frame: int, owners: NDArray[np.int32]) -> NDArray[np.float64]:
+        """[capacity] frames until each splat is replaced, from its owner ``LOOK_AHEAD`` frames later.
+
+        A splat that stays that long is taken to stay to the end of its group (at most ``LONGEST_STAY``), one that does
+        not, to go halfway.
+        """
+        last = self.manifest.gof_frames(self.manifest.gof_of(frame))[-1]
+        ahead = min(frame + LOOK_AHEAD, last)
+        stays = self.owners(ahead) == owners
+        return np.where(stays, float(min(last - frame + 1, LONGEST_STAY)), 1.0 + (ahead - frame) / 2.0)
 
     def tile_of(self, frame: int, number: int) -> tuple[int, int]:
         """(media frame, tile) of a tile number within the group of ``frame``."""

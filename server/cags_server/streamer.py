@@ -92,6 +92,7 @@ class Streamer:
         self._job_running = False
         self._pace = Pace()
         self._outstanding_bytes = 0
+        self._travelling: dict[int, int] = {}  # tiles queued and not settled: identity -> when, oldest first
         self._reference_seq = 0
         self._idr_seq = 0
         self._needs_idr = True
@@ -112,7 +113,7 @@ class Streamer:
             ev.Outgoing(blob, chunk, BLOB_PRIORITY)
             for blob, chunk in blob_chunks("codebooks", self._library.reader.codebooks())
         ]
-        return self._counted(out + self._beginning(self._timeline.frame, self._hello.pose))
+        return self._counted(out + self._beginning(self._timeline.frame, self._hello.pose), now_us)
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles from an earlier session: they are not sent again."""
@@ -182,6 +183,7 @@ class Streamer:
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
         self._outstanding_bytes -= len(outgoing.payload)
+        self._travelling.pop(id(outgoing), None)
         message = outgoing.message
         if isinstance(message, TileLayers):
             (self._inventory.delivered if delivered else self._inventory.dropped)(message)
@@ -299,7 +301,7 @@ class Streamer:
             first = max(upgrade.from_lod, 1)
             for run in self._missing_runs(upgrade.frame, upgrade.tile, first, upgrade.to_lod):
                 out.append(self._tile((upgrade.frame, upgrade.tile), run, ENHANCEMENT_PRIORITY, deadline_us))
-        return self._counted(out)
+        return self._counted(out, now_us)
 
     def _record(self, plan: FramePlan) -> FrameRecord:
         record = FrameRecord(
@@ -350,6 +352,7 @@ class Streamer:
                 tiles=tuple(self._view(tile) for tile in visible),
                 lod_gains_db=self._library.manifest.lod_gains_db,
                 message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
+                waiting_us=now_us - next(iter(self._travelling.values()), now_us),
             )
         )
         record.tile_bytes = decision.bytes
@@ -363,7 +366,16 @@ class Streamer:
         missing = tuple(
             0 if lod > depth and holds(tile.frame, tile.tile, lod) else size for lod, size in enumerate(sizes)
         )
-        return TileView(tile.frame, tile.tile, depth, tile.count, missing)
+        return TileView(
+            tile.frame,
+            tile.tile,
+            depth,
+            tile.count,
+            missing,
+            weight=tile.weight,
+            frames_left=tile.frames_left,
+            replaces=not self._library.entry(tile.frame).keyframe,
+        )
 
     def _missing_runs(self, frame: int, tile: int, first: int, end: int) -> list[tuple[int, int]]:
         """[first, end) without the layers that the client holds already, as half-open runs."""
@@ -409,11 +421,12 @@ class Streamer:
         reader = self._library.reader
         return [ev.Outgoing(FrameEnd(at), reader.removed_payload(at), BASE_PRIORITY) for at in range(first, frame + 1)]
 
-    def _counted(self, outgoing: list[ev.Outgoing]) -> list[ev.Outgoing]:
+    def _counted(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
         for each in outgoing:
             size = len(each.payload)
             self._outstanding_bytes += size
             if isinstance(each.message, TileLayers):
+                self._travelling[id(each)] = now_us
                 self.stats.bytes_tiles += size
             elif isinstance(each.message, ReferenceFrame):
                 self.stats.bytes_reference += size

@@ -6,10 +6,17 @@ from collections.abc import Callable
 
 from cags_common.errors import ConfigError
 from cags_server.abr.base import Decision, Observation, RatePolicy, TileView, Upgrade
+from cags_server.abr.buffer import BufferPolicy
 from cags_server.abr.none import NoTilesPolicy
 from cags_server.abr.paper import PaperPolicy
+from cags_server.abr.utility import UtilityPolicy
 
-RATE_POLICIES: dict[str, Callable[[], RatePolicy]] = {"paper": PaperPolicy, "none": NoTilesPolicy}
+RATE_POLICIES: dict[str, Callable[[], RatePolicy]] = {
+    "paper": PaperPolicy,
+    "utility": UtilityPolicy,
+    "buffer": BufferPolicy,
+    "none": NoTilesPolicy,
+}
 """Every policy by name."""
 
 

@@ -19,6 +19,12 @@ class TileView:
     depth: int
     visible: int
     lod_bytes: tuple[int, ...]
+    weight: float = 1.0
+    """Share of the picture that its visible splats make up (any common scale)."""
+    frames_left: float = 1.0
+    """Frames for which those splats will be seen before the media replaces them, about."""
+    replaces: bool = False
+    """Whether its splats replace older ones, which are shown until it comes."""
 
     @property
     def max_depth(self) -> int:
@@ -35,6 +41,7 @@ class Observation:
     tiles: tuple[TileView, ...]
     lod_gains_db: tuple[float, ...]  # measured quality gain of each LoD; [0] is the base layer's
     message_overhead_bytes: int  # wire cost of one more message
+    waiting_us: int = 0  # how long the oldest undelivered tile has been on its way
 
 
 @dataclass(frozen=True, slots=True)
