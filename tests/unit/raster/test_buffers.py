@@ -19,7 +19,8 @@ def test_a_block_comes_back_when_its_last_view_is_gone():
     where, view = address(first), first[1:, ::2].T
     del first
     gc.collect()
-    assert address(pool.empty((4, 5))) != where  # the view still shows it
+    other = pool.empty((4, 5))
+    assert address(other) != where  # the view still shows it
     del view
     gc.collect()
     assert address(pool.empty((2, 10))) == where
