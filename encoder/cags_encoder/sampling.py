@@ -10,7 +10,7 @@ from cags_common.errors import SceneError
 from cags_common.splats import Splats
 from cags_encoder.scenes import FrameSource
 
-LOOKS = 60
+LOOKS = 240
 """Frames looked at, evenly over the clip."""
 
 FIRST_SHARE = 0.5
