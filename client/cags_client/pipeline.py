@@ -119,12 +119,13 @@ class ClientPipeline:
             view = scene.render(camera, self._options())
         distorted = np.clip(view.rgb, 0.0, 1.0)
         reference = None if store.full else self._references.nearest(frame, self.settings.reference_age)
-        aligned, shown = None, distorted
+        aligned, shown, seen = None, distorted, None
         if reference is not None and view.depth is not None:
             with watch("align"):
                 aligned = _faded(self._aligner.align(reference, view.depth, camera), self._freshness(reference, frame))
             with watch("own"):
                 own = scene.render(reference.camera, self._reference_options(reference))
+                seen = own.contribution
             with watch("restore"):
                 shown = self._restored(RestoreInput(distorted, view.alpha, aligned, reference, own))
         return PresentedFrame(
@@ -136,7 +137,7 @@ class ClientPipeline:
             depth=_depth(view),
             alpha=view.alpha,
             reference=reference,
-            lod_mean=store.lod_mean(camera),
+            lod_mean=store.lod_mean(camera, seen),
             missed=committed.missed,
             stages_ms=watch.stages_ms,
         )
@@ -154,7 +155,7 @@ class ClientPipeline:
     def _reference_options(self, reference: ReferencePicture) -> RenderOptions:
         """How the server draws references, so that the client's splats can be compared with them."""
         footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
-        return replace(self._options(), footprint=footprint)
+        return replace(self._options(), footprint=footprint, contribution=True)
 
     def _freshness(self, reference: ReferencePicture, frame: int) -> float:
         """1 for the reference of this very frame, falling to 0 past the oldest that is allowed."""

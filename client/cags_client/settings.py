@@ -18,9 +18,11 @@ class ClientSettings:
     fov: float = setting(60.0, "horizontal field of view in degrees", low=1, high=170)
     raster: str = setting("auto", "rasteriser: auto, reference, cpu or cuda")
     exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
-    align: str = setting("auto", "aligner: auto, reference, fast or cpu")
+    align: str = setting("auto", "aligner: auto, cpu, fast, reference or unaligned")
     erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
-    restore: str = setting("affine", "restorer; auto picks the dearest that fits the frame time")
+    restore: str = setting(
+        "affine", "restorer: none, reference, affine, lite, srresnet (a network's may be lite@RUNTIME)"
+    )
     adapt: str = setting("none", "colour adaptation of the splats themselves", choices=("none", "sirt"))
     threads: int = setting(2, "threads of a render", low=1, high=256)
     reference_age: int = setting(

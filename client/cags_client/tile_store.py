@@ -246,8 +246,14 @@ class GofStore:
 
     # ---------------------------------------------------------------------------------------------------------- figures
 
-    def lod_mean(self, camera: Camera) -> float:
-        """Mean LoD of the shown splats in view, by tiles whose bounding sphere meets the view; NaN where none is."""
+    def lod_mean(self, camera: Camera, contribution: F32 | None = None) -> float:
+        """Mean LoD of the shown splats in view; NaN where none is.
+
+        Weighted by ``contribution`` [capacity], each splat's share in the picture, where that is known; else by tiles
+        whose bounding sphere meets the view.
+        """
+        if contribution is not None:
+            return self._lod_seen(contribution)
         with self._lock:
             shown = [h for h in self._tiles.values() if h is not None and h.owned and h.shown_lod >= 0]
         if not shown:
@@ -257,6 +263,14 @@ class GofStore:
         weights = np.array([h.owned for h in shown], np.float64) * _in_view(centres, radii, camera)
         lods = np.array([h.shown_lod for h in shown], np.float64)
         return float((weights * lods).sum() / weights.sum()) if weights.any() else float("nan")
+
+    def _lod_seen(self, contribution: F32) -> float:
+        held = self._owner >= 0
+        weights = np.bincount(self._owner[held], weights=contribution[held], minlength=len(self._by_index))
+        if not weights.sum() > 0:
+            return float("nan")
+        lods = np.array([tile.shown_lod for tile in self._by_index], np.float64)[: len(weights)]
+        return float((weights[: len(lods)] * lods).sum() / weights.sum())
 
     @property
     def splats_held(self) -> int:

@@ -16,6 +16,7 @@ F32: TypeAlias = NDArray[np.float32]
 F64: TypeAlias = NDArray[np.float64]
 
 _Pointer, _int32, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
+_NOISES = ("gain_prior", "noise", "luma_noise", "chroma_noise", "leak_noise", "broad_noise")
 
 
 class _Reprojection(ctypes.Structure):
@@ -49,7 +50,7 @@ class _CorrectInput(ctypes.Structure):
         ("own", _Pointer),
         ("reference", _Pointer),
         ("radius_cells", _int32),
-        *((name, _float) for name in ("gain_prior", "noise", "detail_noise")),
+        *((name, _float) for name in _NOISES),
         ("distorted", _Pointer),
         ("confidence", _Pointer),
         ("threads", _int32),
@@ -87,7 +88,10 @@ class CorrectParameters:
     radius_cells: int
     gain_prior: float
     noise: float
-    detail_noise: float
+    luma_noise: float
+    chroma_noise: float
+    leak_noise: float
+    broad_noise: float
     threads: int
 
 
@@ -138,7 +142,8 @@ def correct(
     depth, p = _checked(view.depth, (height, width)), parameters
     given = _CorrectInput(
         _reprojection(view, depth, reference),
-        *(_address(own), _address(reference), p.radius_cells, p.gain_prior, p.noise, p.detail_noise),
+        *(_address(own), _address(reference), p.radius_cells),
+        *(getattr(p, name) for name in _NOISES),
         *(_address(distorted), _address(confidence), p.threads),
     )
     restored = _buffers.empty((height, width, 3))

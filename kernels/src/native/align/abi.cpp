@@ -18,6 +18,8 @@ namespace {
 constexpr int kMaxSide = 16384;  // pixels
 constexpr int kMaxRadius = 64;
 constexpr int kRowsAPiece = 16;
+constexpr int kEvidenceRows = 4;                     // every fourth row is looked at
+constexpr double kUsualFine[3] = {0.35, 0.6, 0.6}, kUsualBroad = 1.5;  // see cags_client.restore.affine
 
 const Stages& stages() {
   switch (active_instruction_set()) {
@@ -161,6 +163,17 @@ class Alignment {
   ScratchLease scratch_;
 };
 
+// In one thread, so that the sums do not depend on their number.
+Evidence weigh(const CagsCorrectInput& in, const float* sums) {
+  Evidence evidence{};
+  for (int row = 0; row < in.view.reference_height; row += kEvidenceRows) stages().weigh(in, row, sums, evidence);
+  return evidence;
+}
+
+float trust_of(double power, double noise, double usual) {
+  return static_cast<float>(std::clamp(2.0 * (power / std::max(noise, 1e-12) / usual - 1.0), 0.0, 1.0));
+}
+
 void correct(const CagsCorrectInput& in, float* restored) {
   ScratchLease scratch;
   const int w = in.view.reference_width, h = in.view.reference_height, threads = std::min(in.threads, kMaxThreads);
@@ -170,7 +183,13 @@ void correct(const CagsCorrectInput& in, float* restored) {
   const size_t stride = size_t(w + 2) * kFieldLanes;
   const Padded fields{scratch->fields.reserve(stride * (h + 2)), w, h};
   for_rows(threads, h, [&](int row, int worker) { stages().moments(in, row, lines + line * worker, sums); });
-  for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, fields); });
+  const Evidence evidence = weigh(in, sums);
+  float trust[6];
+  for (int c = 0; c < 3; c++) {
+    trust[c] = trust_of(evidence.fine[c], evidence.noise[c], kUsualFine[c]);
+    trust[3 + c] = trust_of(evidence.broad[c], evidence.noise[c] * in.broad_noise, kUsualBroad);
+  }
+  for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, trust, fields); });
   std::copy_n(fields.data + stride, stride, fields.data);
   std::copy_n(fields.data + stride * h, stride, fields.data + stride * (h + 1));
   for_rows(threads, in.view.height, [&](int row, int) { stages().correct(in, fields, row, restored); });

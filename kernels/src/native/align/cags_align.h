@@ -29,7 +29,7 @@ struct CagsCorrectInput {
   const float* own;        // [reference_height, reference_width, 3]: the client's splats seen from the reference
   const float* reference;  // the same size
   int32_t radius_cells;
-  float gain_prior, noise, detail_noise;
+  float gain_prior, noise, luma_noise, chroma_noise, leak_noise, broad_noise;
   const float* distorted;   // [height, width, 3]
   const float* confidence;  // [height, width]
   int32_t threads;

@@ -14,7 +14,7 @@ struct Padded {
 };
 
 constexpr int kColourLanes = 4;  // r, g, b, unused
-constexpr int kFieldLanes = 8;   // factors r, g, b, unused, offsets r, g, b, unused
+constexpr int kFieldLanes = 4;   // factor, offsets r, g, b
 constexpr int kMomentLanes = 16;
 
 // Depth bits above, pixel index below: the minimum is the nearest pixel and, of equally near ones, the first.
@@ -27,6 +27,11 @@ struct Occlusion {
   const float* nearest_depth;  // [cells]: the depth of `nearest`, +inf where nobody is
 };
 
+// Sums over a picture, luma and the two chromas.
+struct Evidence {
+  double fine[3], broad[3], noise[3];
+};
+
 struct Stages {
   // One row: the nearest pixel of each cell that it touches.
   void (*nearest)(const CagsAlignInput&, int row, Nearest* cells);
@@ -37,8 +42,10 @@ struct Stages {
   void (*clean)(const CagsAlignInput&, const CagsAlignOutput&, const uint8_t* shared, int row, uint8_t* clean);
   // One row of the reference: horizontal sums of the moments that the local fit needs.
   void (*moments)(const CagsCorrectInput&, int row, float* line, float* sums);
-  // One row of the reference: factor and offset of the correction from vertical sums of the moments.
-  void (*fit)(const CagsCorrectInput&, int row, const float* sums, const Padded& fields);
+  // One row of the reference: adds its power of difference and its noise, by component, to `evidence`.
+  void (*weigh)(const CagsCorrectInput&, int row, const float* sums, Evidence& evidence);
+  // One row of the reference: factor and offset of the correction; `trust` [6] scales luma and chromas, fine and broad.
+  void (*fit)(const CagsCorrectInput&, int row, const float* sums, const float* trust, const Padded& fields);
   // One row of the client's picture: distorted + confidence (factor distorted + offset), clipped.
   void (*correct)(const CagsCorrectInput&, const Padded& fields, int row, float* restored);
 };

@@ -28,19 +28,12 @@ struct Taps {
 inline const Four& four(const float* at) { return *reinterpret_cast<const Four*>(at); }
 inline const Eight& eight(const float* at) { return *reinterpret_cast<const Eight*>(at); }
 
-inline Four bilinear_colour(const Padded& image, float x, float y) {
-  const Taps t(image, x, y, kColourLanes);
+// Pictures of four lanes.
+inline Four bilinear(const Padded& image, float x, float y) {
+  const Taps t(image, x, y, 4);
   const Eight top = eight(t.first), bottom = eight(t.first + t.stride);  // two neighbours lie side by side
   const Eight both = top + (bottom - top) * t.ay;
   const Four left = __builtin_shufflevector(both, both, 0, 1, 2, 3), right = __builtin_shufflevector(both, both, 4, 5, 6, 7);
-  return left + (right - left) * t.ax;
-}
-
-inline Eight bilinear_field(const Padded& image, float x, float y) {
-  const Taps t(image, x, y, kFieldLanes);
-  const Eight left = eight(t.first) + (eight(t.first + t.stride) - eight(t.first)) * t.ay;
-  const float* second = t.first + kFieldLanes;
-  const Eight right = eight(second) + (eight(second + t.stride) - eight(second)) * t.ay;
   return left + (right - left) * t.ax;
 }
 

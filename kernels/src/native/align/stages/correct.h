@@ -6,22 +6,33 @@
 namespace cags::align {
 namespace {
 
-// Lanes of a moment: own r g b, reference r g b, own^2 r g b, own reference r g b, mean squared difference.
-constexpr int kOwn = 0, kReference = 3, kOwnSquared = 6, kProduct = 9, kDifference = 12;
+// Lanes of a moment, in luma and chromas: own, reference, own squared, product of the lumas, squared difference.
+constexpr int kOwn = 0, kReference = 3, kOwnSquared = 6, kProduct = 9, kDifference = 10;
 
 inline float clipped(float value) { return std::min(std::max(value, 0.0f), 1.0f); }
 
+// BT.709 luma and chromas of display-referred RGB, and back.
+inline void to_ycc(const float* rgb, float* ycc) {
+  ycc[0] = 0.2126f * rgb[0] + 0.7152f * rgb[1] + 0.0722f * rgb[2];
+  ycc[1] = -0.114572f * rgb[0] - 0.385428f * rgb[1] + 0.5f * rgb[2];
+  ycc[2] = 0.5f * rgb[0] - 0.454153f * rgb[1] - 0.045847f * rgb[2];
+}
+inline void to_rgb(const float* ycc, float* rgb) {
+  rgb[0] = ycc[0] + 1.5748f * ycc[2];
+  rgb[1] = ycc[0] - 0.1873243f * ycc[1] - 0.4681243f * ycc[2];
+  rgb[2] = ycc[0] + 1.8556f * ycc[1];
+}
+
 inline void moment_of(const float* own, const float* reference, float* out) {
-  float difference = 0.0f;
+  const float rgb[3] = {clipped(own[0]), clipped(own[1]), clipped(own[2])};
+  to_ycc(rgb, out + kOwn);
+  to_ycc(reference, out + kReference);
+  out[kProduct] = out[kOwn] * out[kReference];
   for (int c = 0; c < 3; c++) {
-    const float o = clipped(own[c]), r = reference[c];
-    out[kOwn + c] = o;
-    out[kReference + c] = r;
+    const float o = out[kOwn + c], difference = out[kReference + c] - o;
     out[kOwnSquared + c] = o * o;
-    out[kProduct + c] = o * r;
-    difference += (r - o) * (r - o);
+    out[kDifference + c] = difference * difference;
   }
-  out[kDifference] = difference / 3.0f;
   out[13] = out[14] = out[15] = 0.0f;
 }
 
@@ -47,52 +58,77 @@ void moments(const CagsCorrectInput& in, int row, float* line, float* sums) {
   }
 }
 
+// Means of the moments over the window around one pixel.
+inline void window_means(const CagsCorrectInput& in, const float* sums, int row, int column, float* m) {
+  const int w = in.view.reference_width, h = in.view.reference_height, r = in.radius_cells;
+  const float share = 1.0f / static_cast<float>((2 * r + 1) * (2 * r + 1));
+  Eight low = {}, high = {};
+  for (int j = -r; j <= r; j++) {
+    const float* at = sums + (int64_t{reflected(row + j, h)} * w + column) * kMomentLanes;
+    low += eight(at);
+    high += eight(at + 8);
+  }
+  low *= share;
+  high *= share;
+  std::memcpy(m, &low, sizeof low);
+  std::memcpy(m + 8, &high, sizeof high);
+}
+
+inline void noise_of(const CagsCorrectInput& in, const float* m, float* variance, float* noise) {
+  for (int c = 0; c < 3; c++) variance[c] = std::max(m[kOwnSquared + c] - m[kOwn + c] * m[kOwn + c], 0.0f);
+  noise[0] = in.noise + in.luma_noise * variance[0] + in.leak_noise * (variance[1] + variance[2]);
+  noise[1] = in.noise + in.chroma_noise * variance[1];
+  noise[2] = in.noise + in.chroma_noise * variance[2];
+}
+
+void weigh(const CagsCorrectInput& in, int row, const float* sums, Evidence& evidence) {
+  constexpr float kVoid = 1e-7f;
+  for (int i = 0; i < in.view.reference_width; i++) {
+    float m[kMomentLanes], variance[3], noise[3];
+    window_means(in, sums, row, i, m);
+    noise_of(in, m, variance, noise);
+    if (m[kDifference] + variance[0] <= kVoid) continue;
+    for (int c = 0; c < 3; c++) {
+      const float broad = m[kReference + c] - m[kOwn + c];
+      evidence.fine[c] += m[kDifference + c] - broad * broad;
+      evidence.broad[c] += broad * broad;
+      evidence.noise[c] += noise[c];
+    }
+  }
+}
+
 // Weight of a signal whose measured power holds the noise too.
 inline float wiener(float power, float noise) { return clipped(1.0f - noise / std::max(power, 1e-12f)); }
 
-inline void fit_pixel(const CagsCorrectInput& in, const float* m, const float* own, const float* reference, float* field) {
-  float broad[3], gain[3], variance_mean = 0.0f, broad_power = 0.0f;
+inline void fit_pixel(const CagsCorrectInput& in, const float* m, const float* trust, const float* own, const float* reference,
+                      float* field) {
+  float variance[3], noise[3], o[3], r[3], correction[3], offset[3];
+  noise_of(in, m, variance, noise);
+  const float rgb[3] = {clipped(own[0]), clipped(own[1]), clipped(own[2])};
+  to_ycc(rgb, o);
+  to_ycc(reference, r);
   for (int c = 0; c < 3; c++) {
-    const float o = m[kOwn + c], r = m[kReference + c];
-    const float variance = std::max(m[kOwnSquared + c] - o * o, 0.0f);
-    const float covariance = m[kProduct + c] - o * r;
-    gain[c] = clipped((covariance + in.gain_prior) / (variance + in.gain_prior));
-    broad[c] = r - o;
-    variance_mean += variance / 3.0f;
-    broad_power += broad[c] * broad[c] / 3.0f;
+    const float broad = m[kReference + c] - m[kOwn + c], power = m[kDifference + c];
+    const float fine = r[c] - o[c] - broad;
+    correction[c] = trust[3 + c] * wiener(broad * broad, noise[c] * in.broad_noise) * broad +
+                    trust[c] * wiener(power - broad * broad, noise[c]) * fine;
   }
-  const float power = m[kDifference], noise = in.noise + in.detail_noise * variance_mean;
-  const float weight = wiener(power, noise);
-  const float weight_broad = wiener(broad_power, noise / static_cast<float>(2 * in.radius_cells + 1));
-  const float weight_fine = wiener(power - broad_power, noise);
-  for (int c = 0; c < 3; c++) {
-    const float o = clipped(own[c]);
-    const float correction = weight_broad * broad[c] + weight_fine * (reference[c] - o - broad[c]);
-    const float factor = (gain[c] - 1.0f) * weight;
-    field[c] = factor;
-    field[4 + c] = correction - factor * o;
-  }
-  field[3] = field[7] = 0.0f;
+  to_rgb(correction, offset);
+  const float covariance = m[kProduct] - m[kOwn] * m[kReference];
+  const float gain = clipped((covariance + in.gain_prior) / (variance[0] + in.gain_prior));
+  const float factor = (gain - 1.0f) * wiener(m[kDifference], noise[0]) * trust[0];
+  field[0] = factor;
+  for (int c = 0; c < 3; c++) field[1 + c] = offset[c] - factor * rgb[c];
 }
 
-void fit(const CagsCorrectInput& in, int row, const float* sums, const Padded& fields) {
-  const int w = in.view.reference_width, h = in.view.reference_height, r = in.radius_cells;
-  const float share = 1.0f / static_cast<float>((2 * r + 1) * (2 * r + 1));
+void fit(const CagsCorrectInput& in, int row, const float* sums, const float* trust, const Padded& fields) {
+  const int w = in.view.reference_width;
   float* field = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
   for (int i = 0; i < w; i++) {
-    Eight low = {}, high = {};
-    for (int j = -r; j <= r; j++) {
-      const float* at = sums + (int64_t{reflected(row + j, h)} * w + i) * kMomentLanes;
-      low += eight(at);
-      high += eight(at + 8);
-    }
-    low *= share;
-    high *= share;
     float m[kMomentLanes];
-    std::memcpy(m, &low, sizeof low);
-    std::memcpy(m + 8, &high, sizeof high);
+    window_means(in, sums, row, i, m);
     const int64_t pixel = (int64_t{row} * w + i) * 3;
-    fit_pixel(in, m, in.own + pixel, in.reference + pixel, field + i * kFieldLanes);
+    fit_pixel(in, m, trust, in.own + pixel, in.reference + pixel, field + i * kFieldLanes);
   }
   std::memcpy(field - kFieldLanes, field, kFieldLanes * sizeof(float));
   std::memcpy(field + w * kFieldLanes, field + (w - 1) * kFieldLanes, kFieldLanes * sizeof(float));
@@ -101,12 +137,12 @@ void fit(const CagsCorrectInput& in, int row, const float* sums, const Padded& f
 inline void correct_run(const Projected& p, int count, const Padded& fields, const float* confidence, const float* distorted,
                         float* restored) {
   for (int i = 0; i < count; i++) {
-    Eight field = {};
-    if (confidence[i] > 0) field = bilinear_field(fields, p.x[i], p.y[i]) * confidence[i];
-    const Four factor = __builtin_shufflevector(field, field, 0, 1, 2, 3), offset = __builtin_shufflevector(field, field, 4, 5, 6, 7);
+    Four field = {};
+    if (confidence[i] > 0) field = bilinear(fields, p.x[i], p.y[i]) * confidence[i];
+    const Four offset = __builtin_shufflevector(field, field, 1, 2, 3, 0);
     const float* d = distorted + 3 * i;
     const Four colour = {d[0], d[1], d[2], 0.0f};
-    Four shown = colour + (colour * factor + offset);
+    Four shown = colour + (colour * field[0] + offset);
     const Four zero = {}, one = {1.0f, 1.0f, 1.0f, 1.0f};
     shown = shown < zero ? zero : shown;
     shown = shown > one ? one : shown;

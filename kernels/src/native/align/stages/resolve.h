@@ -49,7 +49,7 @@ inline bool hidden(const CagsAlignInput& in, int row, int column, float behind, 
 inline void sample_run(const Projected& p, int count, const Padded& reference, float* rgb) {
   for (int i = 0; i < count; i++) {
     Four colour = {};
-    if (p.inside[i]) colour = bilinear_colour(reference, p.x[i], p.y[i]);
+    if (p.inside[i]) colour = bilinear(reference, p.x[i], p.y[i]);
     // The fourth float is the next pixel's, which is written next; the last of a run must not touch it.
     std::memcpy(rgb + 3 * i, &colour, i + 1 < count ? sizeof colour : 3 * sizeof(float));
   }

@@ -5,6 +5,6 @@
 
 namespace cags::align {
 
-extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, fit, correct};
+extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, weigh, fit, correct};
 
 }  // namespace cags::align

@@ -1,0 +1,155 @@
+"""Restorers: what they must never do, and what the closed form must reach."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+import cags_kernels
+from cags_client import restore
+from cags_client.align import Aligned, ReferencePicture, create
+from cags_client.restore import RESTORERS, RestoreInput
+from cags_client.restore.affine import AffineRestorer, AffineSettings, average_down
+from cags_common.errors import ConfigError
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.metrics import MAX_PSNR_DB, psnr
+from cags_common.raster.base import RenderedView
+
+LARGE = Intrinsics.of_fov(160, 120, 1.0, 0.8)
+SMALL = Intrinsics.of_fov(40, 30, 1.0, 0.8)
+CAMERA = Camera(LARGE, Pose.identity())
+RNG = np.random.default_rng(3)
+
+
+def smooth(height: int, width: int, sigma: float, seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).random((height, width, 3)).astype(np.float32)
+    picture = cv2.GaussianBlur(noise, (0, 0), sigma)
+    return (picture - picture.min()) / (picture.max() - picture.min())
+
+
+def down(picture: np.ndarray) -> np.ndarray:
+    return cv2.resize(picture, (40, 30), interpolation=cv2.INTER_AREA)
+
+
+def inputs(truth: np.ndarray, distorted: np.ndarray, *, aligned: Aligned | None = None) -> RestoreInput:
+    """The same view from the same pose, on a flat wall."""
+    reference = ReferencePicture(down(truth), Camera(SMALL, Pose.identity()), 0)
+    depth = np.full((120, 160), 2.0, np.float32)
+    aligned = aligned or create("auto").align(reference, depth, CAMERA)
+    ones = np.ones((30, 40), np.float32)
+    own = RenderedView(down(distorted), ones, ones * 2, None)
+    return RestoreInput(distorted, np.ones((120, 160), np.float32), aligned, reference, own)
+
+
+@pytest.fixture(params=["kernels", "numpy"])
+def affine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> AffineRestorer:
+    if request.param == "numpy":
+        monkeypatch.setattr(cags_kernels, "native_available", lambda: False)
+    elif not cags_kernels.native_available():
+        pytest.skip(cags_kernels.why_unavailable())
+    return AffineRestorer()
+
+
+def test_a_colour_cast_is_taken_off(affine: AffineRestorer) -> None:
+    truth = smooth(120, 160, 4)
+    distorted = np.clip(truth * np.float32(0.8) + np.array([0.1, 0.0, 0.05], np.float32), 0, 1)
+    restored = affine.restore(inputs(truth, distorted))
+    assert psnr(restored, truth) > psnr(distorted, truth) + 5
+
+
+def test_detail_of_the_clients_own_is_kept(affine: AffineRestorer) -> None:
+    """The reference cannot hold a texture this fine; the client's splats can."""
+    fine = 0.15 * np.where((np.indices((120, 160)).sum(axis=0) % 2)[..., None] > 0, 1.0, -1.0)
+    truth = np.clip(0.5 * smooth(120, 160, 10) + 0.25 + fine, 0, 1).astype(np.float32)
+    distorted = np.clip(truth + np.float32(0.1), 0, 1)
+    restored = affine.restore(inputs(truth, distorted))
+    upsampled = cv2.resize(down(truth), (160, 120), interpolation=cv2.INTER_LINEAR)
+    assert psnr(restored, truth) > psnr(distorted, truth) + 6
+    assert psnr(restored, truth) > psnr(upsampled, truth) + 6
+
+
+def test_noise_like_differences_change_nothing(affine: AffineRestorer) -> None:
+    """Splats as good as the reference can tell: the picture stays, to the last bit."""
+    truth = smooth(120, 160, 3)
+    given = inputs(truth, truth)
+    noisy = np.clip(given.reference.rgb + RNG.normal(0, 3e-3, (30, 40, 3)).astype(np.float32), 0, 1)
+    reference = ReferencePicture(noisy, given.reference.camera, 0)
+    shown = affine.restore(RestoreInput(truth, given.alpha, given.aligned, reference, given.own))
+    np.testing.assert_array_equal(shown, truth)
+
+
+def test_where_the_reference_says_nothing_the_distorted_picture_stays(affine: AffineRestorer) -> None:
+    truth = smooth(120, 160, 4)
+    distorted = np.clip(truth + np.float32(0.2), 0, 1)
+    given = inputs(truth, distorted)
+    confidence = given.aligned.confidence.copy()
+    confidence[:, :80] = 0
+    aligned = Aligned(given.aligned.paint, confidence, given.aligned.occluded, given.aligned.geometry)
+    restored = affine.restore(inputs(truth, distorted, aligned=aligned))
+    np.testing.assert_array_equal(restored[:, :80], distorted[:, :80])
+    assert np.abs(restored[:, 100:] - distorted[:, 100:]).mean() > 0.1
+
+
+def test_kernels_and_numpy_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not cags_kernels.native_available():
+        pytest.skip(cags_kernels.why_unavailable())
+    given = inputs(smooth(120, 160, 2), smooth(120, 160, 2, seed=1))
+    for settings in (AffineSettings(), AffineSettings(radius_cells=7), AffineSettings(noise=0.0, gain_prior=0.1)):
+        native = AffineRestorer(settings).restore(given)
+        with monkeypatch.context() as patch:
+            patch.setattr(cags_kernels, "native_available", lambda: False)
+            readable = AffineRestorer(settings).restore(given)
+        np.testing.assert_allclose(native, readable, atol=2e-4)
+
+
+@pytest.mark.parametrize("name", sorted(set(RESTORERS) & {"none", "reference", "affine"}))
+@pytest.mark.parametrize("fill", [0.0, 1.0])
+def test_pictures_stay_finite_and_in_range(name: str, fill: float) -> None:
+    distorted = smooth(120, 160, 1)
+    before = distorted.copy()
+    flat = np.full((120, 160, 3), fill, np.float32)
+    restored = restore.create(name).restore(inputs(flat, distorted))
+    assert restored.shape == distorted.shape
+    assert np.isfinite(restored).all()
+    assert restored.min() >= 0
+    assert restored.max() <= 1
+    np.testing.assert_array_equal(distorted, before)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 2), (1, 5)])
+def test_tiny_pictures(affine: AffineRestorer, size: tuple[int, int]) -> None:
+    width, height = size
+    camera = Camera(Intrinsics.of_fov(width, height, 1.0, 1.0), Pose.identity())
+    reference = ReferencePicture(np.full((height, width, 3), 0.7, np.float32), camera, 0)
+    depth = np.ones((height, width), np.float32)
+    distorted = np.full((height, width, 3), 0.3, np.float32)
+    own = RenderedView(distorted, depth, depth, None)
+    aligned = create("reference").align(reference, depth, camera)
+    restored = affine.restore(RestoreInput(distorted, depth, aligned, reference, own))
+    assert np.isfinite(restored).all()
+
+
+def test_none_shows_the_distorted_picture_and_reference_the_aligned_one() -> None:
+    truth, distorted = smooth(120, 160, 4), smooth(120, 160, 4, seed=1)
+    given = inputs(truth, distorted)
+    assert restore.create("none").restore(given) is distorted
+    shown = restore.create("reference").restore(given)
+    inside = given.aligned.confidence == 1
+    np.testing.assert_allclose(shown[inside], given.aligned.rgb[inside], atol=1e-6)
+
+
+def test_without_an_own_view_the_picture_is_averaged_through_the_alignment() -> None:
+    truth = smooth(120, 160, 4)
+    given = inputs(truth, truth)
+    aligned = given.aligned
+    low = average_down(truth, aligned.x, aligned.y, aligned.confidence, np.zeros((30, 40, 3), np.float32))
+    assert psnr(low[1:-1, 1:-1], down(truth)[1:-1, 1:-1]) > 45
+    silent = average_down(truth, aligned.x, aligned.y, aligned.confidence * 0, given.reference.rgb)
+    assert psnr(silent, given.reference.rgb) == MAX_PSNR_DB
+
+
+def test_an_unknown_restorer_is_named() -> None:
+    with pytest.raises(ConfigError, match="'magic' is unknown; known: none"):
+        restore.create("magic")
+    assert math.isfinite(AffineSettings().noise)
