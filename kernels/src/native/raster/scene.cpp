@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <utility>
 
 namespace cags::raster {
 namespace {
@@ -74,7 +75,10 @@ Scene::Scene(const CagsSplats& splats, int threads)
 void Scene::update(const int64_t* rows, const CagsSplats& splats) {
   for (int64_t i = 0; i < splats.count; i++) store(int(rows[i]), splats, i);
   if (sh_rest_ == 0) return;
-  for (int64_t i = 0; i < splats.count; i++) refresh_degree(int(rows[i]) / kLanes);
+  for (int64_t i = 0, last = -1; i < splats.count; i++) {  // rows mostly rise: a block is looked at once
+    const int64_t block = rows[i] / kLanes;
+    if (block != std::exchange(last, block)) refresh_degree(int(block));
+  }
 }
 
 SceneData Scene::data() const {
