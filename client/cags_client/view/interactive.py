@@ -15,8 +15,8 @@ from cags_common.geometry import Pose
 from cags_protocol import events as ev
 from cags_protocol.messages import Control
 
-SEEK_PATIENCE_US = 2_000_000
-"""How long the display waits for the first frame after a seek before it shows what there is."""
+SEEK_PATIENCE_US = 15_000_000
+"""How long the old picture stays after a seek when the first frame does not come whole; then what there is is shown."""
 
 
 class InteractivePlayer(Player):

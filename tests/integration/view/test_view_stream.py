@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,13 +9,11 @@ from typing import Any
 
 import pytest
 
-from cags_bench.demo.processes import ProcessGroup
-from cags_bench.jsonl import dump, provenance
-from support.browser import ARTEFACTS, chromium, keep_screenshot, require_browser
+from support.browser import chromium, keep_screenshot, require_browser
+from support.live_stack import live_stack
 
 pytestmark = pytest.mark.slow
 
-SIZE = "320x240"
 WAIT_S = 60
 RECOGNISABLE_DB = 18.0
 """PSNR that a stranger's picture does not reach and the scene, whatever its detail, passes."""
@@ -28,29 +23,14 @@ RECOGNISABLE_DB = 18.0
 def page_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Server, shaper and client with a page, on a ``.splat`` capture set in motion."""
     require_browser()
-    folder = tmp_path_factory.mktemp("newcomer")
-    capture, bundle = folder / "capture.splat", folder / "clip.cags"
     from cags_encoder.formats import write_splats
     from cags_encoder.scenes import open_scene
 
+    folder = tmp_path_factory.mktemp("newcomer")
+    capture = folder / "capture.splat"
     write_splats(capture, open_scene("procedural:size=6000,frames=1").frame(0))
-    encode = [sys.executable, "-m", "cags_encoder", f"motion:{capture}:frames=30", str(bundle)]
-    subprocess.run(encode, check=True, capture_output=True)
-    width, height = SIZE.split("x")
-    with ProcessGroup(folder) as group:
-        server = group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"]).ready()
-        to = f"127.0.0.1:{server['port']}"
-        shaping = ["--trace", "generated:steady-30", "--delay-ms", "10", "--control", "127.0.0.1:0"]
-        shaper = group.start("cags_shaper", ["--listen", "127.0.0.1:0", "--to", to, *shaping, "--json"]).ready()
-        client = group.start(
-            "cags_client",
-            [
-                *("--url", f"ws://127.0.0.1:{shaper['port']}/stream", "--width", width, "--height", height),
-                *("--truth", str(bundle), "--view", "--view-port", "0", "--json", "-"),
-                *("--shaper-control", f"127.0.0.1:{shaper['control']}"),
-            ],
-        ).ready()
-        yield str(client["url"])
+    with live_stack(f"motion:{capture}:frames=30", folder, width=320, height=240) as url:
+        yield url
 
 
 @pytest.fixture
@@ -124,16 +104,3 @@ def test_cap_and_delay_reach_the_shaper(page: Any) -> None:
         "const cap = document.getElementById('cap'); cap.value = 40; cap.dispatchEvent(new Event('change'))"
     )
     wait(page, lambda: float(page.execute_script("return window.cags.stats?.capacity_mbps ?? 99")) < 10)
-
-
-def test_speed_is_recorded(page: Any) -> None:
-    """Figures for the record, not for judgement: a test machine may be busy."""
-    time.sleep(3)
-    drag(page)
-    wait(page, lambda: len(measured(page)["photonMs"]) >= 3)
-    found = measured(page)
-    photon = sorted(found["photonMs"])
-    figures = {"size": SIZE, "fps": round(found["fps"], 1), "drag_to_photon_ms": round(photon[len(photon) // 2])}
-    ARTEFACTS.mkdir(parents=True, exist_ok=True)
-    (ARTEFACTS / "speed.json").write_text(dump({**figures, **provenance()}) + "\n", encoding="utf-8")
-    assert json.loads((ARTEFACTS / "speed.json").read_text())["fps"] > 0

@@ -164,7 +164,7 @@ def test_a_seek_whose_frame_never_comes_shows_what_there_is(stage: Stage) -> Non
     stage.run(DELAY_US + 5 * FRAME_US)
     stage.player.seek(3)
     stage.turn()
-    assert stage.run(SEEK_PATIENCE_US - 50_000) == []
+    assert stage.run(SEEK_PATIENCE_US - 50_000, step_us=50_000) == []
     assert stage.run(DELAY_US + 100_000)[0] == 3
 
 
