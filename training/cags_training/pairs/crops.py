@@ -63,7 +63,7 @@ class Crops:
     def load(path: Path) -> Crops:
         """Inverse of :meth:`save`. Raises :class:`SceneError` for a damaged file."""
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 return Crops(*(file[f.name] for f in fields(Crops)))
         except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise SceneError(f"{path}: holds no training crops ({error}); delete it to make them anew") from error

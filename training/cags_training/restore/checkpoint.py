@@ -38,7 +38,7 @@ class Checkpoint:
     def load(path: Path) -> Checkpoint:
         """Read a checkpoint. Raises :class:`ConfigError` for a damaged one."""
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
             facts = json.loads(arrays.pop(_FACTS).tobytes())
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:

@@ -39,7 +39,7 @@ NETWORKS: Mapping[str, tuple[Callable[[], nn.Module], Task]] = {
 
 
 ERROR_FLOOR = 1e-6
-"""Squared error (60 dB) under which pictures count as equal: small, for nothing may be lost at the top of the ladder."""
+"""Squared error (60 dB) under which pictures count as equal: nothing may be lost at the top of the ladder."""
 
 
 def loss(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
