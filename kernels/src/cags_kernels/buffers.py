@@ -21,6 +21,7 @@ class BufferPool:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self._kept = _KEPT  # module names may be gone when the interpreter ends and the last arrays come back
         self._waiting: list[NDArray[np.float32]] = []
 
     def empty(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -39,7 +40,7 @@ class BufferPool:
         """Take a block back; the oldest waiting one is freed when there are too many."""
         with self._lock:
             self._waiting.append(block)
-            del self._waiting[:-_KEPT]
+            del self._waiting[: -self._kept]
 
 
 class Lease:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
 
 import numpy as np
 
@@ -54,3 +56,9 @@ def test_few_blocks_wait():
     del arrays
     gc.collect()
     assert len(pool._waiting) <= 12
+
+
+def test_arrays_that_live_to_the_end_of_the_program_end_it_quietly():
+    code = "import sys; from cags_kernels.buffers import BufferPool; sys.kept = kept = BufferPool().empty((9,))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stderr == ""
