@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cags_client import align, restore
+from cags_client.adapt import SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture
 from cags_client.references import References
 from cags_client.restore import RestoreInput
@@ -67,6 +68,7 @@ class ClientPipeline:
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
+        self._adapter: SirtAdapter | None = None
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._restorer = restore.create(self.live.restore)
@@ -126,6 +128,9 @@ class ClientPipeline:
             with watch("own"):
                 own = scene.render(reference.camera, self._reference_options(reference))
                 seen = own.contribution
+            if self._adapter is not None:
+                with watch("adapt"):  # seen from the next frame on
+                    self._adapter.adapt(scene, store.splats, reference, own, self._reference_options(reference))
             with watch("restore"):
                 shown = self._restored(RestoreInput(distorted, view.alpha, aligned, reference, own))
         return PresentedFrame(
@@ -145,7 +150,10 @@ class ClientPipeline:
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
         if self._scene is None or committed.fresh:
             self._scene = self._rasteriser.load(store.splats)
+            self._adapter = SirtAdapter(store.capacity) if self.settings.adapt == "sirt" else None
         elif len(committed.rows):
+            if self._adapter is not None:
+                self._adapter.forget(committed.rows)
             self._scene.update(committed.rows, store.splats.take(committed.rows))
         return self._scene
 

@@ -20,10 +20,8 @@ class ClientSettings:
     exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
     align: str = setting("auto", "aligner: auto, cpu, fast, reference or unaligned")
     erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
-    restore: str = setting(
-        "affine", "restorer: none, reference, affine, lite, srresnet (a network's may be lite@RUNTIME)"
-    )
-    adapt: str = setting("none", "colour adaptation of the splats themselves", choices=("none", "sirt"))
+    restore: str = setting("affine", "restorer: none, reference, affine, lite, srresnet (or NETWORK@RUNTIME)")
+    adapt: str = setting("none", "colour corrections that stay with the splats", choices=("none", "sirt"))
     threads: int = setting(2, "threads of a render", low=1, high=256)
     reference_age: int = setting(
         10, "media frames after which a reference is too old to restore from; younger ones fade", low=0, high=1000

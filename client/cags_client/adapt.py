@@ -1,0 +1,74 @@
+"""Colour adaptation in splat space: corrections that stay with the splats from frame to frame.
+
+One step a frame of SIRT (simultaneous iterative reconstruction: Gilbert 1972): the difference between the reference and
+the client's own splats, seen from the reference's pose, is carried back onto the splats that made the picture,
+
+    delta_i += sum_p w_ip e_p / (sum_p w_ip + damping),
+
+with compositing weights w and the difference e divided by the pixel's alpha. Nothing is warped, so occlusion and
+transparency come out right, and many references add up. Only what stands above the reference's own noise is taken
+(:func:`~cags_client.restore.affine.correction_fields`), else the splats would learn H.264's errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_client.align import ReferencePicture
+from cags_client.restore.affine import AffineSettings, correction_fields
+from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
+from cags_common.splats import SH_C0, Splats
+
+DAMPING_PX = 0.02
+"""Weight, in pixels, that a splat must have for half of its step."""
+
+LEAST_WEIGHT_PX = 0.01
+"""Splats of less weight in the reference are left as they are."""
+
+MAX_CHANGE = 0.35
+"""Bound on how far a colour may go, in [0, 1] of display range."""
+
+LEAST_ALPHA = 0.05
+
+
+class SirtAdapter:
+    """Colour corrections of one group of frames. Not thread-safe."""
+
+    def __init__(self, capacity: int) -> None:
+        self._delta = np.zeros((capacity, 3), np.float32)
+        self._settings = AffineSettings()
+
+    def forget(self, rows: NDArray[np.intp]) -> None:
+        """These splats have changed: their corrections belonged to older colours."""
+        self._delta[rows] = 0
+
+    def adapt(
+        self,
+        scene: RasterScene,
+        splats: Splats,
+        reference: ReferencePicture,
+        own: RenderedView,
+        options: RenderOptions,
+    ) -> int:
+        """One step. ``splats`` are the uncorrected ones, ``own`` the scene as it is now from the reference's camera.
+
+        Returns how many splats changed.
+        """
+        shown = np.clip(own.rgb, 0.0, 1.0)
+        fields = correction_fields(shown, reference.rgb, self._settings)
+        error = (shown * fields[..., :1] + fields[..., 1:]) / np.maximum(own.alpha, np.float32(LEAST_ALPHA))[..., None]
+        if not np.abs(error).max() > 1e-4:
+            return 0
+        back = scene.back_project(reference.camera, error.astype(np.float32, copy=False), options)
+        rows = np.nonzero(back.weight > LEAST_WEIGHT_PX)[0]
+        step = back.weighted_residual[rows] / (back.weight[rows] + np.float32(DAMPING_PX))[:, None]
+        self._delta[rows] = np.clip(self._delta[rows] + step, -MAX_CHANGE, MAX_CHANGE)
+        scene.update(rows, self.corrected(splats.take(rows), rows))
+        return len(rows)
+
+    def corrected(self, splats: Splats, rows: NDArray[np.intp]) -> Splats:
+        """``splats`` [M], which lie at ``rows`` [M], with their corrections."""
+        return replace(splats, sh0=splats.sh0 + self._delta[rows] / np.float32(SH_C0))
