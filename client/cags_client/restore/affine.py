@@ -35,9 +35,9 @@ YCC_OF_RGB = np.array([[0.2126, 0.7152, 0.0722], [-0.114572, -0.385428, 0.5], [0
 
 EVIDENCE_ROWS = 4
 EVIDENCE_FLOOR = 1e-7
-USUAL_FINE, USUAL_BROAD = (0.35, 0.6, 0.6), (1.5, 1.5, 1.5)
+USUAL_FINE, USUAL_BROAD = (0.5, 0.65, 0.65), (1.7, 1.7, 1.7)
 """Share of the assumed noise power that H.264 at crf 20 has at most over a picture, luma and chromas, in the fine part
-and in the local means (five scenes: 0.02-0.55, 0.3-1.4)."""
+and in the local means (five scenes, walking and turning: 0.05-0.60, 0.2-1.4)."""
 
 RGB_OF_YCC = np.linalg.inv(YCC_OF_RGB.astype(np.float64)).astype(np.float32)
 

@@ -19,7 +19,7 @@ constexpr int kMaxSide = 16384;  // pixels
 constexpr int kMaxRadius = 64;
 constexpr int kRowsAPiece = 16;
 constexpr int kEvidenceRows = 4;                     // every fourth row is looked at
-constexpr double kUsualFine[3] = {0.35, 0.6, 0.6}, kUsualBroad = 1.5;  // see cags_client.restore.affine
+constexpr double kUsualFine[3] = {0.5, 0.65, 0.65}, kUsualBroad = 1.7;  // see cags_client.restore.affine
 
 const Stages& stages() {
   switch (active_instruction_set()) {
