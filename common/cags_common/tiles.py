@@ -44,6 +44,9 @@ MAX_TILE_SPLATS = 65_536
 MAX_POSITION_BITS = 22
 """Grid coordinates travel through Draco as float32, which holds integers exactly up to 2**24."""
 
+MAX_POSITION = 1e30
+"""Bound on coordinates: sums and products of grids stay inside float32."""
+
 DRACO_LEVEL = 7
 BASE_VERSION = 1
 
@@ -247,8 +250,9 @@ def _read_header(payload: bytes | memoryview, attributes: int | None) -> _Header
         raise DecodeError(f"tile: first id {first_id} is beyond {MAX_SPLATS} splats")
     if attributes is not None and columns != attributes:
         raise DecodeError(f"tile: has {columns} attributes, the codebooks {attributes}")
-    if not all(map(math.isfinite, (ox, oy, oz, step))) or step < 0:
-        raise DecodeError("tile: its position grid is not finite")
+    reach = max(abs(ox), abs(oy), abs(oz)) + step * 2**bits
+    if not all(map(math.isfinite, (ox, oy, oz, step))) or step < 0 or reach > MAX_POSITION:
+        raise DecodeError(f"tile: its position grid is not finite or reaches beyond {MAX_POSITION:g}")
     return _Header(splats, first_id, id_bytes, PositionGrid(np.array([ox, oy, oz], np.float32), step, bits))
 
 

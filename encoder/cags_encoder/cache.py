@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cags_encoder.settings import EncodeSettings
 
-ENCODER_VERSION = 4
+ENCODER_VERSION = 5
 """Raised whenever the same input gives other bytes."""
 
 
