@@ -9,17 +9,22 @@ import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 from aiohttp import web
 
 from cags_common.errors import NetworkError
 from cags_common.transport.websocket import ServerWebSocket
-from cags_protocol import SUBPROTOCOL
+from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+from cags_protocol.messages import Hello
+from cags_server.admission import HANDSHAKES_BEYOND_CLIENTS, origin_allowed, tls_context, token_allowed
 from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
 from cags_server.library import SceneLibrary
 from cags_server.metrics import Totals, exposition
+from cags_server.quota import Quotas
+from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
 
 log = logging.getLogger(__name__)
@@ -78,27 +83,69 @@ class App:
         return web.Response(body=self._library.manifest.public_json(), content_type="application/json")
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:
-        if self._draining:
-            return web.json_response({"error": "the server is shutting down"}, status=503)
+        refusal = self._refusal(request)
+        if refusal is not None:
+            return refusal
         transport = await ServerWebSocket.accept(
             request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
         )
         name = f"s{next(self._names)}"
-        connection = Connection(self._library, self._settings, name=name, now_us=now_us())
-        task = ClientTask(transport, connection, self._executor)
+        connection = self._connection(name, request.headers.get("Authorization"))
+        task = ClientTask(transport, connection, self._executor, slow_s=self._settings.slow_s)
         self._clients[name] = task, connection
         self._empty.clear()
         log.info("%s: joined from %s", name, transport.peer)
         try:
             await task.run()
         finally:
-            del self._clients[name]
-            if not self._clients:
-                self._empty.set()
-            self._ended.add(connection.stats)
-            ending = connection.ending
-            log.info("%s: left (%s)", name, f"{ending.code}: {ending.reason}" if ending else "lost")
+            self._leave(name, connection)
         return transport.response
+
+    def _refusal(self, request: web.Request) -> web.Response | None:
+        """Why a request is turned away before any WebSocket: draining, a strange origin, a flood of handshakes."""
+        if self._draining:
+            return web.json_response({"error": "the server is shutting down"}, status=503)
+        origin = request.headers.get("Origin")
+        if not origin_allowed(origin, request.headers.get("Host"), self._settings.origins):
+            return web.json_response({"error": f"origin {origin} is not allowed; list it with --origins"}, status=403)
+        if len(self._clients) >= self._settings.max_clients + HANDSHAKES_BEYOND_CLIENTS:
+            return web.json_response({"error": "too many connections; try again later"}, status=503)
+        return None
+
+    def _connection(self, name: str, header: str | None) -> Connection:
+        settings = self._settings
+        session = ServerSessionSettings(
+            timers=SessionTimers(idle_us=round(settings.idle_s * 1e6)),
+            max_queue_bytes=round(settings.max_queue_mb * 1e6),
+        )
+
+        def admit(hello: Hello) -> tuple[str, str, str] | None:
+            if not token_allowed(settings.token, hello, header):
+                return "token", "token", "the token is missing or wrong; give the server's with --token"
+            if sum(other.streamer is not None for _, other in self._clients.values()) >= settings.max_clients:
+                return "full", "", f"{settings.max_clients} clients are here already; try again later"
+            return None
+
+        return Connection(
+            self._library,
+            settings,
+            name=name,
+            now_us=now_us(),
+            session_settings=session,
+            admit=admit,
+            quotas=Quotas(messages=settings.max_message_rate, poses=settings.max_pose_rate),
+        )
+
+    def _leave(self, name: str, connection: Connection) -> None:
+        del self._clients[name]
+        if not self._clients:
+            self._empty.set()
+        if connection.streamer is not None:
+            self._ended.add(connection.stats)
+        ending = connection.ending
+        log.info("%s: left (%s)", name, f"{ending.code}: {ending.reason}" if ending else "lost")
+        if self._settings.session_logs:
+            write_session(Path(self._settings.session_logs), name, connection.stats, ending)
 
 
 async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int], None]) -> None:
@@ -106,11 +153,12 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
 
     Raises :class:`NetworkError` where the address cannot be listened on.
     """
+    tls = tls_context(settings.tls_cert, settings.tls_key)
     app = App(library, settings)
-    runner = web.AppRunner(app.web_app(), access_log=None)
+    runner = web.AppRunner(app.web_app(), access_log=None, shutdown_timeout=settings.drain_s)
     await runner.setup()
     try:
-        site = web.TCPSite(runner, settings.host, settings.port, shutdown_timeout=settings.drain_s)
+        site = web.TCPSite(runner, settings.host, settings.port, ssl_context=tls)
         try:
             await site.start()
         except OSError as error:

@@ -11,10 +11,13 @@ from cags_common.cli import command_parser, run_command
 from cags_common.settings import add_settings, load_settings
 from cags_server.settings import ServeSettings
 
+log = logging.getLogger(__name__)
+
 EXAMPLES = """\
   cags-server --bundle out/monkey
   cags-server --bundle out/monkey --port 0 --json        # a free port, told on stdout
-  cags-server --bundle s3://bucket/monkey --host 0.0.0.0 --predictor linear --fov-margin 0.2
+  cags-server --bundle s3://bucket/monkey --predictor linear --fov-margin 0.2 --abr utility
+  cags-server --bundle out/monkey --host 0.0.0.0 --token SECRET --tls-cert cert.pem --tls-key key.pem
 """
 
 
@@ -29,22 +32,45 @@ def _serve(argv: Sequence[str]) -> None:
     parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
     arguments = parser.parse_args(argv)
     settings = load_settings(ServeSettings, arguments)
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s")
+    _start_logging(settings)
 
     import asyncio
 
     from cags_common import raster
     from cags_common.bundle import BundleReader
+    from cags_server.admission import tls_context
     from cags_server.app import serve
     from cags_server.library import SceneLibrary
     from cags_server.streamer import check_choices
 
     check_choices(settings)
+    tls_context(settings.tls_cert, settings.tls_key)
 
     def ready(host: str, port: int) -> None:
         line = json.dumps({"ready": True, "host": host, "port": port})
         print(line if arguments.json else f"serving {settings.bundle} on ws://{host}:{port}/stream", flush=True)
 
+    if settings.host not in ("127.0.0.1", "::1", "localhost") and not settings.token:
+        logging.getLogger(__name__).warning(
+            "listening on %s without --token: anyone who reaches it may watch", settings.host
+        )
     with BundleReader.open(settings.bundle) as reader:
         library = SceneLibrary(reader, raster.create(settings.rasteriser))
         asyncio.run(serve(library, settings, ready))
+
+
+class _JsonFormatter(logging.Formatter):
+    """One JSON object a line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        line = {"time": self.formatTime(record), "level": record.levelname, "message": record.getMessage()}
+        if record.exc_info:
+            line["error"] = self.formatException(record.exc_info)
+        return json.dumps(line)
+
+
+def _start_logging(settings: ServeSettings) -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    plain = logging.Formatter("%(asctime)s %(levelname)s %(message)s")
+    handler.setFormatter(_JsonFormatter() if settings.log_format == "json" else plain)
+    logging.basicConfig(level=logging.INFO, handlers=[handler])

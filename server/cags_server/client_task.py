@@ -32,8 +32,9 @@ def now_us() -> int:
 class ClientTask:
     """One client's coroutines. ``run`` returns when the session is over."""
 
-    def __init__(self, transport: Transport, connection: Connection, executor: Executor) -> None:
+    def __init__(self, transport: Transport, connection: Connection, executor: Executor, *, slow_s: float) -> None:
         self._transport, self._connection, self._executor = transport, connection, executor
+        self._slow_s = slow_s
         self._to_send = asyncio.Event()
         self._to_plan = asyncio.Event()
 
@@ -68,9 +69,21 @@ class ClientTask:
             self._to_send.clear()
             packets = self._connection.data_to_send(now_us(), BATCH_BYTES)
             for packet in packets:
-                await self._transport.send(packet)
+                if not await self._sent(packet):
+                    return
             if not packets:
                 await self._to_send.wait()
+
+    async def _sent(self, packet: bytes) -> bool:
+        """Write one packet; False for a client that does not take it in time, whose session is over then."""
+        try:
+            async with asyncio.timeout(self._slow_s):
+                await self._transport.send(packet)
+        except TimeoutError:
+            reason = f"the client took longer than {self._slow_s:g} s for one packet"
+            self._connection.session.refuse("timeout", "", reason, now_us=now_us())
+            return False
+        return True
 
     async def _plan(self) -> None:
         loop = asyncio.get_running_loop()

@@ -17,6 +17,7 @@ from cags_protocol.messages import Buffer, Hello
 from cags_protocol.server import ServerSessionSettings
 from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
 from cags_server.library import SceneLibrary
+from cags_server.quota import ClientQuota, Quotas
 from cags_server.records import StreamStats
 from cags_server.reference import FrameJob, FrameRender
 from cags_server.settings import ServerSettings
@@ -39,6 +40,7 @@ class Connection:
         estimator: BandwidthEstimator | None = None,
         session_settings: ServerSessionSettings | None = None,
         admit: Admission | None = None,
+        quotas: Quotas | None = None,
     ) -> None:
         self.name = name
         self.session = ServerSession(session_settings, now_us=now_us)
@@ -47,6 +49,7 @@ class Connection:
         """How the session ended; None while it goes on."""
         self._library, self._settings, self._admit = library, settings, admit
         self._estimator = estimator or MeasuredEstimator()
+        self._quota = ClientQuota(quotas or Quotas(), now_us)
 
     @property
     def closed(self) -> bool:
@@ -59,7 +62,8 @@ class Connection:
         return self.streamer.stats if self.streamer else StreamStats()
 
     def receive(self, data: Buffer, now_us: int) -> None:
-        """Take one message of the client."""
+        """Take one message of the client. One that sends more than its quota is refused."""
+        self._enforce(self._quota.message(len(data), now_us), now_us)
         self.session.receive(data, now_us=now_us)
         self._settle(now_us)
 
@@ -113,11 +117,17 @@ class Connection:
             elif isinstance(event, ev.Closed):
                 self.ending = event
             elif self.streamer is not None:
+                if isinstance(event, ev.PosesReceived):
+                    self._enforce(self._quota.poses(len(event.samples), now_us), now_us)
                 self.streamer.on_event(event, now_us)
                 if isinstance(event, ev.Acknowledged):
                     self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
                 elif isinstance(event, ev.ControlReceived) and event.control.action == "seek":
                     self.session.cancel(lambda _: True, now_us=now_us)
+
+    def _enforce(self, broken: str | None, now_us: int) -> None:
+        if broken is not None:
+            self.session.refuse("quota", broken, f"too many {broken} a second; send less", now_us=now_us)
 
     def _join(self, hello: Hello, now_us: int) -> None:
         refusal = self._admit(hello) if self._admit else None

@@ -52,6 +52,18 @@ class ServeSettings(ServerSettings):
     host: str = setting("127.0.0.1", "address to listen on")
     port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65_535)
     workers: int = setting(2, "references rendered at the same time", low=1, high=256)
+    max_clients: int = setting(32, "clients served at once; more are refused", low=1, high=100_000)
+    token: str = setting("", "bearer token that clients must show; none is asked for when empty")
+    tls_cert: str = setting("", "PEM file of the certificate; with it the server speaks HTTPS and WSS")
+    tls_key: str = setting("", "PEM file of the certificate's private key")
+    origins: str = setting("", "web origins whose pages may connect, comma separated, or *; this host's own always may")
+    max_pose_rate: float = setting(2000.0, "poses a client may send, a second", low=1.0, high=1e6)
+    max_message_rate: float = setting(1000.0, "messages a client may send, a second", low=1.0, high=1e6)
+    max_queue_mb: float = setting(16.0, "data that may wait for one client, MB", low=0.1, high=4096.0)
+    idle_s: float = setting(15.0, "time without a message after which a client is dropped, s", low=0.5, high=3600.0)
+    slow_s: float = setting(10.0, "time a client may take to accept one packet, s", low=0.5, high=3600.0)
+    session_logs: str = setting("", "folder for one JSON-lines file a session; none when empty")
+    log_format: str = setting("text", "format of the log on stderr", choices=("text", "json"))
     drain_s: float = setting(2.0, "time for goodbyes when the server is stopped, seconds", low=0.0, high=600.0)
 
     def __post_init__(self) -> None:

@@ -172,7 +172,8 @@ class Streamer:
         self._unsettled = waiting
 
     def _on_control(self, control: Control, now_us: int) -> None:
-        self._clock.guess(control.at_us, now_us)  # a frame is to be displayed soon; a pose will tell the time exactly
+        # Until a pose tells the time: a frame is asked for about a lead before its display.
+        self._clock.guess(control.at_us - round(self._lead_us), now_us)
         self._timeline = self._timeline.controlled(control)
         self._controlled = True
         self._generation += 1
@@ -330,7 +331,6 @@ class Streamer:
         elif left != entered:
             frames = self._library.manifest.gof_frames(left)
             self._inventory.keep(frames[0], frames[-1])
-            self._ended = None
 
     def _start_anew(self) -> None:
         """The client holds nothing any more."""

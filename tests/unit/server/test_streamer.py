@@ -319,3 +319,22 @@ def test_after_a_seek_base_layers_come_whatever_the_budget() -> None:
     first, second = rig.step(), rig.step()
     assert {t.tile for t in of(TileLayers, first) if t.frame == 6} == {0, 1, 2, 3}
     assert not [t for t in of(TileLayers, second) if t.frame == 6 and t.from_lod == 0]
+
+
+def test_frames_skipped_across_a_group_are_ended_too() -> None:
+    rig = Rig()
+    rig.play()
+    for _ in range(4):
+        rig.step()
+    out = rig.step(late_us=int(3.5 * PERIOD_US))
+    assert [r.frame for r in of(ReferenceFrame, out)] == [7]
+    assert [e.frame for e in of(FrameEnd, out)] == [4, 5, 6, 7]
+
+
+def test_without_any_pose_planning_starts_with_the_control_and_skips_nothing() -> None:
+    """Once the display time of a Control was believed to be its time of sending, and frames were skipped."""
+    rig = Rig()
+    rig.control("play", at_us=300_000)
+    job = rig.streamer.begin(OFFSET_US + 10_000)
+    assert job is not None
+    assert (job.plan.frame, job.plan.ticks_covered) == (0, 1)

@@ -1,0 +1,245 @@
+"""The server's shell over real sockets: several clients, and every way of being turned away."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+from aiohttp.test_utils import TestServer
+
+from cags_common.errors import NetworkError
+from cags_common.geometry import Pose
+from cags_common.transport.base import ConnectionEndedError
+from cags_common.transport.websocket import ClientWebSocket, connect
+from cags_protocol import SUBPROTOCOL, ClientSession
+from cags_protocol import events as ev
+from cags_protocol.limits import MAX_MESSAGE_BYTES
+from cags_protocol.messages import Control, PoseSample, encode
+from cags_server.app import App
+from cags_server.settings import ServeSettings
+from support.server_scene import hello, library
+
+
+def now_us() -> int:
+    return time.monotonic_ns() // 1000
+
+
+@asynccontextmanager
+async def serving(**settings: Any) -> AsyncIterator[tuple[App, TestServer]]:
+    chosen = ServeSettings(bundle="in memory", reference_width=64, reference_height=48, **settings)
+    app = App(library(), chosen)
+    server = TestServer(app.web_app())
+    await server.start_server()
+    try:
+        yield app, server
+    finally:
+        await app.drain()
+        await server.close()
+        app.close()
+
+
+def stream_url(server: TestServer) -> str:
+    return f"ws://{server.host}:{server.port}/stream"
+
+
+class Client:
+    """A client that shakes hands and then does as it is told."""
+
+    def __init__(self, transport: ClientWebSocket, **changes: Any) -> None:
+        self.transport, self.events = transport, list[Any]()
+        self.session = ClientSession(now_us=now_us())
+        self.session.hello(hello(**changes), now_us=now_us())
+
+    @classmethod
+    async def join(cls, server: TestServer, **changes: Any) -> Client:
+        token = changes.pop("header_token", "")
+        transport = await connect(
+            stream_url(server), subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES, token=token
+        )
+        return cls(transport, **changes)
+
+    async def until(self, kind: type, count: int = 1) -> list[Any]:
+        """Exchange messages until ``count`` events of ``kind`` have come."""
+        async with asyncio.timeout(20):
+            while len(found := [e for e in self.events if isinstance(e, kind)]) < count:
+                self.session.handle_timer(now_us=now_us())
+                for data in self.session.data_to_send(now_us()):
+                    await self.transport.send(data)
+                try:
+                    async with asyncio.timeout(0.02):
+                        self.session.receive(await self.transport.recv(), now_us=now_us())
+                except TimeoutError:
+                    self.session.send_poses([PoseSample(now_us(), Pose.identity())], now_us=now_us())
+                except ConnectionEndedError as error:
+                    self.session.connection_lost(str(error), now_us=now_us())
+                while (event := self.session.next_event()) is not None:
+                    self.events.append(event)
+        return found
+
+    async def play(self) -> list[int]:
+        """Watch to the end; the media frames of the references that came."""
+        await self.until(ev.FrameEnded)
+        self.session.control(Control("play", 0, now_us() + 300_000), now_us=now_us())
+        await self.until(ev.FrameEnded, 12)
+        return [e.message.frame for e in self.events if isinstance(e, ev.ReferenceReceived)]
+
+
+async def test_several_clients_watch_at_once_and_leave() -> None:
+    async with serving() as (_, server):
+        clients = [await Client.join(server) for _ in range(4)]
+        watched = await asyncio.gather(*(client.play() for client in clients))
+        for frames in watched:
+            assert frames == sorted(set(frames))  # on a busy machine some are skipped
+            assert frames
+        for client in clients:
+            client.session.bye("done", now_us=now_us())
+            for data in client.session.data_to_send(now_us()):
+                await client.transport.send(data)
+            await client.transport.close()
+        async with aiohttp.ClientSession() as http:
+            for _ in range(200):
+                async with http.get(server.make_url("/healthz")) as answer:
+                    health = await answer.json()
+                if health["clients"] == 0:
+                    break
+                await asyncio.sleep(0.02)
+            async with http.get(server.make_url("/metrics")) as answer:
+                page = await answer.text()
+    assert health == {"status": "ok", "clients": 0}
+    assert "cags_sessions_total 4" in page
+    assert 'cags_sent_bytes_total{kind="reference"}' in page
+
+
+async def test_one_place_is_one_client() -> None:
+    async with serving(max_clients=1) as (_, server):
+        first = await Client.join(server)
+        await first.until(ev.Welcomed)
+        second = await Client.join(server)
+        (refused,) = await second.until(ev.Refused)
+        assert refused.refusal.code == "full"
+
+
+@pytest.mark.parametrize("how", [{"token": "secret"}, {"header_token": "secret"}])
+async def test_the_token_opens_by_hello_or_header(how: dict[str, str]) -> None:
+    async with serving(token="secret") as (_, server):
+        assert await (await Client.join(server, **how)).until(ev.Welcomed)
+
+
+@pytest.mark.parametrize("how", [{}, {"token": "Secret"}, {"header_token": "nonsense"}])
+async def test_without_the_token_nobody_comes_in(how: dict[str, str]) -> None:
+    async with serving(token="secret") as (_, server):
+        (refused,) = await (await Client.join(server, **how)).until(ev.Refused)
+        assert refused.refusal.code == "token"
+
+
+async def test_another_version_is_refused_by_name() -> None:
+    async with serving() as (_, server):
+        transport = await connect(stream_url(server), subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
+        client = Client(transport)
+        client.session.data_to_send(now_us())  # instead of this Hello, one of the future
+        from dataclasses import replace
+
+        await transport.send(encode(replace(hello(), version=99)))
+        (refused,) = await client.until(ev.Refused)
+        assert (refused.refusal.code, refused.refusal.field) == ("version", "version")
+
+
+@pytest.mark.parametrize(
+    ("origin", "allowed", "status"),
+    [
+        ("https://evil.example", "", 403),
+        ("https://viewer.example", "https://viewer.example", 101),
+        ("https://viewer.example", "*", 101),
+        (None, "", 101),
+        ("null", "", 403),
+    ],
+)
+async def test_pages_of_strange_origins_are_turned_away(origin: str | None, allowed: str, status: int) -> None:
+    async with serving(origins=allowed) as (_, server), aiohttp.ClientSession() as http:
+        headers = {} if origin is None else {"Origin": origin}
+        try:
+            async with http.ws_connect(stream_url(server), headers=headers, protocols=(SUBPROTOCOL,)):
+                reached = 101
+        except aiohttp.WSServerHandshakeError as error:
+            reached = error.status
+        assert reached == status
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00" * 64, b"\x81\xa4type\xa5hello", bytes(range(256))])
+async def test_nonsense_ends_in_a_refusal_and_the_server_lives(data: bytes) -> None:
+    async with serving() as (_, server):
+        transport = await connect(stream_url(server), subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
+        client = Client(transport)
+        client.session.data_to_send(now_us())
+        await transport.send(data)
+        (refused,) = await client.until(ev.Refused)
+        assert refused.refusal.code == "malformed"
+        assert await (await Client.join(server)).until(ev.Welcomed)
+
+
+async def test_a_client_that_floods_is_refused() -> None:
+    async with serving(max_message_rate=50.0) as (_, server):
+        client = await Client.join(server)
+        await client.until(ev.Welcomed)
+        for _ in range(200):
+            client.session.send_poses([PoseSample(now_us(), Pose.identity())], now_us=now_us())
+        (refused,) = await client.until(ev.Refused)
+        assert (refused.refusal.code, refused.refusal.field) == ("quota", "messages")
+
+
+async def test_a_silent_client_is_dropped() -> None:
+    async with serving(idle_s=0.5) as (_, server):
+        client = await Client.join(server)
+        await client.until(ev.Welcomed)
+        async with asyncio.timeout(10):
+            while True:
+                client.session.receive(await client.transport.recv(), now_us=now_us())
+                events = iter(client.session.next_event, None)
+                if any(isinstance(event, ev.Refused) and event.refusal.code == "timeout" for event in events):
+                    break
+
+
+async def test_draining_says_goodbye_and_lets_no_one_in() -> None:
+    async with serving() as (app, server):
+        client = await Client.join(server)
+        await client.until(ev.FrameEnded)
+        ending = asyncio.create_task(app.drain())
+        (closed,) = await client.until(ev.Closed)
+        await ending
+        assert closed.reason == "the server is shutting down"
+        with pytest.raises(NetworkError, match="503"):
+            await Client.join(server)
+        async with aiohttp.ClientSession() as http, http.get(server.make_url("/readyz")) as answer:
+            assert answer.status == 503
+
+
+async def test_the_bundle_is_described_before_the_stream() -> None:
+    async with (
+        serving() as (_, server),
+        aiohttp.ClientSession() as http,
+        http.get(server.make_url("/bundle")) as answer,
+    ):
+        manifest = json.loads(await answer.text())
+    assert manifest["frames"] == 12
+    assert manifest["gofs"] == []
+
+
+async def test_a_session_is_logged(tmp_path: Path) -> None:
+    async with serving(session_logs=str(tmp_path)) as (_, server):
+        client = await Client.join(server)
+        await client.play()
+        client.session.bye("done", now_us=now_us())
+        for data in client.session.data_to_send(now_us()):
+            await client.transport.send(data)
+        await client.transport.close()
+    lines = [json.loads(line) for line in (tmp_path / "s1.jsonl").read_text().splitlines()]
+    assert lines[0]["format"] == "cags-session"
+    assert all(line["reference_bytes"] >= 0 for line in lines[1:-1])
+    assert lines[-1]["ending"]["code"] == "bye"
