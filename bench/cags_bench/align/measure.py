@@ -1,0 +1,209 @@
+"""The measurement behind ``cags-bench align``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cags_bench.bundles import cached_bundle
+from cags_bench.jsonl import check, provenance, summary
+from cags_client.adapt import SirtAdapter
+from cags_client.align import Aligned, AlignSettings, ReferencePicture, create
+from cags_client.restore import RestoreInput
+from cags_client.restore.affine import AffineRestorer, AffineSettings
+from cags_client.tile_store import TileStore
+from cags_common import raster
+from cags_common.bundle import BundleReader
+from cags_common.codecs import tile_codec
+from cags_common.errors import ConfigError
+from cags_common.geometry import (
+    F32,
+    Camera,
+    Intrinsics,
+    Pose,
+    multiply_quaternions,
+    quaternion_of_rotation_vector,
+)
+from cags_common.metrics import covered_mask, psnr, ssim
+from cags_common.poses import Focus, synthetic_walk
+from cags_common.raster.base import Footprint, RasterScene, RenderOptions
+from cags_common.splats import Splats
+from cags_common.video.h264 import H264Decoder, H264Encoder
+from cags_encoder import EncodeSettings
+
+REFERENCE_PX = (400, 300)
+MARGIN = 1.2
+"""The reference's field of view against the client's, in tangents."""
+
+POSE_ERRORS = ((0.0, 0.0), (2.0, 0.05), (5.0, 0.1))
+"""Degrees, and metres in radii of the scene."""
+
+FOV_RAD = math.radians(60.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    lod: int
+    error_deg: float
+    camera: Camera
+    reference: ReferencePicture
+    truth: F32
+    covered: Any
+    scene: RasterScene
+    splats: Splats
+
+
+def measure(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Lines of the benchmark."""
+    bundle = cached_bundle(args.scene, args.cache, EncodeSettings(frames=1))
+    with BundleReader.open(str(bundle)) as reader:
+        bench = _Bench(reader, args)
+        records = []
+        for case in bench.cases():
+            record = bench.quality(case)
+            records.append(record)
+            yield {"benchmark": "align", "scene": args.scene, "size": args.size, **record, **provenance()}
+        times = bench.times()
+        yield {"benchmark": "align", "size": args.size, "threads": args.threads, **times, **provenance()}
+    yield summary("align", list(_checks(records, times, bench.top, args.size)), size=args.size)
+
+
+class _Bench:
+    def __init__(self, reader: BundleReader, args: argparse.Namespace) -> None:
+        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", args.size)
+        if match is None:
+            raise ConfigError(f"size {args.size!r} must be WIDTHxHEIGHT, such as 800x600")
+        width, height = int(match[1]), int(match[2])
+        self.top = reader.manifest.lods - 1
+        self._reader, self._args = reader, args
+        focal = width / (2 * math.tan(FOV_RAD / 2))
+        self._view = Intrinsics(width, height, focal, focal, width / 2, height / 2)
+        w, h = REFERENCE_PX
+        wide = focal * w / width / MARGIN
+        self._reference_view = Intrinsics(w, h, wide, wide, w / 2, h / 2)
+        self._options = RenderOptions(threads=args.threads)
+        footprint = Footprint.of(self._view, self._reference_view)
+        self._reference_options = RenderOptions(footprint=footprint, threads=args.threads)
+        self._rasteriser = raster.create("auto")
+        self._aligner = create("auto", AlignSettings(threads=args.threads))
+        self._affine = AffineRestorer(AffineSettings(threads=args.threads))
+
+    def cases(self) -> Iterator[_Case]:
+        """Every LoD of a few, every pose error, every view."""
+        m = self._reader.manifest
+        source = self._rasteriser.load(self._reader.source(0).splats)
+        walk = synthetic_walk("walking", Focus(m.focus_centre, m.focus_radius, m.up), seed=self._args.seed)
+        lods = sorted({0, self.top // 3, 2 * self.top // 3, self.top})
+        held = {lod: self._splats(lod) for lod in lods}
+        scenes = {lod: self._rasteriser.load(splats) for lod, splats in held.items()}
+        rng = np.random.default_rng(self._args.seed)
+        for view in range(self._args.views):
+            camera = Camera(self._view, walk.pose_at(1_000_000 + view * 9_000_000), m.near)
+            seen = source.render(camera, self._options)
+            truth, covered = np.clip(seen.rgb, 0, 1), covered_mask(seen.alpha)
+            for degrees, radii in POSE_ERRORS:
+                pose = _perturbed(camera.pose, degrees, radii * m.focus_radius, rng)
+                reference = self._reference(source, Camera(self._reference_view, pose, m.near))
+                for lod in lods:
+                    yield _Case(lod, degrees, camera, reference, truth, covered, scenes[lod], held[lod])
+
+    def quality(self, case: _Case) -> dict[str, Any]:
+        """PSNR over covered pixels and SSIM of one case."""
+        given, aligned = self._inputs(case)
+        pictures = {
+            "distorted": given.distorted,
+            "aligned": given.distorted + aligned.confidence[..., None] * (aligned.rgb - given.distorted),
+            "affine": self._affine.restore(given),
+        }
+        record: dict[str, Any] = {"lod": case.lod, "error_deg": case.error_deg}
+        record["occluded"] = float(aligned.occluded.mean())
+        for name, picture in pictures.items():
+            record[f"psnr_covered_{name}_db"] = psnr(picture, case.truth, case.covered)
+            record[f"ssim_{name}"] = ssim(picture, case.truth)
+        self._last = case
+        return record
+
+    def times(self) -> dict[str, Any]:
+        """Median milliseconds of each stage on the last case, interleaved, after a warm-up."""
+        case = self._last
+        given, _ = self._inputs(case)
+        assert given.own is not None
+        depth = case.scene.render(case.camera, self._options).depth
+        assert depth is not None
+        adapted, own = self._rasteriser.load(case.splats), given.own
+        adapter = SirtAdapter(len(case.splats))
+        stages: dict[str, Callable[[], object]] = {
+            "raster": lambda: case.scene.render(case.camera, self._options),
+            "own": lambda: case.scene.render(case.reference.camera, self._reference_options),
+            "align": lambda: self._aligner.align(case.reference, depth, case.camera),
+            "align_and_paint": lambda: self._aligner.align(case.reference, depth, case.camera).rgb,
+            "affine": lambda: self._affine.restore(given),
+            "adapt": lambda: adapter.adapt(adapted, case.splats, case.reference, own, self._reference_options),
+        }
+        spent: dict[str, list[float]] = {name: [] for name in stages}
+        for _ in range(self._args.repetitions + 1):
+            for name, stage in stages.items():
+                start = time.perf_counter()
+                stage()
+                spent[name].append((time.perf_counter() - start) * 1e3)
+        medians = {f"ms_{name}": statistics.median(values[1:]) for name, values in spent.items()}
+        return {**medians, **{f"ms_{name}_least": min(values[1:]) for name, values in spent.items()}}
+
+    def _inputs(self, case: _Case) -> tuple[RestoreInput, Aligned]:
+        view = case.scene.render(case.camera, self._options)
+        assert view.depth is not None
+        aligned = self._aligner.align(case.reference, view.depth, case.camera)
+        own = case.scene.render(case.reference.camera, self._reference_options)
+        return RestoreInput(np.clip(view.rgb, 0, 1), view.alpha, aligned, case.reference, own), aligned
+
+    def _reference(self, source: RasterScene, camera: Camera) -> ReferencePicture:
+        rgb = np.clip(source.render(camera, self._reference_options).rgb, 0, 1)
+        decoded = H264Decoder().decode(H264Encoder(*REFERENCE_PX, 30.0).encode(rgb))
+        assert decoded is not None
+        return ReferencePicture(decoded, camera, 0)
+
+    def _splats(self, lod: int) -> Splats:
+        store = TileStore(self._reader.manifest, tile_codec(self._reader.manifest, self._reader.codebooks()))
+        for tile in range(len(self._reader.frame(0).tiles)):
+            payloads = [memoryview(self._reader.payload(0, tile, level)) for level in range(lod + 1)]
+            store.add(0, tile, 0, payloads)
+        store.end(0, np.zeros(0, np.int32))
+        return store.commit(0)[0].splats
+
+
+def _perturbed(pose: Pose, degrees: float, metres: float, rng: np.random.Generator) -> Pose:
+    axis, shift = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+    x, y, z = (float(c) for c in axis * math.radians(degrees))
+    turn = quaternion_of_rotation_vector((x, y, z))
+    position = np.asarray(pose.position) + metres * shift
+    return Pose((float(position[0]), float(position[1]), float(position[2])), multiply_quaternions(pose.rotation, turn))
+
+
+def _checks(records: list[dict[str, Any]], times: dict[str, Any], top: int, size: str) -> Iterator[dict[str, Any]]:
+    def gain(lod: int, error: float | None = None) -> list[float]:
+        chosen = [r for r in records if r["lod"] == lod and error in (None, r["error_deg"])]
+        return [r["psnr_covered_affine_db"] - r["psnr_covered_distorted_db"] for r in chosen]
+
+    base, level = statistics.mean(gain(0)), statistics.mean(gain(top // 3))
+    yield check("gain at the base LoD, dB", ">= 4.5", base, base >= 4.5)
+    yield check("gain at a third of the ladder, dB", ">= 2", level, level >= 2)
+    yield check("least gain at the top, dB", ">= -0.1", min(gain(top)), min(gain(top)) >= -0.1)
+    kept = statistics.mean(gain(0, 5.0)) / max(statistics.mean(gain(0, 0.0)), 1e-6)
+    yield check("gain kept at 5 degrees, base LoD", ">= 0.8", kept, kept >= 0.8)
+    hidden = max(r["occluded"] for r in records if r["error_deg"] == 0)
+    yield check("pixels called occluded under an identity", "0", hidden, hidden == 0)
+    if size == "1600x1200":
+        paint, affine = times["ms_align_and_paint"], times["ms_affine"]
+        yield check("alignment with erosion, ms", "<= 6", paint, paint <= 6)
+        yield check("affine, ms", "<= 10", affine, affine <= 10)
+        frame = times["ms_raster"] + times["ms_own"] + times["ms_align"] + affine
+        yield check("client frame, ms", "<= 33", frame, frame <= 33)
+    yield check("one adapter step at 400x300, ms", "<= 15", times["ms_adapt"], times["ms_adapt"] <= 15)
