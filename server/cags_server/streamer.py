@@ -38,6 +38,9 @@ MESSAGE_OVERHEAD_BYTES = 160
 MAX_LEAD_STRETCH = 3.0
 """A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
 
+MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
+"""Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""
+
 MAX_BUDGET_TICKS = 4
 """A stretch of skipped frames earns at most the budget of so many."""
 
@@ -95,6 +98,7 @@ class Streamer:
         self._travelling: dict[int, int] = {}  # tiles queued and not settled: identity -> when, oldest first
         self._reference_seq = 0
         self._idr_seq = 0
+        self._saved_bytes = 0
         self._needs_idr = True
         self._from_nothing = False
         self._unsettled: list[FrameRecord] = []
@@ -344,7 +348,8 @@ class Streamer:
         seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * self._timeline.period_us / 1e6
         allowed_backlog = allowed_bps * self._settings.queue_ms / 8e3
         excess = max(0.0, self._outstanding_bytes - allowed_backlog)
-        record.budget_bytes = max(0, int(allowed_bps * seconds / 8 - record.reference_bytes - excess))
+        income = int(allowed_bps * seconds / 8 - record.reference_bytes - excess)
+        record.budget_bytes = max(0, income + self._saved_bytes)
         decision = self._policy.decide(
             Observation(
                 frame=record.frame,
@@ -356,6 +361,8 @@ class Streamer:
             )
         )
         record.tile_bytes = decision.bytes
+        most = max(allowed_bps * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
+        self._saved_bytes = min(max(0, record.budget_bytes - decision.bytes), int(most))
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
         return decision
 

@@ -25,9 +25,10 @@ class PaperPolicy:
         if fresh:
             average = sum(t.depth for t in sent) / len(sent) if sent else max(t.max_depth for t in fresh)
             _raise_together(plan, fresh, average)
-        for tile in sent:
-            while plan.raise_once(tile):
-                pass
+        if all(plan.depth(tile) > 0 for tile in fresh):  # else the limit is reached: what is left is saved for them
+            for tile in sent:
+                while plan.raise_once(tile):
+                    pass
         return plan.decision()
 
 

@@ -37,6 +37,8 @@ class UtilityPolicy:
         while heap:
             _, frame, number, tile = heapq.heappop(heap)
             if not plan.raise_once(tile):
+                if plan.depth(tile) == 0:
+                    break  # nothing is worth more a byte than this base layer: what is left is saved for it
                 continue  # too large for what is left, or complete; smaller ones may still fit
             density = _density(observation, tile, plan.depth(tile))
             if density:

@@ -55,6 +55,11 @@ def test_a_tile_too_large_for_the_budget_leaves_room_for_smaller_ones() -> None:
     assert depths(decide(150, huge, tile(1, 0, 5))) == {1: (0, 5)}
 
 
+def test_while_a_new_tile_waits_for_budget_nothing_is_spent_on_detail() -> None:
+    """Else a base layer larger than one frame's budget would never be sent."""
+    assert decide(90, tile(0, 0, 9), tile(1, 2, 50)).upgrades == ()
+
+
 @pytest.mark.parametrize("budget", [0, 3, 104, 105, 500, 10_000])
 def test_the_budget_is_never_exceeded(budget: int) -> None:
     tiles = [tile(i, i % 3, 100 - i) for i in range(20)]
