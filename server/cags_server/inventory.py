@@ -15,31 +15,28 @@ class _Held:
     travelling: int = 0  # bit L: LoD L is queued or in flight
 
 
-def _bits(message: TileLayers) -> int:
-    return ((1 << message.to_lod) - 1) & ~((1 << message.from_lod) - 1)
-
-
 def _run(mask: int) -> int:
     """Number of low bits set without a gap."""
     return (~mask & (mask + 1)).bit_length() - 1
 
 
 class ClientInventory:
-    """Layers a client holds, by (media frame, tile)."""
+    """Layers a client holds, by (media frame, tile). Where LoDs do not add up, each stands for all below it."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, layered: bool = True) -> None:
+        self._layered = layered
         self._tiles: dict[Key, _Held] = {}
 
     def queued(self, message: TileLayers) -> None:
         """Layers were queued for sending."""
         held = self._tiles.setdefault((message.frame, message.tile), _Held())
-        held.travelling |= _bits(message)
+        held.travelling |= self._bits(message)
 
     def delivered(self, message: TileLayers) -> None:
         """The client has acknowledged layers."""
         held = self._tiles.setdefault((message.frame, message.tile), _Held())
-        held.travelling &= ~_bits(message)
-        held.delivered |= _bits(message)
+        held.travelling &= ~self._bits(message)
+        held.delivered |= self._bits(message)
 
     def hold(self, frame: int, tile: int, lods: int) -> None:
         """The client holds LoDs 0 .. ``lods`` - 1 of a tile."""
@@ -49,7 +46,7 @@ class ClientInventory:
         """Layers will not arrive."""
         held = self._tiles.get((message.frame, message.tile))
         if held is not None:
-            held.travelling &= ~_bits(message)
+            held.travelling &= ~self._bits(message)
 
     def reduced(self, frame: int, tile: int, lods: int) -> None:
         """The client keeps only LoDs 0 .. ``lods`` - 1 of a tile."""
@@ -80,6 +77,10 @@ class ClientInventory:
     def clear(self) -> None:
         """The client holds nothing any more."""
         self._tiles.clear()
+
+    def _bits(self, message: TileLayers) -> int:
+        below = (1 << message.from_lod) - 1 if self._layered else 0
+        return ((1 << message.to_lod) - 1) & ~below
 
     def __len__(self) -> int:
         return len(self._tiles)

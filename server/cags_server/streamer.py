@@ -15,7 +15,7 @@ from cags_common.video.h264 import H264Encoder
 from cags_protocol import events as ev
 from cags_protocol.blobs import blob_chunks
 from cags_protocol.messages import Control, FrameEnd, HeldTile, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
-from cags_server.abr import Decision, Observation, TileView, create_rate_policy
+from cags_server.abr import Decision, Observation, TileView, Upgrade, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.clock import ClientClock
 from cags_server.fov import FovObservation, FovOptions, create_fov_policy, widened
@@ -31,6 +31,9 @@ from cags_server.timeline import Timeline
 
 BLOB_PRIORITY, BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 0, 1, 2, 3
 """References go before everything in the session's queue; then decoders' tables, base layers, detail, the unseen."""
+
+WHOLE_TILES_CODEC = "video"
+"""Codec of bundles whose LoD k is the whole tile at quality k."""
 
 MESSAGE_OVERHEAD_BYTES = 160
 """Header of a tile message and its fragment, about."""
@@ -85,7 +88,8 @@ class Streamer:
         )
         self._clock = ClientClock()
         self._history = PoseHistory()
-        self._inventory = ClientInventory()
+        self._layered = library.manifest.codec != WHOLE_TILES_CODEC
+        self._inventory = ClientInventory(layered=self._layered)
         start = min(hello.start_frame, library.manifest.frames - 1)
         self._timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
         self._controlled = False
@@ -297,16 +301,31 @@ class Streamer:
             out += self._beginning(plan.frame, plan.predicted.pose)
         decision = self._decide(render.visible, record, now_us)
         deadline_us = self._clock.to_server(plan.display_us) + int(self._settings.tile_deadline_ms * 1000)
-        base = [u for u in decision.upgrades if u.from_lod == 0]
-        detail = [u for u in decision.upgrades if u.from_lod > 0]
-        for upgrade in base:  # the base layer goes ahead of everybody's detail
-            out.append(self._tile((upgrade.frame, upgrade.tile), (0, 1), BASE_PRIORITY, deadline_us))
-        out += self._frame_ends(plan.frame)
-        for upgrade in (*base, *detail):
-            first = max(upgrade.from_lod, 1)
-            for run in self._missing_runs(upgrade.frame, upgrade.tile, first, upgrade.to_lod):
-                out.append(self._tile((upgrade.frame, upgrade.tile), run, ENHANCEMENT_PRIORITY, deadline_us))
-        return self._counted(out, now_us)
+        send = self._layers if self._layered else self._whole_tiles
+        base, detail = send(decision.upgrades, deadline_us)
+        return self._counted([*out, *base, *self._frame_ends(plan.frame), *detail], now_us)
+
+    def _layers(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
+        """Base layers, which go ahead of everybody's detail, and the detail."""
+        fresh = [u for u in upgrades if u.from_lod == 0]
+        base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh]
+        detail = [
+            self._tile((u.frame, u.tile), run, ENHANCEMENT_PRIORITY, deadline_us)
+            for u in sorted(upgrades, key=lambda u: u.from_lod > 0)
+            for run in self._missing_runs(u.frame, u.tile, max(u.from_lod, 1), u.to_lod)
+        ]
+        return base, detail
+
+    def _whole_tiles(
+        self, upgrades: tuple[Upgrade, ...], deadline_us: int
+    ) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
+        """New tiles, and tiles that are sent again at a better quality."""
+        parts: tuple[list[ev.Outgoing], list[ev.Outgoing]] = [], []
+        for u in upgrades:
+            again = u.from_lod > 0
+            priority = ENHANCEMENT_PRIORITY if again else BASE_PRIORITY
+            parts[again].append(self._tile((u.frame, u.tile), (u.to_lod - 1, u.to_lod), priority, deadline_us))
+        return parts
 
     def _record(self, plan: FramePlan) -> FrameRecord:
         record = FrameRecord(
@@ -357,6 +376,7 @@ class Streamer:
                 tiles=tuple(self._view(tile) for tile in visible),
                 lod_gains_db=self._library.manifest.lod_gains_db,
                 message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
+                layered=self._layered,
                 waiting_us=now_us - next(iter(self._travelling.values()), now_us),
             )
         )

@@ -42,17 +42,17 @@ class Observation:
     lod_gains_db: tuple[float, ...]  # measured quality gain of each LoD; [0] is the base layer's
     message_overhead_bytes: int  # wire cost of one more message
     waiting_us: int = 0  # how long the oldest undelivered tile has been on its way
+    layered: bool = True  # LoDs add up; else LoD L is the whole tile at quality L, and replaces what was sent
 
 
 @dataclass(frozen=True, slots=True)
 class Upgrade:
-    """LoDs ``from_lod`` .. ``to_lod`` - 1 of a tile are to be sent. Higher ``value`` goes first."""
+    """LoDs ``from_lod`` .. ``to_lod`` - 1 of a tile are to be sent; of a tile that is not layered, the last alone."""
 
     frame: int
     tile: int
     from_lod: int
     to_lod: int
-    value: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

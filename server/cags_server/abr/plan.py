@@ -12,6 +12,7 @@ class Plan:
         self._left = observation.budget_bytes
         self._budget = observation.budget_bytes
         self._overhead = observation.message_overhead_bytes
+        self._layered = observation.layered
         self._start = {(tile.frame, tile.tile): tile.depth for tile in observation.tiles}
         self._depth = dict(self._start)
         self._order: list[tuple[int, int]] = []
@@ -28,6 +29,8 @@ class Plan:
             return False
         fresh = depth == self._start[key]
         cost = tile.lod_bytes[depth] + (self._overhead if fresh else 0)
+        if not self._layered and not fresh:  # the whole tile at the better quality goes instead
+            cost -= tile.lod_bytes[depth - 1]
         if cost > self._left:
             return False
         self._left -= cost

@@ -1,5 +1,7 @@
 """The per-client core over a scene in memory and a link that this file plays."""
 
+from dataclasses import replace
+
 import pytest
 
 from cags_common.geometry import Pose
@@ -348,3 +350,14 @@ def test_unused_budget_is_saved_for_a_tile_larger_than_one_frames_budget() -> No
     records = rig.streamer.stats.records
     assert any(kinds)
     assert all(record.tile_bytes <= record.budget_bytes for record in records)
+
+
+def test_tiles_that_are_not_layered_are_sent_whole_and_again_when_better() -> None:
+    rig = Rig(initial_bps=100_000_000)
+    rig.library.reader.manifest = replace(rig.library.reader.manifest, codec="video")
+    rig.streamer = Streamer(rig.library, SETTINGS, hello(), estimator=MeasuredEstimator(50e6), now_us=OFFSET_US)
+    rig.deliver(rig.streamer.opening(OFFSET_US))
+    rig.play()
+    sent = [m for _ in range(3) for m in of(TileLayers, rig.step())]
+    assert {(m.from_lod, m.to_lod) for m in sent} == {(3, 4)}
+    assert len({(m.frame, m.tile) for m in sent}) == len(sent)

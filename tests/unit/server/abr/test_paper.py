@@ -81,3 +81,12 @@ def test_the_order_of_tiles_does_not_matter() -> None:
 def test_an_unknown_policy_is_named() -> None:
     with pytest.raises(ConfigError, match="'greedy' is unknown"):
         create_rate_policy("greedy")
+
+
+def test_where_lods_do_not_add_up_only_the_last_one_is_paid() -> None:
+    whole = Observation(3, 165, (tile(0, 0, 5, (50, 90, 160, 300)),), (), OVERHEAD, layered=False)
+    decision = create_rate_policy("paper").decide(whole)
+    assert depths(decision) == {0: (0, 3)}
+    assert decision.bytes == 165
+    again = Observation(3, 300, (tile(0, 1, 5, (50, 90, 160, 300)),), (), OVERHEAD, layered=False)
+    assert create_rate_policy("paper").decide(again).bytes == 165
