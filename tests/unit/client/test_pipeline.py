@@ -1,0 +1,142 @@
+"""From messages to pictures: a small clip, encoded here, decoded and drawn by the pipeline."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cags_client.pipeline import ClientPipeline
+from cags_client.score import averages, score
+from cags_client.settings import ClientSettings
+from cags_common import raster
+from cags_common.bundle import BundleReader
+from cags_common.errors import ConfigError, DecodeError
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.metrics import psnr
+from cags_common.poses import Focus, synthetic_walk
+from cags_common.raster.base import Footprint, RenderOptions
+from cags_common.video.h264 import H264Encoder
+from cags_encoder import EncodeSettings, encode
+from cags_encoder.scenes import open_scene
+from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+
+SMALL = Intrinsics.of_fov(80, 60, 1.2, 1.0)
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> BundleReader:
+    folder: Path = tmp_path_factory.mktemp("bundle") / "room"
+    settings = EncodeSettings(frames=3, quantiser="paper-66", train_splats=4096)
+    encode(open_scene("procedural:size=3000,frames=3"), settings, str(folder))
+    return BundleReader.open(str(folder))
+
+
+def pipeline(reader: BundleReader, **settings: object) -> ClientPipeline:
+    return ClientPipeline(reader.manifest, reader.codebooks(), ClientSettings(width=160, height=120, **settings))  # type: ignore[arg-type]
+
+
+def send(pipe: ClientPipeline, reader: BundleReader, frame: int, lods: int = 1) -> None:
+    for entry in reader.frame(frame).tiles:
+        parts = [reader.payload(frame, entry.tile, lod) for lod in range(lods)]
+        message = TileLayers(frame, entry.tile, 0, lods, tuple(map(len, parts)), entry.crcs[:lods])
+        pipe.on_tile(message, memoryview(b"".join(parts)))
+    pipe.on_frame_end(FrameEnd(frame), memoryview(reader.removed_payload(frame)))
+
+
+def pose_of(reader: BundleReader, t_us: int = 1_400_000) -> Pose:
+    m = reader.manifest
+    return synthetic_walk("walking", Focus(m.focus_centre, m.focus_radius, m.up), duration_s=2).pose_at(t_us)
+
+
+def truth(reader: BundleReader, frame: int, camera: Camera, footprint: Footprint | None = None) -> np.ndarray:
+    scene = raster.create("auto").load(reader.source(frame).splats)
+    return np.clip(scene.render(camera, RenderOptions(footprint=footprint or Footprint())).rgb, 0, 1)
+
+
+def reference(
+    pipe: ClientPipeline, reader: BundleReader, frame: int, pose: Pose, seq: int = 1
+) -> tuple[ReferenceFrame, memoryview]:
+    view = Intrinsics.of_fov(80, 60, 1.3, 1.1)
+    camera = Camera(view, pose, reader.manifest.near)
+    rgb = truth(reader, frame, camera, Footprint.of(pipe.settings.intrinsics, view))
+    return ReferenceFrame(frame, seq, pose, view, idr=True), memoryview(H264Encoder(80, 60, 30).encode(rgb, idr=True))
+
+
+def test_a_frame_is_restored_towards_the_truth(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader), pose_of(reader)
+    send(pipe, reader, 0)
+    assert pipe.on_reference(*reference(pipe, reader, 0, pose))
+    shown = pipe.present(0, pipe.camera(pose))
+    true = truth(reader, 0, shown.camera)
+    scores = score(shown, true, np.ones((120, 160), np.float32))
+    assert scores["psnr_restored_db"] > scores["psnr_distorted_db"] + 1
+    assert scores["psnr_restored_db"] == pytest.approx(psnr(shown.rgb, true))
+    assert not shown.missed
+    assert shown.lod_mean == 0
+    assert averages([scores, scores])["psnr_restored_db"] == pytest.approx(scores["psnr_restored_db"])
+
+
+def test_without_a_reference_the_distorted_picture_is_shown(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader), pose_of(reader)
+    send(pipe, reader, 0)
+    shown = pipe.present(0, pipe.camera(pose))
+    assert shown.aligned is None
+    np.testing.assert_array_equal(shown.rgb, shown.distorted)
+
+
+def test_at_the_top_of_the_ladder_nothing_is_restored(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader), pose_of(reader)
+    send(pipe, reader, 0, lods=reader.manifest.lods)
+    pipe.on_reference(*reference(pipe, reader, 0, pose))
+    shown = pipe.present(0, pipe.camera(pose))
+    np.testing.assert_array_equal(shown.rgb, shown.distorted)
+    assert shown.lod_mean == reader.manifest.lods - 1
+
+
+def test_an_old_reference_fades_and_a_very_old_one_is_not_used(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader, reference_age=1), pose_of(reader)
+    for frame in range(3):
+        send(pipe, reader, frame)
+    pipe.on_reference(*reference(pipe, reader, 0, pose))
+    fresh, older, old = (pipe.present(frame, pipe.camera(pose)) for frame in range(3))
+    assert fresh.aligned is not None
+    assert older.aligned is not None
+    assert older.aligned.confidence.max() == pytest.approx(fresh.aligned.confidence.max() / 2)
+    assert old.aligned is None
+
+
+def test_a_frame_that_did_not_come_shows_the_one_before(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader), pose_of(reader)
+    send(pipe, reader, 0)
+    first, second = pipe.present(0, pipe.camera(pose)), pipe.present(1, pipe.camera(pose))
+    assert second.missed
+    np.testing.assert_array_equal(first.distorted, second.distorted)
+    send(pipe, reader, 1)
+    assert not pipe.present(1, pipe.camera(pose)).missed
+
+
+def test_adaptation_improves_the_clients_own_picture_frame_by_frame(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader, adapt="sirt"), pose_of(reader)
+    send(pipe, reader, 0)
+    pipe.on_reference(*reference(pipe, reader, 0, pose))
+    true = truth(reader, 0, pipe.camera(pose))
+    quality = [psnr(pipe.present(0, pipe.camera(pose)).distorted, true) for _ in range(4)]
+    assert quality[1] > quality[0] + 0.5
+    assert quality[3] > quality[1]
+
+
+def test_a_damaged_reference_asks_for_an_idr_and_is_not_shown(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader), pose_of(reader)
+    send(pipe, reader, 0)
+    message, unit = reference(pipe, reader, 0, pose)
+    with pytest.raises(DecodeError):
+        pipe.on_reference(message, memoryview(b"\x00" * 40))
+    late = ReferenceFrame(1, 3, pose, message.intrinsics, idr=False)
+    assert not pipe.on_reference(late, unit[:0] or memoryview(bytes(unit)[:0] or b"\x00\x00\x01\x41\x9a"))
+    assert pipe.present(0, pipe.camera(pose)).reference is None
+    assert pipe.last_reference_seq == 0
+
+
+def test_unknown_restorers_are_named(reader: BundleReader) -> None:
+    with pytest.raises(ConfigError, match="magic"):
+        pipeline(reader, restore="magic")
