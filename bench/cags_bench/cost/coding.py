@@ -64,10 +64,10 @@ def coding_stages(bench: Workbench) -> list[Stage]:
     coder = Coder(source.take(slice(None, None, max(1, len(source) // SPLATS))), bench, Path(tempfile.mkdtemp()))
     shipped = EncodeSettings()
     quantisers = [(name, replace(shipped, quantiser=name)) for name in QUANTISERS]
-    bits = [(str(n), replace(shipped, position_bits=n)) for n in (8, 10, 12, 14, 16)]
+    steps = [(f"1/{n}", replace(shipped, position_step=1 / n)) for n in (1, 2, 4, 8, 16)]
     samples = [(str(n), replace(shipped, train_splats=n)) for n in (1024, 4096, 16_384, 65_536)]
     return [
-        _encoding(coder, "positions", "Draco bits an axis", bits, shipped),
+        _encoding(coder, "positions", "step in splat radii", steps, shipped),
         _encoding(coder, "quantiser", "configuration", quantisers, shipped),
         _encoding(coder, "codebook training", "sample, splats", samples, shipped),
         _depth(coder),

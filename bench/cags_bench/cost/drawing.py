@@ -9,7 +9,8 @@ import numpy as np
 
 from cags_bench.cost.engine import Outcome, Point, Stage
 from cags_bench.cost.moments import Workbench
-from cags_client.restore import RestoreInput, create
+from cags_client.align import ReferencePicture
+from cags_client.restore import create
 from cags_common import raster
 from cags_common.geometry import F32, Camera
 from cags_common.metrics import psnr
@@ -72,16 +73,14 @@ def _depth_kind(bench: Workbench, scene: RasterScene) -> Stage:
     from cags_client import align
 
     moment, aligner = bench.moment, align.create("auto")
-    reference = moment.presented.reference
-    assert reference is not None
 
     def judge(view: RenderedView) -> Outcome:
         depth = view.depth if view.depth is not None else np.full(view.alpha.shape, bench_depth, np.float32)
-        aligned = aligner.align(reference, depth, moment.camera)
+        aligned = aligner.align(moment.reference, depth, moment.camera)
         known = aligned.confidence > 0
         return {"aligned_psnr_db": psnr(aligned.rgb, moment.truth, known) if known.any() else 0.0}
 
-    finite = moment.presented.depth[np.isfinite(moment.presented.depth)]
+    finite = moment.seen.depth[np.isfinite(moment.seen.depth)]
     bench_depth = float(np.median(finite))  # without a depth picture: the whole view as one plane
     points = tuple(
         Point(kind.value, _render(scene, moment.camera, RenderOptions(depth=kind)), judge, kind is DepthKind.EXPECTED)
@@ -122,22 +121,14 @@ def _picture_size(scene: RasterScene, camera: Camera, best: RenderedView) -> Sta
 
 
 def _reference_camera(bench: Workbench, width: int, height: int) -> Camera:
-    reference = bench.moment.presented.reference
-    assert reference is not None
-    camera = reference.camera
+    camera = bench.moment.reference.camera
     return replace(camera, intrinsics=camera.intrinsics.resized(width, height))
 
 
 def _restored(bench: Workbench, camera: Camera, rgb: F32) -> float:
     """PSNR of the shipped restoration with this reference."""
-    from cags_client import align
-    from cags_client.align import ReferencePicture
-
-    presented = bench.moment.presented
-    reference = ReferencePicture(np.ascontiguousarray(rgb.clip(0, 1)), camera, presented.frame)
-    aligned = align.create("auto").align(reference, presented.depth, presented.camera)
-    restored = create("affine").restore(RestoreInput(presented.distorted, presented.alpha, aligned, reference))
-    return psnr(restored, bench.moment.truth)
+    reference = ReferencePicture(np.ascontiguousarray(rgb.clip(0, 1)), camera, bench.moment.frame)
+    return psnr(bench.moment.seen.restored(reference, create("affine")), bench.moment.truth)
 
 
 def _sent(camera: Camera, rgb: F32, crf: float, chroma: Chroma) -> tuple[bytes, F32]:

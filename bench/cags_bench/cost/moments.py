@@ -6,15 +6,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from cags_bench.seeing import Seen, see
 from cags_bench.sim.session import Scenario, simulate
+from cags_client.align import ReferencePicture
 from cags_client.pipeline import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_client.truth import BundleTruth
+from cags_common import raster
 from cags_common.bundle import BundleReader
+from cags_common.bundle.player import BundlePlayer
+from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.splats import Splats
 
 MOMENTS = 3
+
+JUDGED_LOD = 4
+"""Depth of the splats that alignment and restoration are judged on: low, where there is something to put right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +31,10 @@ class Moment:
 
     frame: int
     camera: Camera
-    presented: PresentedFrame
+    reference: ReferencePicture
+    """As it was sent for this frame."""
+    seen: Seen
+    """What the client draws when all has come up to LoD ``JUDGED_LOD``."""
     truth: F32  # [H, W, 3] in [0, 1]
     truth_alpha: F32  # [H, W]
     source: Splats
@@ -44,7 +55,10 @@ class Workbench:
 
 
 def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Workbench:
-    """Play ``bundle`` in virtual time and keep a few moments at which a reference was at hand."""
+    """Play ``bundle`` in virtual time and keep a few moments at which a reference was at hand.
+
+    Raises :class:`ConfigError` where the link brings everything at once, so that nothing is ever restored.
+    """
     scenario = Scenario(bundle, trace, poses, client=ClientSettings(width=width, height=height), scored=False)
     kept: list[PresentedFrame] = []
 
@@ -53,13 +67,23 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
             kept.append(presented)
 
     simulate(scenario, watch)
+    if not kept:
+        raise ConfigError(
+            f"trace = {trace!r}: all of the scene arrives at once and no reference is used; name a slower"
+        )
     chosen = kept[len(kept) // 4 :: max(len(kept) // (MOMENTS + 1), 1)][:MOMENTS]
     truth = BundleTruth(str(bundle), replace(scenario.client, exactness="exact"))
     reader = BundleReader.open(str(bundle))
+    decoder = BundlePlayer(reader, min(JUDGED_LOD, reader.manifest.lods - 1))
+    rasteriser = raster.create("auto")
     moments = []
     for presented in chosen:
+        assert presented.reference is not None
         rgb, alpha = truth(presented.frame, presented.camera)
         source = reader.source(presented.frame).splats
-        moments.append(Moment(presented.frame, presented.camera, presented, rgb.clip(0, 1), alpha, source))
+        seen = see(rasteriser.load(decoder.frame(presented.frame).splats), presented.camera)
+        moments.append(
+            Moment(presented.frame, presented.camera, presented.reference, seen, rgb.clip(0, 1), alpha, source)
+        )
     reader.close()
     return Workbench(bundle, scenario, tuple(moments))

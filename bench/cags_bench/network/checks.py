@@ -18,6 +18,7 @@ def checks(lines: list[JsonObject]) -> list[JsonObject]:
     out: list[JsonObject] = []
     for case, judge in (
         ("sending", _sending),
+        ("sockets", _sockets),
         ("content", _content),
         ("realtime", _realtime),
         ("crowd", _crowd),
@@ -37,6 +38,14 @@ def _sending(lines: list[JsonObject]) -> list[JsonObject]:
         _most("median latency 2 s after a fall from 20 to 1.5 Mbps, ms", fall, "latency_ms", 120.0),
         _most("median error of the estimate on steady links", steady, "estimate_error", 0.10),
         _most("median error of the estimate on 5G mmWave", mobile, "estimate_error", 0.25),
+    ]
+
+
+def _sockets(lines: list[JsonObject]) -> list[JsonObject]:
+    fall = [line for line in lines if line["trace"] == "20 to 1.5 Mbps"]
+    return [
+        _most("bytes over sockets against virtual time", lines, "difference", 0.10),
+        _most("median latency over sockets 2 s after a fall from 20 to 1.5 Mbps, ms", fall, "latency_ms", 120.0),
     ]
 
 

@@ -23,7 +23,7 @@ EXAMPLES = """\
   cags-bench network --parts soak --soak-minutes 1440
 """
 
-PARTS = ("sending", "content", "realtime", "crowd", "soak")
+PARTS = ("sending", "sockets", "content", "realtime", "crowd", "soak")
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,10 @@ def _cases(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
         from cags_bench.network.sending import sending_lines
 
         yield from sending_lines(round(settings.seconds * 1e6), delay_us)
+    if "sockets" in parts:
+        from cags_bench.network.sockets import socket_lines
+
+        yield from socket_lines(round(settings.seconds * 1e6), delay_us)
     if "content" in parts or "realtime" in parts:
         yield from _plays(settings, parts)
     if "crowd" in parts:

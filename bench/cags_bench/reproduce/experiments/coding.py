@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import JsonObject
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Curve, Plot, Section
-from cags_client import align, restore
+from cags_bench.seeing import see
+from cags_client import restore
 from cags_client.align import ReferencePicture
-from cags_client.restore import RestoreInput
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
@@ -219,15 +221,13 @@ def _reference(stills: Stills, camera: Camera) -> ReferencePicture:
 def _three_ways(stills: Stills, splats: Splats, references: list[ReferencePicture]) -> dict[str, Any]:
     import cv2
 
-    scene, aligner, restorer = raster.create("auto").load(splats), align.create("auto"), restore.create("affine")
+    scene, restorer = raster.create("auto").load(splats), restore.create("affine")
     sums = {"reference upsampled": 0.0, "distorted": 0.0, "by example": 0.0}
     for camera, truth, reference in zip(stills.cameras, stills.truths, references, strict=True):
-        view = scene.render(camera, RenderOptions())
-        assert view.depth is not None
-        distorted = view.rgb.clip(0, 1)
-        aligned = aligner.align(reference, view.depth, camera)
-        restored = restorer.restore(RestoreInput(distorted, view.alpha, aligned, reference))
-        up = cv2.resize(reference.rgb, (camera.width_px, camera.height_px), interpolation=cv2.INTER_LINEAR)
-        for key, picture in zip(sums, (up, distorted, restored), strict=True):
+        seen = see(scene, camera)
+        restored = seen.restored(reference, restorer)
+        size = (camera.width_px, camera.height_px)
+        up: F32 = np.asarray(cv2.resize(reference.rgb, size, interpolation=cv2.INTER_LINEAR), np.float32)
+        for key, picture in zip(sums, (up, seen.distorted, restored), strict=True):
             sums[key] += psnr(picture, truth) / len(stills.cameras)
     return sums

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
+from pathlib import Path
+
 from cags_bench.jsonl import JsonObject, check
 from cags_bench.reproduce.cases import averaged
 from cags_bench.reproduce.methods import BASELINES, METHODS
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Curve, Plot, Section
+from cags_encoder.formats.ply import ply_bytes
+from cags_encoder.scenes import open_scene
 
 PSNR, SSIM = "psnr_restored_db", "ssim_restored"
 GAIN_TARGET_DB = 5.0
 
 REPRESENTATIONS = {
-    "TrackerSplat-like: splats that move": "motion:{scene}:kind=rigid",
-    "Dynamic 3DGS-like: colours held, poses move": "motion:{scene}:kind=bend",
-    "4DGS-like: everything changes": "motion:{scene}:kind=mix",
-    "HiCoM-like: splats are added": "motion:{scene}:kind=appear",
+    "TrackerSplat-like: splats move, colours stay": "rigid",
+    "Dynamic 3DGS-like: everything bends": "bend",
+    "4DGS-like: shape, place and colour change": "mix",
+    "HiCoM-like: splats come and go": "appear",
 }
-GENERALITY_SCENE = "procedural:size=20000"
+"""Kinds of motion that change what each representation changes between its frames."""
 
 
 def fixed(context: Context) -> Section:
@@ -95,20 +100,31 @@ def ablations(context: Context) -> Section:
 def generality(context: Context) -> Section:
     """Sequences that differ from frame to frame in other ways."""
     rows: list[list[Cell]] = []
-    base = next((s for s in context.plan.scenes if not s.startswith(("procedural", "motion:"))), None)
-    for title, spec in REPRESENTATIONS.items():
-        scene = spec.format(scene=base.split(":")[0]) if base and base.endswith((".splat", ".ply", ".sog")) else None
-        scene = scene or f"{GENERALITY_SCENE},frames={context.plan.frames}"
-        for method in ("cags", "sr-align-ref", "cr-no-ref", "no-prpa"):
+    still = _still(context, context.plan.scenes[0])
+    for title, kind in REPRESENTATIONS.items():
+        scene = f"motion:{still}:kind={kind},frames={context.plan.frames}"
+        for method in ("cags", "sr-align-ref", "cr-no-ref", *context.plan.ablations[1:]):
             summary = _run(context, scene, method, None)["summary"]
             rows.append([title, METHODS[method].title, summary[PSNR], summary[SSIM]])
     return Section(
         name="generality",
         title="Other representations of moving Gaussians",
-        paper="Figure 'generality'. Stand-ins: a capture put into motion the way each representation stores it.",
+        paper="Figure 'generality'. Stand-ins: the first frame of the first scene, put into motion the way each "
+        "representation stores it.",
         columns=("representation", "method", "PSNR [dB]", "SSIM"),
         rows=rows,
     )
+
+
+def _still(context: Context, scene: str) -> Path:
+    """The first frame of ``scene`` as a PLY file in the cache, to be put into motion."""
+    data = ply_bytes(open_scene(scene).frame(0))
+    folder = context.runner.results.folder.with_name("stills")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{hashlib.sha256(data).hexdigest()[:16]}.ply"
+    if not path.exists():
+        path.write_bytes(data)
+    return path
 
 
 def _run(context: Context, scene: str, method: str, mbps: float | None) -> JsonObject:

@@ -11,6 +11,9 @@ from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Section
 
 REPETITIONS = 7
+LINK_MBPS = 30.0
+"""The link of the session that is timed, in the paper's terms: slow enough that there is something to restore."""
+
 HORIZON_US = 200_000
 
 PAPER_MS = {
@@ -30,9 +33,10 @@ def components(context: Context) -> Section:
     from cags_bench.cost.moments import capture
 
     plan = context.plan
-    case = context.case(plan.scenes[0], "cags")
+    case = context.case(plan.scenes[0], "cags", LINK_MBPS)
     context.tell(f"components, {case.scene}")
-    bench = capture(context.runner.bundle(case), plan.width, plan.height, "generated:steady-30", plan.poses)
+    bundle = context.runner.bundle(case)
+    bench = capture(bundle, plan.width, plan.height, context.runner.link(case, bundle), plan.poses)
     works = {**_server_works(bench), **_client_works(bench)}
     rows: list[list[Cell]] = []
     for name, work in works.items():
@@ -72,7 +76,7 @@ def _server_works(bench: Any) -> dict[str, Callable[[], Any]]:
     history = PoseHistory(PoseSample(t, walk.pose_at(t)) for t in range(0, 2_000_000, POSE_PERIOD_US))
     predictor = create_predictor("autoregressive")
     scene = raster.create("auto").load(bench.moment.source)
-    camera = bench.moment.presented.reference.camera
+    camera = bench.moment.reference.camera
     options = RenderOptions(
         footprint=Footprint.of(bench.moment.camera.intrinsics, camera.intrinsics), contribution=True
     )
@@ -86,10 +90,7 @@ def _server_works(bench: Any) -> dict[str, Callable[[], Any]]:
 
 
 def _client_works(bench: Any) -> dict[str, Callable[[], Any]]:
-    from cags_bench.cost.restoring import decoded_splats
     from cags_client import align, restore
-    from cags_client.restore import RestoreInput
-    from cags_common import raster
     from cags_common.bundle import BundleReader
     from cags_common.raster.base import RenderOptions
     from cags_common.svq import CodebookSet
@@ -101,17 +102,14 @@ def _client_works(bench: Any) -> dict[str, Callable[[], Any]]:
     tiles = range(len(reader.frame(0).tiles))
     bases = [reader.payload(0, tile, 0) for tile in tiles]
     decoder = _layer_decoder(reader, books, bases)
-    scene = raster.create("auto").load(decoded_splats(bench, lod=2))
-    options = RenderOptions()
-    reference, presented = moment.presented.reference, moment.presented
+    scene, options = moment.seen.scene, RenderOptions()
     aligner, restorer = align.create("auto"), restore.create("affine")
-    aligned = aligner.align(reference, presented.depth, moment.camera)
-    inputs = RestoreInput(presented.distorted, presented.alpha, aligned, reference)
+    inputs = moment.seen.inputs(moment.reference, moment.seen.aligned(moment.reference, aligner))
     return {
         "decode base layers (Draco)": lambda: [decode_base(base, books) for base in bases],
         "decode layers (SVQ)": decoder,
         "render distorted + depth": lambda: scene.render(moment.camera, options),
-        "PRPA": lambda: aligner.align(reference, presented.depth, moment.camera),
+        "PRPA": lambda: moment.seen.aligned(moment.reference, aligner).rgb,
         "colour restoration": lambda: restorer.restore(inputs),
     }
 

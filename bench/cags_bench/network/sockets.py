@@ -1,0 +1,133 @@
+"""The load of :mod:`cags_bench.network.load` over real WebSockets through a real shaper, against its virtual twin.
+
+No scene is rendered, so what differs is the transport alone: kernel buffers, the event loop, the proxy.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cags_bench.demo.processes import ProcessGroup
+from cags_bench.network.load import FPS, Arrivals, LoadClient, LoadServer, run_load
+from cags_bench.network.sending import FALL_US, SETTLE_US, figures
+from cags_bench.sim.world import Peer
+from cags_common.transport import ConnectionEndedError, Transport
+from cags_common.transport.websocket import ServerWebSocket, connect
+from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES, MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_server.bandwidth import MeasuredEstimator
+from cags_shaper.link import LinkSettings
+from cags_shaper.trace import open_trace
+
+TRACES = ("generated:steady-30", "generated:lte-driving", "generated:sawtooth")
+FALL = "20 to 1.5 Mbps"
+
+
+def socket_lines(duration_us: int, delay_us: int) -> Iterator[dict[str, Any]]:
+    """One line a trace, and one of a fall from 20 to 1.5 Mbps."""
+    with tempfile.TemporaryDirectory(prefix="cags-network-") as folder:
+        fall = Path(folder) / "fall.csv"
+        seconds = FALL_US / 1e6
+        fall.write_text(f"0,20\n{seconds},1.5\n{2 * seconds},1.5\n", encoding="ascii")
+        for spec in TRACES:
+            yield _compare(spec, spec, duration_us, SETTLE_US, delay_us)
+        yield _compare(FALL, str(fall), 2 * FALL_US, FALL_US + SETTLE_US, delay_us)
+
+
+def _compare(name: str, spec: str, duration_us: int, start_us: int, delay_us: int) -> dict[str, Any]:
+    trace = open_trace(spec)
+    virtual = run_load(trace, MeasuredEstimator(), duration_us, LinkSettings(delay_us=delay_us))
+    real = asyncio.run(run_sockets(spec, duration_us, delay_us))
+    totals = [sum(size for _, _, size in log.tiles) for log in (real, virtual)]
+    return {
+        "case": "sockets",
+        "trace": name,
+        "real_bytes": totals[0],
+        "virtual_bytes": totals[1],
+        "difference": abs(totals[0] - totals[1]) / max(totals[1], 1),
+        **figures(real, trace, start_us, duration_us),
+        "virtual_latency_ms": figures(virtual, trace, start_us, duration_us)["latency_ms"],
+    }
+
+
+async def run_sockets(spec: str, duration_us: int, delay_us: int) -> Arrivals:
+    """One session in real time; the shaper is a process of its own."""
+    from aiohttp import web
+
+    log = Arrivals()
+    start_ns = time.monotonic_ns()
+
+    def clock() -> int:
+        return (time.monotonic_ns() - start_ns) // 1000
+
+    async def stream(request: web.Request) -> web.StreamResponse:
+        transport = await ServerWebSocket.accept(
+            request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
+        )
+        await drive(LoadServer(MeasuredEstimator(), log, FPS), transport, clock, duration_us)
+        return transport.response
+
+    app = web.Application()
+    app.router.add_get("/stream", stream)
+    runner = web.AppRunner(app, access_log=None)
+    await runner.setup()
+    await web.TCPSite(runner, "127.0.0.1", 0).start()
+    with tempfile.TemporaryDirectory(prefix="cags-network-") as folder, ProcessGroup(Path(folder)) as group:
+        target = f"127.0.0.1:{runner.addresses[0][1]}"
+        flags = [
+            "--listen",
+            "127.0.0.1:0",
+            "--to",
+            target,
+            "--trace",
+            spec,
+            "--delay-ms",
+            str(delay_us / 1e3),
+            "--json",
+        ]
+        ready = await asyncio.to_thread(group.start("cags_shaper", flags).ready)
+        start_ns = time.monotonic_ns()  # the shaper's link has just started too
+        url = f"ws://127.0.0.1:{ready['port']}/stream"
+        transport = await connect(url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
+        await drive(LoadClient(log), transport, clock, duration_us)
+        await transport.close()
+        await runner.cleanup()
+    return log
+
+
+async def drive(peer: Peer, transport: Transport, clock: Any, until_us: int) -> None:
+    """Move a peer's bytes until a time or the end of the connection."""
+    wake = asyncio.Event()
+
+    async def read() -> None:
+        while True:
+            peer.receive(await transport.recv(), clock())
+            wake.set()
+
+    async def write() -> None:
+        while clock() < until_us:
+            wake.clear()
+            now_us = clock()
+            timer_us = peer.next_timer_us()
+            if timer_us is not None and timer_us <= now_us:
+                peer.handle_timer(now_us)
+            for data in peer.data_to_send(now_us):
+                await transport.send(data)
+            timer_us = peer.next_timer_us()
+            next_us = until_us if timer_us is None else min(timer_us, until_us)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(max(next_us - clock(), 0) / 1e6):
+                    await wake.wait()
+
+    tasks = [asyncio.create_task(part()) for part in (read, write)]
+    await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in tasks:
+        task.cancel()
+    for result in await asyncio.gather(*tasks, return_exceptions=True):
+        if isinstance(result, Exception) and not isinstance(result, ConnectionEndedError):
+            raise result
