@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seconds", type=float, default=20.0, metavar="X", help="of each walk for the policies")
     parser.add_argument("--bundle", action="append", default=[], metavar="DIR", help="stream it with every choice")
+    parser.add_argument("--trace", default="generated:steady-8", metavar="TRACE", help="link of the streams")
     parser.add_argument("--frames", type=int, default=30, metavar="N", help="frames to stream of each bundle")
 
 
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     if args.bundle:
         from cags_bench.predict.end_to_end import stream_all
 
-        yield from stream_all(args.bundle, (held_out or fitted_on)[0], args.frames)
+        yield from stream_all(args.bundle, (held_out or fitted_on)[0], args.trace, args.frames)
     yield summary("predict", checks(lines))
 
 

@@ -16,12 +16,10 @@ from cags_server.predict import PREDICTORS
 from cags_server.predict.walks import Walk
 from cags_server.settings import ServerSettings
 
-LINK = "generated:steady-30"
-
 FIGURES = ("psnr_distorted_db", "psnr_restored_db", "ssim_restored", "prediction_error_deg", "bytes_reference")
 
 
-def stream_all(bundles: Sequence[str], walk: Walk, frames: int) -> Iterator[dict[str, Any]]:
+def stream_all(bundles: Sequence[str], walk: Walk, trace: str, frames: int) -> Iterator[dict[str, Any]]:
     """Every predictor with the default policy, and every policy with the default predictor, over each bundle."""
     defaults = ServerSettings()
     choices = [(name, defaults.fov) for name in PREDICTORS]
@@ -34,7 +32,7 @@ def stream_all(bundles: Sequence[str], walk: Walk, frames: int) -> Iterator[dict
             for predictor, fov in choices:
                 server = replace(defaults, predictor=predictor, fov=fov)
                 client = ClientSettings(width=400, height=300, duration=frames / 30.0)
-                scenario = Scenario(Path(bundle), LINK, str(poses), server, client)
+                scenario = Scenario(Path(bundle), trace, str(poses), server, client)
                 summary = simulate(scenario).summary
                 figures = {name: summary.get(name) for name in FIGURES}
                 yield {"case": "stream", "bundle": Path(bundle).name, "predictor": predictor, "fov": fov, **figures}
