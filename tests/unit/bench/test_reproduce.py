@@ -108,4 +108,4 @@ def test_methods_are_configurations_that_the_program_accepts(name):
     align.create(client.align)
     restore.create(client.restore)
     create_rate_policy(server.abr)
-    create_fov_policy(server.fov, server.fov_margin)
+    create_fov_policy(server.fov)
