@@ -13,13 +13,13 @@ class ServerSettings:
     """What one server does for each of its clients."""
 
     predictor: str = setting("autoregressive", "how the viewer's pose is predicted")
-    fov: str = setting("fixed", "how the field of view of the reference is chosen")
+    fov: str = setting("lstm", "how the field of view of the reference is chosen")
     fov_margin: float = setting(0.1, "margin of the fixed field of view, share of the client's", low=0.0, high=4.0)
     fov_quantile: float = setting(
         0.9, "share of the viewer's errors that the quantile field of view holds", low=0.01, high=0.9999
     )
-    fov_gain: float = setting(1.0, "factor on the margins of the LSTM field of view", low=0.0, high=10.0)
-    abr: str = setting("paper", "how the byte budget is spent on tiles")
+    fov_gain: float = setting(0.7, "factor on the margins of the LSTM field of view", low=0.0, high=10.0)
+    abr: str = setting("utility", "how the byte budget is spent on tiles")
     lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
     reference_width: int = setting(400, "width of reference pictures, pixels, even", low=16, high=4096)
     reference_height: int = setting(300, "height of reference pictures, pixels, even", low=16, high=4096)

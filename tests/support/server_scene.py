@@ -20,7 +20,9 @@ from cags_server.settings import ServerSettings
 
 FPS = 30.0
 CLIENT = Intrinsics.of_fov(160, 120, 1.2, 0.95)
-SETTINGS = ServerSettings(reference_width=64, reference_height=48, rasteriser="reference")
+SETTINGS = ServerSettings(
+    reference_width=64, reference_height=48, rasteriser="reference", fov="fixed", fov_margin=0.1, abr="paper"
+)
 
 
 def hello(pose: Pose | None = None, **changes: Any) -> Hello:

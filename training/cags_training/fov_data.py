@@ -20,6 +20,9 @@ CLIENT = Intrinsics.of_fov(1600, 1200, 1.48, 1.20)
 
 RAY_GRID = (13, 9)
 
+STILL_SHARE = 0.08
+"""Sessions of somebody who stands still, to all others."""
+
 
 @dataclass(frozen=True, eq=False)
 class FovSequence:
@@ -84,7 +87,10 @@ def turned(sequence: FovSequence, by: F64) -> FovSequence:
 
 
 def chunks(sequences: Sequence[FovSequence], length: int, rng: np.random.Generator) -> list[FovSequence]:
-    """Every walk cut into sessions of ``length`` frames from a random start, each in a world of its own heading."""
+    """Every walk cut into sessions of ``length`` frames from a random start, each in a world of its own heading.
+
+    A few more are of somebody who stands still, which recorded walks hardly hold: they need no margin.
+    """
     out = []
     for sequence in sequences:
         first = int(rng.integers(0, length))
@@ -92,6 +98,7 @@ def chunks(sequences: Sequence[FovSequence], length: int, rng: np.random.Generat
             part = FovSequence(*(getattr(sequence, name)[start : start + length] for name in _FIELDS))
             by = rng.standard_normal(4)
             out.append(_session(turned(part, by / np.linalg.norm(by))))
+    out += [_still(out[int(i)]) for i in rng.integers(0, max(len(out), 1), round(len(out) * STILL_SHARE))]
     return out
 
 
@@ -110,6 +117,13 @@ def _session(part: FovSequence) -> FovSequence:
         part.exact,
         part.fast,
     )
+
+
+def _still(session: FovSequence) -> FovSequence:
+    """The first pose of a session, held."""
+    q, p = (np.repeat(a[:1], len(a), axis=0) for a in (session.rotations, session.positions))
+    nothing = np.zeros_like(session.exact)
+    return FovSequence(q, p, q, p, nothing, nothing)
 
 
 def _one_side(q: F64) -> F64:

@@ -53,7 +53,7 @@ class Curve:
         self.area += limits.prod(axis=1) / plain.prod()
 
     def figures(self, areas: Sequence[float]) -> dict[str, Any]:
-        """Coverage (%) as the policy is, at equal areas (mean, worst twentieth), and the least area that covers 98 %."""
+        """Coverage (%) as it is and at equal areas (mean, worst twentieth), and the least area that covers 98 %."""
         shares = 100 * np.array(self.covered)
         covered, low, area = shares.mean(axis=0), np.percentile(shares, 5, axis=0), self.area / self.frames
         return {

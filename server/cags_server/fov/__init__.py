@@ -18,7 +18,7 @@ class FovOptions:
 
     margin: float = 0.1
     quantile: float = 0.9
-    gain: float = 1.0
+    gain: float = 0.7
 
 
 FOV_POLICIES: dict[str, Callable[[FovOptions], FovPolicy]] = {

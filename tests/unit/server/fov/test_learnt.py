@@ -49,6 +49,15 @@ def test_who_stands_still_gets_nearly_no_margin_from_the_quantile() -> None:
     assert max(QuantileFov(0.9).scale(FovObservation(0, distribution, CLIENT, pose))) < 1e-6
 
 
+def test_who_stands_still_gets_nearly_no_margin_from_the_lstm() -> None:
+    policy, pose = LstmFov(gain=0.7), swaying_pose(123)
+    for i in range(60):
+        if i >= 6:
+            policy.truth(i - 6, pose, pose, CLIENT)
+        margins = policy.scale(observed(i, pose))
+    assert max(margins) < 0.02
+
+
 def run(policy: LstmFov, frames: int = 60, lead: int = 6) -> list[tuple[float, float]]:
     """A stream: frame i is planned ``lead`` frames before its true pose is known, and predicted by holding."""
     out = []
