@@ -37,6 +37,7 @@ class ClientTask:
         self._slow_s = slow_s
         self._to_send = asyncio.Event()
         self._to_plan = asyncio.Event()
+        self._job: asyncio.Task[None] | None = None
 
     async def run(self) -> None:
         """Serve until the client or the server leaves."""
@@ -47,6 +48,8 @@ class ClientTask:
                 self._connection.connection_lost("the connection ended", now_us())
             await self._flush()
         finally:
+            if self._job is not None:
+                tasks.append(self._job)
             for task in tasks:
                 task.cancel()
             results = await asyncio.gather(*tasks, return_exceptions=True)
@@ -96,7 +99,7 @@ class ClientTask:
                 self._to_send.set()
             job = self._connection.next_job(now)
             if job is not None:
-                await self._run(job, loop)
+                self._job = asyncio.create_task(self._run(job, loop))
                 continue
             await self._sleep_until(self._connection.next_timer_us())
 
@@ -106,9 +109,10 @@ class ClientTask:
         except Exception:
             log.exception("%s: frame %d failed", self._connection.name, job.plan.frame)
             self._connection.job_failed(job)
+            self._to_plan.set()
             return
         self._connection.job_done(render, now_us())
-        self._to_send.set()
+        self._wake()
         self._executor.submit(job.library.prepare, job.plan.frame + 1)
 
     async def _sleep_until(self, timer_us: int | None) -> None:

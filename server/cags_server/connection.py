@@ -82,6 +82,8 @@ class Connection:
     def handle_timer(self, now_us: int) -> None:
         """Do what is due."""
         self.session.handle_timer(now_us=now_us)
+        if self.streamer is not None and not self.closed:
+            self._queue(self.streamer.catch_up(now_us), now_us)
         self._settle(now_us)
 
     def next_job(self, now_us: int) -> FrameJob | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cags_common.geometry import Camera, Intrinsics
+from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RenderOptions
 from cags_common.video.h264 import H264Encoder, is_idr
 from cags_server.library import SceneLibrary, VisibleTile
@@ -39,6 +39,7 @@ class FrameRender:
     access_unit: bytes
     idr: bool
     visible: tuple[VisibleTile, ...]
+    contribution: F32  # [capacity] by splat id
     render_ns: int
     encode_ns: int
 
@@ -77,6 +78,7 @@ class FrameJob:
             access_unit=unit,
             idr=is_idr(unit),
             visible=visible,
+            contribution=view.contribution,
             render_ns=rendered - started,
             encode_ns=clock() - rendered,
         )

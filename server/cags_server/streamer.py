@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cags_common.geometry import Camera, Pose
+from cags_common.geometry import F32, Camera, Pose
 from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Encoder
 from cags_protocol import events as ev
@@ -23,7 +23,7 @@ from cags_server.inventory import ClientInventory
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.opening import opening_tiles
 from cags_server.pace import Pace
-from cags_server.predict import PoseHistory, create_predictor
+from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
 from cags_server.settings import ServerSettings
@@ -31,6 +31,9 @@ from cags_server.timeline import Timeline
 
 BLOB_PRIORITY, BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 0, 1, 2, 3
 """References go before everything in the session's queue; then decoders' tables, base layers, detail, the unseen."""
+
+BLIND_GRACE_PERIODS = 1.0
+"""Frames that a running job may be overdue before media goes on without it."""
 
 WHOLE_TILES_CODEC = "video"
 """Codec of bundles whose LoD k is the whole tile at quality k."""
@@ -105,6 +108,8 @@ class Streamer:
         self._saved_bytes = 0
         self._needs_idr = True
         self._from_nothing = False
+        self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
+        self._blind_tick = -1  # newest frame that was sent without looking
         self._unsettled: list[FrameRecord] = []
         self._started_us = now_us
 
@@ -185,7 +190,7 @@ class Streamer:
         self._timeline = self._timeline.controlled(control)
         self._controlled = True
         self._generation += 1
-        self._next_tick = 0
+        self._next_tick, self._blind_tick = 0, -1
         if control.action == "seek":  # the client has forgotten everything
             self._start_anew()
             self._needs_idr = True
@@ -209,9 +214,12 @@ class Streamer:
 
     def next_due_us(self) -> int | None:
         """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
-        if not self._controlled or self._job_running or self._media_frame(self._next_tick) is None:
+        if not self._controlled or self._media_frame(self._next_tick) is None:
             return None
-        return self._clock.to_server(round(self._timeline.display_us(self._next_tick) - self._lead_us))
+        due_us = self._clock.to_server(round(self._timeline.display_us(self._next_tick) - self._lead_us))
+        if not self._job_running:
+            return due_us
+        return None if self._blind_frame() is None else due_us + round(BLIND_GRACE_PERIODS * self._timeline.period_us)
 
     def begin(self, now_us: int) -> FrameJob | None:
         """Plan the newest frame that is due: where the viewer will be, and how wide to look. None if none is due.
@@ -219,7 +227,7 @@ class Streamer:
         Frames that became due before it and were not begun are skipped: their references would come too late.
         """
         due_us = self.next_due_us()
-        if due_us is None or now_us < due_us:
+        if self._job_running or due_us is None or now_us < due_us:
             return None
         behind = int((now_us - due_us) // self._timeline.period_us)
         tick = self._next_tick + behind
@@ -244,13 +252,39 @@ class Streamer:
             threads=self._settings.render_threads,
         )
 
+    def catch_up(self, now_us: int) -> list[ev.Outgoing]:
+        """While a job takes long: the tiles and ends of frames that are overdue, chosen by what was seen last.
+
+        Media goes on without new references; only they wait for the renderer.
+        """
+        due_us, tick, frame = self.next_due_us(), self._next_tick, self._blind_frame()
+        if not self._job_running or self._seen is None or frame is None or due_us is None or now_us < due_us:
+            return []
+        self._next_tick = tick + 1
+        self._blind_tick = tick
+        visible = self._library.visible_tiles(frame, self._seen[1], self._settings.visible_px)
+        display_us = self._timeline.display_us(tick)
+        predicted = self._predict(display_us)
+        plan = FramePlan(self._generation, tick, frame, 1, now_us, display_us, 0, predicted, (0.0, 0.0), False)
+        record = self._record(plan)
+        record.reference_late = True
+        self.stats.references_late += 1
+        return self._tiles(visible, record, now_us)
+
+    def _blind_frame(self) -> int | None:
+        """The next media frame, if it can be served without a look: not in a group of which nothing was seen yet."""
+        frame = self._media_frame(self._next_tick)
+        if frame is None or self._seen is None or self._ended is None or frame < self._ended:
+            return None
+        return frame if self._library.manifest.gof_of(frame) == self._seen[0] else None
+
     def _plan(self, tick: int, frame: int, now_us: int) -> FramePlan:
         display_us = self._timeline.display_us(tick)
         if not len(self._history):
             self._history.add(PoseSample(self._clock.to_client(now_us), self._hello.pose))
         newest = self._history.newest
         horizon_us = max(0, display_us - newest.t_us)
-        predicted = self._predictor.predict(self._history, horizon_us)
+        predicted = self._predict(display_us)
         margins = self._fov.scale(FovObservation(frame, predicted, self._hello.intrinsics, newest.pose))
         return FramePlan(
             generation=self._generation,
@@ -264,6 +298,9 @@ class Streamer:
             margins=margins,
             idr=self._needs_idr,
         )
+
+    def _predict(self, display_us: int) -> PoseDistribution:
+        return self._predictor.predict(self._history, max(0, display_us - self._history.newest.t_us))
 
     def _media_frame(self, tick: int) -> int | None:
         """While paused the viewer still moves: the same frame is planned again and again."""
@@ -286,24 +323,37 @@ class Streamer:
         if plan.generation != self._generation:  # the viewer seeked meanwhile
             self._needs_idr = True
             return []
+        self._seen = self._library.manifest.gof_of(plan.frame), render.contribution
+        if plan.tick < self._blind_tick:  # its tiles, and later ones, have gone ahead
+            record = self._record(plan)
+            record.reference_late = now_us >= self._clock.to_server(plan.display_us)
+            self.stats.references_late += record.reference_late
+            return self._counted(self._reference_if_useful(render, record, now_us), now_us)
         self._enter(plan.frame)
         record = self._record(plan)
-        out: list[ev.Outgoing] = []
         record.reference_late = now_us >= self._clock.to_server(plan.display_us)
         self.stats.references_late += record.reference_late
-        if now_us < self._reference_deadline_us(plan):
-            out.append(self._reference(render))
-            record.reference_bytes = len(render.access_unit)
-        else:
-            self._needs_idr = True
+        out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
         if self._from_nothing:
             self._from_nothing = False
-            out += self._beginning(plan.frame, plan.predicted.pose)
-        decision = self._decide(render.visible, record, now_us)
-        deadline_us = self._clock.to_server(plan.display_us) + int(self._settings.tile_deadline_ms * 1000)
+            out += self._counted(self._beginning(plan.frame, plan.predicted.pose), now_us)
+        return out + self._tiles(render.visible, record, now_us)
+
+    def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
+        """The reference, unless it is too late for anything; then the next one must stand alone."""
+        if now_us >= self._reference_deadline_us(render.plan):
+            self._needs_idr = True
+            return []
+        record.reference_bytes = len(render.access_unit)
+        return [self._reference(render)]
+
+    def _tiles(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
+        """The tiles that the rate policy chooses for a frame, and the frame's end."""
+        decision = self._decide(visible, record, now_us)
+        deadline_us = self._clock.to_server(record.display_us) + int(self._settings.tile_deadline_ms * 1000)
         send = self._layers if self._layered else self._whole_tiles
         base, detail = send(decision.upgrades, deadline_us)
-        return self._counted([*out, *base, *self._frame_ends(plan.frame), *detail], now_us)
+        return self._counted([*base, *self._frame_ends(record.frame), *detail], now_us)
 
     def _layers(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
         """Base layers, which go ahead of everybody's detail, and the detail."""

@@ -361,3 +361,34 @@ def test_tiles_that_are_not_layered_are_sent_whole_and_again_when_better() -> No
     sent = [m for _ in range(3) for m in of(TileLayers, rig.step())]
     assert {(m.from_lod, m.to_lod) for m in sent} == {(3, 4)}
     assert len({(m.frame, m.tile) for m in sent}) == len(sent)
+
+
+def test_media_goes_on_while_a_picture_is_being_rendered() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    assert rig.streamer.catch_up(due + 1000) == []
+    blind = []
+    for k in (2, 3):
+        blind += rig.streamer.catch_up(round(due + (k + 0.1) * PERIOD_US))
+    rig.deliver(blind)
+    assert [e.frame for e in of(FrameEnd, blind)] == [1, 2, 3]
+    assert {2, 3} <= {t.frame for t in of(TileLayers, blind)}
+    assert of(ReferenceFrame, blind) == []
+    late = rig.streamer.finish(job.run(), round(due + 3.5 * PERIOD_US))
+    assert [r.frame for r in of(ReferenceFrame, late)] == [1]
+    assert of(TileLayers, late) == []
+    assert [r.frame for r in of(ReferenceFrame, rig.step())] == [4]
+
+
+def test_a_new_group_is_not_entered_without_looking() -> None:
+    rig = Rig()
+    rig.play()
+    for _ in range(5):
+        rig.step()
+    due = rig.streamer.next_due_us()
+    rig.streamer.begin(due)
+    assert rig.streamer.catch_up(round(due + 2.5 * PERIOD_US)) == []
+    assert rig.streamer.next_due_us() is None  # nothing to wake up for until the job is done
