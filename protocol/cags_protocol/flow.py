@@ -22,6 +22,9 @@ REORDER_PACKETS = 64
 MIN_RTT_WINDOW_US = 10_000_000
 """The shortest round trip is taken over this long, as BBR does."""
 
+JITTER_GAIN, MAX_JITTER_US = 4.0, 80_000
+"""The change between neighbouring round trips, smoothed as in RFC 3550, counts this many times, up to a bound."""
+
 MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
 """Least credit: one packet on the wire, one to follow it."""
 
@@ -64,6 +67,8 @@ class FlowControl:
         self._app_limited_until = 0
         self._delivered_us = self._first_sent_us = now_us
         self._rtts: deque[tuple[int, int]] = deque()  # (time, rtt), rising rtt: the front is the minimum
+        self._last_rtt_us: int | None = None
+        self._jitter_us = 0.0
         self._window_full = False
         self.in_flight_bytes = 0
         self.delivered_bytes = 0
@@ -82,8 +87,12 @@ class FlowControl:
 
     @property
     def window_bytes(self) -> int:
-        """Bytes that may be unacknowledged: the link's own content plus ``window_us`` of queue."""
-        return max(MIN_WINDOW_BYTES, int(self.rate_bps * (self._window_us + self.min_rtt_us) / 8e6))
+        """Bytes that may be unacknowledged: the link's own content, ``window_us`` of queue, and room for jitter.
+
+        Without that room a busy machine, whose round trips jump by tens of milliseconds, would never fill its link.
+        """
+        jitter_us = min(JITTER_GAIN * self._jitter_us, MAX_JITTER_US)
+        return max(MIN_WINDOW_BYTES, int(self.rate_bps * (self._window_us + self.min_rtt_us + jitter_us) / 8e6))
 
     def has_credit(self, extra_bytes: int = 0) -> bool:
         """Whether another packet may be sent now; ``extra_bytes`` widens the window."""
@@ -159,6 +168,10 @@ class FlowControl:
         return flight
 
     def _note_rtt(self, rtt_us: int, now_us: int) -> None:
+        if self._last_rtt_us is not None:
+            # Falls alone: jitter falls as much as it rises, a queue that builds up only rises.
+            self._jitter_us += (2 * max(self._last_rtt_us - rtt_us, 0) - self._jitter_us) / 16
+        self._last_rtt_us = rtt_us
         while self._rtts and self._rtts[-1][1] >= rtt_us:
             self._rtts.pop()
         self._rtts.append((now_us, rtt_us))

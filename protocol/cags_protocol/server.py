@@ -37,8 +37,8 @@ class ServerSessionSettings:
     """Bounds and times of a server's sessions."""
 
     timers: SessionTimers = field(default_factory=SessionTimers)
-    window_us: int = 40_000
-    """Queueing delay that unacknowledged data may cause. Half the latency of 80 ms for the same utilisation."""
+    window_us: int = 20_000
+    """Queueing delay that unacknowledged data may cause, beside the room for the round trip's jitter."""
     initial_rate_bps: float = 4e6
     """Rate assumed until the bandwidth estimator speaks."""
     max_queue_bytes: int = 16 * 1024 * 1024

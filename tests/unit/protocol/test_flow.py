@@ -101,3 +101,16 @@ def test_what_was_never_sent_cannot_be_acknowledged():
     control = flow()
     with pytest.raises(ProtocolError, match="ack of packet 1, but only 0 were sent"):
         control.on_ack([SeqRange(1, 1)], 0, 1000)
+
+
+def round_trips(control, times_us):
+    for number, rtt_us in enumerate(times_us):
+        seq = send(control, number * 1000)
+        control.on_ack([SeqRange(seq, seq)], 0, number * 1000 + rtt_us)
+    return control.window_bytes
+
+
+def test_jitter_widens_the_window_and_a_growing_queue_does_not():
+    calm = round_trips(flow(), [20_000] * 100)
+    assert round_trips(flow(), [20_000 + 1000 * n for n in range(100)]) == calm
+    assert round_trips(flow(), [20_000, 40_000] * 50) > 1.5 * calm
