@@ -14,29 +14,25 @@ from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Encoder
 from cags_protocol import events as ev
 from cags_protocol.blobs import blob_chunks
-from cags_protocol.messages import Control, FrameEnd, HeldTile, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
-from cags_server.abr import Decision, Observation, TileView, Upgrade, create_rate_policy
+from cags_protocol.messages import Control, HeldTile, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
+from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.clock import ClientClock
 from cags_server.fov import FovObservation, FovOptions, create_fov_policy, widened
-from cags_server.inventory import ClientInventory
 from cags_server.library import SceneLibrary, VisibleTile
-from cags_server.opening import opening_tiles
 from cags_server.pace import Pace
 from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
 from cags_server.settings import ServerSettings
+from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
 
-BLOB_PRIORITY, BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 0, 1, 2, 3
-"""References go before everything in the session's queue; then decoders' tables, base layers, detail, the unseen."""
+BLOB_PRIORITY = 0
+"""Decoders' tables: nothing can be shown without them."""
 
 BLIND_GRACE_PERIODS = 1.0
 """Frames that a running job may be overdue before media goes on without it."""
-
-WHOLE_TILES_CODEC = "video"
-"""Codec of bundles whose LoD k is the whole tile at quality k."""
 
 MESSAGE_OVERHEAD_BYTES = 160
 """Header of a tile message and its fragment, about."""
@@ -91,14 +87,12 @@ class Streamer:
         )
         self._clock = ClientClock()
         self._history = PoseHistory()
-        self._layered = library.manifest.codec != WHOLE_TILES_CODEC
-        self._inventory = ClientInventory(layered=self._layered)
+        self._tiles = TileSender(library, opening=settings.opening_tiles)
         start = min(hello.start_frame, library.manifest.frames - 1)
         self._timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
         self._controlled = False
         self._generation = 0
         self._next_tick = 0
-        self._ended: int | None = None  # newest media frame whose FrameEnd was queued
         self._job_running = False
         self._pace = Pace()
         self._outstanding_bytes = 0
@@ -107,7 +101,6 @@ class Streamer:
         self._idr_seq = 0
         self._saved_bytes = 0
         self._needs_idr = True
-        self._from_nothing = False
         self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
         self._blind_tick = -1  # newest frame that was sent without looking
         self._unsettled: list[FrameRecord] = []
@@ -126,22 +119,12 @@ class Streamer:
             ev.Outgoing(blob, chunk, BLOB_PRIORITY)
             for blob, chunk in blob_chunks("codebooks", self._library.reader.codebooks())
         ]
-        return self._counted(out + self._beginning(self._timeline.frame, self._hello.pose), now_us)
+        camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
+        return self._counted(out + self._tiles.beginning(self._timeline.frame, camera), now_us)
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles from an earlier session: they are not sent again."""
-        for held in inventory:
-            if held.lods:
-                self._inventory.hold(held.frame, held.tile, held.lods)
-
-    def _beginning(self, frame: int, pose: Pose) -> list[ev.Outgoing]:
-        """A picture from nothing, whatever the budget: base layers in view, the frame's end, the other base layers."""
-        camera = Camera(self._hello.intrinsics, pose, self._hello.near)
-        in_view, hidden = opening_tiles(self._library, frame, camera) if self._settings.opening_tiles else ([], [])
-        lacking = [[key for key in keys if not self._inventory.holds(*key, 0)] for keys in (in_view, hidden)]
-        out = [self._tile(key, (0, 1), BASE_PRIORITY) for key in lacking[0]]
-        out += self._frame_ends(frame)
-        return out + [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in lacking[1]]
+        self._tiles.resume(inventory)
 
     # -------------------------------------------------------------------------------------------------------- events
 
@@ -165,7 +148,7 @@ class Streamer:
                 self._on_settled(outgoing, delivered=False)
             case ev.Evicted(tiles):
                 for held in tiles:
-                    self._inventory.reduced(held.frame, held.tile, held.lods)
+                    self._tiles.inventory.reduced(held.frame, held.tile, held.lods)
             case _:
                 pass
 
@@ -192,7 +175,7 @@ class Streamer:
         self._generation += 1
         self._next_tick, self._blind_tick = 0, -1
         if control.action == "seek":  # the client has forgotten everything
-            self._start_anew()
+            self._tiles.start_anew()
             self._needs_idr = True
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
@@ -200,7 +183,7 @@ class Streamer:
         self._travelling.pop(id(outgoing), None)
         message = outgoing.message
         if isinstance(message, TileLayers):
-            (self._inventory.delivered if delivered else self._inventory.dropped)(message)
+            (self._tiles.inventory.delivered if delivered else self._tiles.inventory.dropped)(message)
         elif isinstance(message, ReferenceFrame) and not delivered:
             self._needs_idr = self._needs_idr or message.seq >= self._idr_seq
 
@@ -269,12 +252,12 @@ class Streamer:
         record = self._record(plan)
         record.reference_late = True
         self.stats.references_late += 1
-        return self._tiles(visible, record, now_us)
+        return self._upgrades(visible, record, now_us)
 
     def _blind_frame(self) -> int | None:
         """The next media frame, if it can be served without a look: not in a group of which nothing was seen yet."""
         frame = self._media_frame(self._next_tick)
-        if frame is None or self._seen is None or self._ended is None or frame < self._ended:
+        if frame is None or self._seen is None or self._tiles.ended is None or frame < self._tiles.ended:
             return None
         return frame if self._library.manifest.gof_of(frame) == self._seen[0] else None
 
@@ -329,15 +312,15 @@ class Streamer:
             record.reference_late = now_us >= self._clock.to_server(plan.display_us)
             self.stats.references_late += record.reference_late
             return self._counted(self._reference_if_useful(render, record, now_us), now_us)
-        self._enter(plan.frame)
+        self._tiles.enter(plan.frame)
         record = self._record(plan)
         record.reference_late = now_us >= self._clock.to_server(plan.display_us)
         self.stats.references_late += record.reference_late
         out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
-        if self._from_nothing:
-            self._from_nothing = False
-            out += self._counted(self._beginning(plan.frame, plan.predicted.pose), now_us)
-        return out + self._tiles(render.visible, record, now_us)
+        if self._tiles.from_nothing:
+            camera = Camera(self._hello.intrinsics, plan.predicted.pose, self._hello.near)
+            out += self._counted(self._tiles.beginning(plan.frame, camera), now_us)
+        return out + self._upgrades(render.visible, record, now_us)
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""
@@ -347,35 +330,11 @@ class Streamer:
         record.reference_bytes = len(render.access_unit)
         return [self._reference(render)]
 
-    def _tiles(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
+    def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The tiles that the rate policy chooses for a frame, and the frame's end."""
         decision = self._decide(visible, record, now_us)
         deadline_us = self._clock.to_server(record.display_us) + int(self._settings.tile_deadline_ms * 1000)
-        send = self._layers if self._layered else self._whole_tiles
-        base, detail = send(decision.upgrades, deadline_us)
-        return self._counted([*base, *self._frame_ends(record.frame), *detail], now_us)
-
-    def _layers(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
-        """Base layers, which go ahead of everybody's detail, and the detail."""
-        fresh = [u for u in upgrades if u.from_lod == 0]
-        base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh]
-        detail = [
-            self._tile((u.frame, u.tile), run, ENHANCEMENT_PRIORITY, deadline_us)
-            for u in sorted(upgrades, key=lambda u: u.from_lod > 0)
-            for run in self._missing_runs(u.frame, u.tile, max(u.from_lod, 1), u.to_lod)
-        ]
-        return base, detail
-
-    def _whole_tiles(
-        self, upgrades: tuple[Upgrade, ...], deadline_us: int
-    ) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
-        """New tiles, and tiles that are sent again at a better quality."""
-        parts: tuple[list[ev.Outgoing], list[ev.Outgoing]] = [], []
-        for u in upgrades:
-            again = u.from_lod > 0
-            priority = ENHANCEMENT_PRIORITY if again else BASE_PRIORITY
-            parts[again].append(self._tile((u.frame, u.tile), (u.to_lod - 1, u.to_lod), priority, deadline_us))
-        return parts
+        return self._counted(self._tiles.upgrades(record.frame, decision.upgrades, deadline_us), now_us)
 
     def _record(self, plan: FramePlan) -> FrameRecord:
         record = FrameRecord(
@@ -394,23 +353,6 @@ class Streamer:
         self._unsettled.append(record)
         return record
 
-    def _enter(self, frame: int) -> None:
-        """A new group of frames has ids of its own, and the client forgets everything when the media starts again."""
-        if self._ended is None:
-            return
-        left, entered = self._library.manifest.gof_of(self._ended), self._library.manifest.gof_of(frame)
-        if frame < self._ended:
-            self._start_anew()
-        elif left != entered:
-            frames = self._library.manifest.gof_frames(left)
-            self._inventory.keep(frames[0], frames[-1])
-
-    def _start_anew(self) -> None:
-        """The client holds nothing any more."""
-        self._inventory.clear()
-        self._ended = None
-        self._from_nothing = True
-
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps = self._estimator.estimate_bps(now_us)
         allowed_bps = self._estimator.allowance_bps(now_us)
@@ -423,10 +365,10 @@ class Streamer:
             Observation(
                 frame=record.frame,
                 budget_bytes=record.budget_bytes,
-                tiles=tuple(self._view(tile) for tile in visible),
+                tiles=tuple(self._tiles.view(tile) for tile in visible),
                 lod_gains_db=self._library.manifest.lod_gains_db,
                 message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
-                layered=self._layered,
+                layered=self._tiles.layered,
                 waiting_us=now_us - next(iter(self._travelling.values()), now_us),
             )
         )
@@ -436,48 +378,7 @@ class Streamer:
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
         return decision
 
-    def _view(self, tile: VisibleTile) -> TileView:
-        sizes = self._library.entry(tile.frame).tiles[tile.tile].lod_bytes
-        depth = self._inventory.depth(tile.frame, tile.tile)
-        holds = self._inventory.holds
-        missing = tuple(
-            0 if lod > depth and holds(tile.frame, tile.tile, lod) else size for lod, size in enumerate(sizes)
-        )
-        return TileView(
-            tile.frame,
-            tile.tile,
-            depth,
-            tile.count,
-            missing,
-            weight=tile.weight,
-            frames_left=tile.frames_left,
-            replaces=not self._library.entry(tile.frame).keyframe,
-        )
-
-    def _missing_runs(self, frame: int, tile: int, first: int, end: int) -> list[tuple[int, int]]:
-        """[first, end) without the layers that the client holds already, as half-open runs."""
-        runs: list[tuple[int, int]] = []
-        for lod in range(first, end):
-            if self._inventory.holds(frame, tile, lod):
-                continue
-            if runs and runs[-1][1] == lod:
-                runs[-1] = (runs[-1][0], lod + 1)
-            else:
-                runs.append((lod, lod + 1))
-        return runs
-
     # ------------------------------------------------------------------------------------------------------ messages
-
-    def _tile(
-        self, key: tuple[int, int], lods: tuple[int, int], priority: int, deadline_us: int | None = None
-    ) -> ev.Outgoing:
-        """LoDs [first, end) of the tile (media frame, tile)."""
-        reader, (first, end) = self._library.reader, lods
-        entry = reader.frame(key[0]).tiles[key[1]]
-        payload = b"".join(reader.payload(*key, lod) for lod in range(first, end))
-        message = TileLayers(*key, first, end, entry.lod_bytes[first:end], entry.crcs[first:end])
-        self._inventory.queued(message)
-        return ev.Outgoing(message, payload, priority, deadline_us)
 
     def _reference(self, render: FrameRender) -> ev.Outgoing:
         self._reference_seq += 1
@@ -490,13 +391,6 @@ class Streamer:
     def _reference_deadline_us(self, plan: FramePlan) -> int:
         """A late reference still serves the frames that follow its own."""
         return self._clock.to_server(plan.display_us) + int(self._settings.reference_deadline_ms * 1000)
-
-    def _frame_ends(self, frame: int) -> list[ev.Outgoing]:
-        """The ends of every frame up to ``frame`` that has not been ended: skipped ones too, for their removed ids."""
-        first = self._library.gof_start(frame) if self._ended is None else self._ended + 1
-        self._ended = frame
-        reader = self._library.reader
-        return [ev.Outgoing(FrameEnd(at), reader.removed_payload(at), BASE_PRIORITY) for at in range(first, frame + 1)]
 
     def _counted(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
         for each in outgoing:

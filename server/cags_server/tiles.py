@@ -1,0 +1,140 @@
+"""Tiles on their way to one client: what it holds, what it lacks, and the messages that bring it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cags_common.geometry import Camera
+from cags_protocol import events as ev
+from cags_protocol.messages import FrameEnd, HeldTile, TileLayers
+from cags_server.abr import TileView, Upgrade
+from cags_server.inventory import ClientInventory
+from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.opening import opening_tiles
+
+BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3
+"""Base layers and ends of frames, detail, what is out of view; references go before, in the session's own order."""
+
+WHOLE_TILES_CODEC = "video"
+"""Codec of bundles whose LoD k is the whole tile at quality k."""
+
+
+class TileSender:
+    """Makes tile messages and keeps account of them."""
+
+    def __init__(self, library: SceneLibrary, *, opening: bool) -> None:
+        self._library, self._opening = library, opening
+        self.layered = library.manifest.codec != WHOLE_TILES_CODEC
+        self.inventory = ClientInventory(layered=self.layered)
+        self.ended: int | None = None
+        """Newest media frame whose end was queued."""
+        self.from_nothing = False
+        """Whether the client holds nothing and must be given a beginning."""
+
+    def resume(self, inventory: Iterable[HeldTile]) -> None:
+        """The client still holds these tiles from an earlier session: they are not sent again."""
+        for held in inventory:
+            if held.lods:
+                self.inventory.hold(held.frame, held.tile, held.lods)
+
+    def upgrades(self, frame: int, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
+        """Messages of a frame: new tiles, the frame's end, detail."""
+        base, detail = (self._layers if self.layered else self._whole_tiles)(upgrades, deadline_us)
+        return [*base, *self.frame_ends(frame), *detail]
+
+    def beginning(self, frame: int, camera: Camera) -> list[ev.Outgoing]:
+        """A picture from nothing, whatever the budget: base layers in view, the frame's end, the other base layers."""
+        self.from_nothing = False
+        in_view, hidden = opening_tiles(self._library, frame, camera) if self._opening else ([], [])
+        lacking = [[key for key in keys if not self.inventory.holds(*key, 0)] for keys in (in_view, hidden)]
+        out = [self._tile(key, (0, 1), BASE_PRIORITY) for key in lacking[0]]
+        out += self.frame_ends(frame)
+        return out + [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in lacking[1]]
+
+    def _layers(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
+        """Base layers, which go ahead of everybody's detail, and the detail."""
+        fresh = [u for u in upgrades if u.from_lod == 0]
+        base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh]
+        detail = [
+            self._tile((u.frame, u.tile), run, ENHANCEMENT_PRIORITY, deadline_us)
+            for u in sorted(upgrades, key=lambda u: u.from_lod > 0)
+            for run in self._missing_runs(u.frame, u.tile, max(u.from_lod, 1), u.to_lod)
+        ]
+        return base, detail
+
+    def _whole_tiles(
+        self, upgrades: tuple[Upgrade, ...], deadline_us: int
+    ) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
+        """New tiles, and tiles that are sent again at a better quality."""
+        parts: tuple[list[ev.Outgoing], list[ev.Outgoing]] = [], []
+        for u in upgrades:
+            again = u.from_lod > 0
+            priority = ENHANCEMENT_PRIORITY if again else BASE_PRIORITY
+            parts[again].append(self._tile((u.frame, u.tile), (u.to_lod - 1, u.to_lod), priority, deadline_us))
+        return parts
+
+    def enter(self, frame: int) -> None:
+        """A new group of frames has ids of its own, and the client forgets everything when the media starts again."""
+        if self.ended is None:
+            return
+        left, entered = self._library.manifest.gof_of(self.ended), self._library.manifest.gof_of(frame)
+        if frame < self.ended:
+            self.start_anew()
+        elif left != entered:
+            frames = self._library.manifest.gof_frames(left)
+            self.inventory.keep(frames[0], frames[-1])
+
+    def start_anew(self) -> None:
+        """The client holds nothing any more."""
+        self.inventory.clear()
+        self.ended = None
+        self.from_nothing = True
+
+    def view(self, tile: VisibleTile) -> TileView:
+        """A visible tile as rate policies see it."""
+        sizes = self._library.entry(tile.frame).tiles[tile.tile].lod_bytes
+        depth = self.inventory.depth(tile.frame, tile.tile)
+        holds = self.inventory.holds
+        missing = tuple(
+            0 if lod > depth and holds(tile.frame, tile.tile, lod) else size for lod, size in enumerate(sizes)
+        )
+        return TileView(
+            tile.frame,
+            tile.tile,
+            depth,
+            tile.count,
+            missing,
+            weight=tile.weight,
+            frames_left=tile.frames_left,
+            replaces=not self._library.entry(tile.frame).keyframe,
+        )
+
+    def _missing_runs(self, frame: int, tile: int, first: int, end: int) -> list[tuple[int, int]]:
+        """[first, end) without the layers that the client holds already, as half-open runs."""
+        runs: list[tuple[int, int]] = []
+        for lod in range(first, end):
+            if self.inventory.holds(frame, tile, lod):
+                continue
+            if runs and runs[-1][1] == lod:
+                runs[-1] = (runs[-1][0], lod + 1)
+            else:
+                runs.append((lod, lod + 1))
+        return runs
+
+    def _tile(
+        self, key: tuple[int, int], lods: tuple[int, int], priority: int, deadline_us: int | None = None
+    ) -> ev.Outgoing:
+        """LoDs [first, end) of the tile (media frame, tile)."""
+        reader, (first, end) = self._library.reader, lods
+        entry = reader.frame(key[0]).tiles[key[1]]
+        payload = b"".join(reader.payload(*key, lod) for lod in range(first, end))
+        message = TileLayers(*key, first, end, entry.lod_bytes[first:end], entry.crcs[first:end])
+        self.inventory.queued(message)
+        return ev.Outgoing(message, payload, priority, deadline_us)
+
+    def frame_ends(self, frame: int) -> list[ev.Outgoing]:
+        """The ends of every frame up to ``frame`` that has not been ended: skipped ones too, for their removed ids."""
+        first = self._library.gof_start(frame) if self.ended is None else self.ended + 1
+        self.ended = frame
+        reader = self._library.reader
+        return [ev.Outgoing(FrameEnd(at), reader.removed_payload(at), BASE_PRIORITY) for at in range(first, frame + 1)]
