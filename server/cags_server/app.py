@@ -36,6 +36,7 @@ class App:
     def __init__(self, library: SceneLibrary, settings: ServeSettings) -> None:
         self._library, self._settings = library, settings
         self._executor = ThreadPoolExecutor(settings.workers, thread_name_prefix="reference")
+        self._executor.submit(library.warm)
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
         self._ended = Totals()

@@ -65,6 +65,11 @@ class SceneLibrary:
         if frame < self.manifest.frames:
             self.owners(frame)
 
+    def warm(self) -> None:
+        """Load what the first viewer of the first frame will need."""
+        self.scenes.warm(0)
+        self.owners(0)
+
     def owners(self, frame: int) -> NDArray[np.int32]:
         """[capacity] for each splat id the tile that holds its newest version at ``frame``; -1 where none does.
 

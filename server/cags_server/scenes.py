@@ -22,8 +22,11 @@ from cags_common.splats import SH_REST_OF_DEGREE, Splats
 IDLE_SCENES = 4
 """Scenes that stay loaded while nobody uses them."""
 
-CACHED_DELTAS = 16
-"""Decoded source frames kept: those about to be needed, and those that another client has just used."""
+CACHED_DELTA_BYTES = 256 * 1024 * 1024
+"""Decoded source frames kept: those about to be needed, and those that another client, or a loop, needs again."""
+
+AHEAD_FRAMES = 6
+"""Source frames decoded ahead of the one being prepared: as many as a late renderer may have to skip."""
 
 ABSENT_LOGIT = np.float32(-20.0)
 """Opacity logit of an id that is not alive: far below what any renderer draws."""
@@ -46,6 +49,7 @@ class SourceScenes:
         self._reader, self._rasteriser = reader, rasteriser
         self._scenes: list[_Rolling] = []  # least recently used first
         self._deltas: OrderedDict[int, SourceDelta] = OrderedDict()
+        self._delta_bytes = 0
         self._content: dict[int, int] = {}
         self._lock = threading.Lock()
 
@@ -61,10 +65,17 @@ class SourceScenes:
             self._release(rolling)
 
     def prepare(self, frame: int) -> None:
-        """Decode what ``frame`` changes, ahead of its use."""
+        """Decode what ``frame`` and those after it change, ahead of their use."""
         manifest = self._reader.manifest
-        if frame < manifest.frames and frame not in manifest.gof_starts:
-            self._delta(frame)
+        for at in range(frame, min(frame + AHEAD_FRAMES, manifest.frames)):
+            if at not in manifest.gof_starts:
+                self._delta(at)
+
+    def warm(self, frame: int) -> None:
+        """Load the scene that the first viewer will look at, before anybody waits for it."""
+        with self.at(frame):
+            pass
+        self.prepare(frame + 1)
 
     def __len__(self) -> int:
         return len(self._scenes)
@@ -134,9 +145,11 @@ class SourceScenes:
                 return self._deltas[frame]
         delta = self._reader.source_delta(frame)
         with self._lock:
-            self._deltas[frame] = delta
-            while len(self._deltas) > CACHED_DELTAS:
-                self._deltas.popitem(last=False)
+            if frame not in self._deltas:
+                self._deltas[frame] = delta
+                self._delta_bytes += _size(delta)
+            while self._delta_bytes > CACHED_DELTA_BYTES and len(self._deltas) > 1:
+                self._delta_bytes -= _size(self._deltas.popitem(last=False)[1])
         return delta
 
 
@@ -145,6 +158,10 @@ def _apply(scene: RasterScene, delta: SourceDelta) -> None:
         scene.update(delta.removed, _absent(len(delta.removed), delta.splats.sh_degree))
     if len(delta.ids):
         scene.update(delta.ids, delta.splats)
+
+
+def _size(delta: SourceDelta) -> int:
+    return delta.ids.nbytes + delta.removed.nbytes + sum(array.nbytes for _, array in delta.splats.arrays())
 
 
 def _absent(count: int, sh_degree: int) -> Splats:
