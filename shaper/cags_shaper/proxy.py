@@ -77,8 +77,10 @@ class ShapedDirection:
     async def _deliver(self) -> None:
         while True:
             self._wake.clear()
-            for piece in self.link.pop_due(self.now_us()):
+            now = self.now_us()
+            for piece in self.link.pop_due(now):
                 _write(piece)
+            self.link.queued_bytes(now)  # what has left the queue is no reason to wake up again
             self._room.set()
             await self._sleep()
 
