@@ -14,11 +14,15 @@ from cags_bench.demo.processes import Process, ProcessGroup
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.jsonl import provenance
 from cags_bench.stream_report import capacity_series, plot_stream, read_lines, write_strip
+from cags_bench.traces import scaled_trace
 from cags_common.errors import CagsError, NetworkError
 from cags_encoder import EncodeSettings
 
 DEFAULT_FRAMES = 90
 STAGES_EVERY = 15
+TRACE_S = 60.0
+"""Length of the scaled trace, which repeats."""
+
 CLIENT_GRACE_S = 240.0
 """How long the client may take to score its frames after the last one was shown."""
 
@@ -32,7 +36,7 @@ class DemoSize:
     scene: str
 
 
-NATIVE = DemoSize(800, 600, "procedural:size=60000,frames=90")
+NATIVE = DemoSize(640, 480, "procedural:size=30000,frames=90")
 READABLE = DemoSize(320, 240, "procedural:size=3000,frames=24")
 """Without the native kernels the float64 reference renders: correct, and a hundred times slower."""
 
@@ -103,17 +107,8 @@ def show_live(scene: str, settings: DemoSettings, progress: IO[str]) -> None:
 def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[str]) -> int:
     """Run server, shaper and client until the client ends; logs and frames go to ``report``."""
     with ProcessGroup(report) as group:
-        server = group.start("cags_server", ["--bundle", bundle, "--port", "0", "--json"]).ready()
-        shaper = group.start(
-            "cags_shaper",
-            [
-                *("--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}", "--json"),
-                *("--trace", settings.trace, "--delay-ms", str(settings.delay_ms)),
-            ],
-        ).ready()
-        print(
-            f"cags-demo: server on port {server['port']}, shaper on port {shaper['port']}, client starts", file=progress
-        )
+        shaper = start_link(group, bundle, settings)
+        print(f"cags-demo: server and shaper are up (port {shaper['port']}), client starts", file=progress)
         client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report))
         return wait_for_client(client)
 
@@ -122,8 +117,15 @@ def start_link(group: ProcessGroup, bundle: str, settings: DemoSettings, *more: 
     """Start server and shaper; returns the shaper's ready line."""
     server = group.start("cags_server", ["--bundle", bundle, "--port", "0", "--json"]).ready()
     ends = ("--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}")
-    rate = ("--trace", settings.trace, "--delay-ms", str(settings.delay_ms))
+    rate = ("--trace", link_trace(settings), "--delay-ms", str(settings.delay_ms))
     return group.start("cags_shaper", [*ends, *rate, "--json", *more]).ready()
+
+
+def link_trace(settings: DemoSettings) -> str:
+    """The trace of the demo's link: the one named, at its share of the rate."""
+    if settings.share == 1.0:
+        return settings.trace
+    return str(scaled_trace(settings.trace, settings.share, TRACE_S))
 
 
 def client_arguments(bundle: str, port: int, settings: DemoSettings, report: Path) -> list[str]:
@@ -152,7 +154,7 @@ def write_report(report: Path, settings: DemoSettings) -> dict[str, Any]:
 
     frames, summary = read_lines(report / "frames.jsonl")
     seconds = max((frames[-1]["time_us"] - frames[0]["time_us"]) / 1e6, 0.1) if frames else 0.1
-    plot_stream(frames, capacity_series(open_trace(settings.trace), seconds), report / "timeline.png")
+    plot_stream(frames, capacity_series(open_trace(link_trace(settings)), seconds), report / "timeline.png")
     shown = [frame["frame"] for frame in frames]
     candidates = [frame for frame in range(0, max(shown, default=0) + 1, STAGES_EVERY) if frame in shown]
     if candidates:

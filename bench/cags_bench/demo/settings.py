@@ -14,10 +14,16 @@ class DemoSettings:
     out: str = setting("cags-demo-report", "folder for the report; replaced as a whole when the demo ends well")
     frames: int = setting(0, "media frames to play; 0: all of the scene, at most 90", low=0, high=100_000)
     trace: str = setting("generated:lte-driving", "network trace: a file or generated:NAME (see cags-shaper --help)")
+    share: float = setting(
+        0.25,
+        "share of the trace's rate that the link gets; the built-in scene is a quarter of a capture",
+        low=1e-3,
+        high=10,
+    )
     delay_ms: float = setting(20.0, "one-way propagation delay in milliseconds", low=0, high=10_000)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME (see cags-client --help)")
-    width: int = setting(0, "client width in pixels; 0: 800, or 320 without the native kernels", low=0, high=8192)
-    height: int = setting(0, "client height in pixels; 0: 600, or 240 without the native kernels", low=0, high=8192)
+    width: int = setting(0, "client width in pixels; 0: 640, or 320 without the native kernels", low=0, high=8192)
+    height: int = setting(0, "client height in pixels; 0: 480, or 240 without the native kernels", low=0, high=8192)
     view: bool = setting(False, "open the live page in place of a report; plays until interrupted")
     cache: str = setting(
         "", "folder of encoded bundles to reuse; empty: cags-stream/bundles in the user's cache folder"

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
-import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.bundles import cached_bundle, default_cache
+from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import JsonObject
 from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.sim.session import Scenario, simulate
+from cags_bench.traces import scaled_trace
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_encoder import EncodeSettings
 from cags_server.settings import ServerSettings
-from cags_shaper.trace import open_trace
 
 PAPER_SPLATS = 170_000
 """Splats of the paper's first frames: 2.0 MB at 66 bits and about 28 bits of position each."""
-
-RATE_STEP_US = 100_000
 
 
 @dataclass(frozen=True)
@@ -77,21 +73,6 @@ class Runner:
         if case.mbps is not None:
             return f"generated:steady-{max(case.mbps * share, 0.1):.3f}"
         return str(scaled_trace(case.trace, share, seconds=case.frames / 30 + 30))
-
-
-def scaled_trace(spec: str, share: float, seconds: float) -> Path:
-    """A copy of the trace's rates times ``share``, as a CSV file in the cache."""
-    trace = open_trace(spec)
-    steps = math.ceil(seconds * 1e6 / RATE_STEP_US)
-    rates = [trace.mean_bps(i * RATE_STEP_US, (i + 1) * RATE_STEP_US) / 1e6 * share for i in range(steps)]
-    rows = ["time_s,mbps"] + [f"{i * RATE_STEP_US / 1e6:.3f},{rate:.4f}" for i, rate in enumerate(rates)]
-    text = "\n".join(rows) + "\n"
-    folder = default_cache().with_name("traces")
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.csv"
-    if not path.exists():
-        path.write_text(text, encoding="utf-8")
-    return path
 
 
 def _splats(bundle: Path) -> int:

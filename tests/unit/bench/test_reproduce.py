@@ -6,7 +6,6 @@ import pytest
 
 from cags_bench.jsonl import check
 from cags_bench.reproduce.cache import ResultCache
-from cags_bench.reproduce.cases import scaled_trace
 from cags_bench.reproduce.command import ReproduceSettings
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
@@ -14,6 +13,7 @@ from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Plan
 from cags_bench.reproduce.run import reproduce
 from cags_bench.reproduce.section import Curve, Plot, Section
+from cags_bench.traces import scaled_trace
 from cags_common.errors import ConfigError
 from cags_shaper.trace import open_trace
 

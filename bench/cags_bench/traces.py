@@ -1,0 +1,27 @@
+"""Network traces made to measure."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+
+from cags_bench.bundles import default_cache
+from cags_shaper.trace import open_trace
+
+RATE_STEP_US = 100_000
+
+
+def scaled_trace(spec: str, share: float, seconds: float) -> Path:
+    """A copy of the trace's rates times ``share``, as a CSV file in the cache."""
+    trace = open_trace(spec)
+    steps = math.ceil(seconds * 1e6 / RATE_STEP_US)
+    rates = [trace.mean_bps(i * RATE_STEP_US, (i + 1) * RATE_STEP_US) / 1e6 * share for i in range(steps)]
+    rows = ["time_s,mbps"] + [f"{i * RATE_STEP_US / 1e6:.3f},{rate:.4f}" for i, rate in enumerate(rates)]
+    text = "\n".join(rows) + "\n"
+    folder = default_cache().with_name("traces")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.csv"
+    if not path.exists():
+        path.write_text(text, encoding="utf-8")
+    return path
