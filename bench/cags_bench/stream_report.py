@@ -11,6 +11,9 @@ import numpy as np
 
 JsonObject = dict[str, Any]
 
+STAGES_EVERY = 15
+"""Every so many frames the pictures of all stages are kept."""
+
 STRIP_STAGES = ("reference", "distorted", "aligned", "restored", "truth")
 STRIP_TITLES = {
     "reference": "reference (400x300, sent)",
@@ -78,13 +81,21 @@ def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, 
     plt.close(figure)
 
 
+def telling_frame(frames: Sequence[dict[str, Any]]) -> int | None:
+    """Of the frames whose stages were saved, the one that restoration changed most; None where none was saved."""
+    saved = [frame for frame in frames if frame["frame"] % STAGES_EVERY == 0]
+    gains = {f["frame"]: f.get("psnr_restored_db", 0.0) - f.get("psnr_distorted_db", 0.0) for f in saved}
+    return max(gains, key=gains.__getitem__, default=None)
+
+
 def write_strip(stages: Path, frame: int, path: Path) -> bool:
     """Put one frame's stages side by side with titles. Returns False when the client saved none."""
     import cv2
 
     panels = []
     for stage in STRIP_STAGES:
-        image = cv2.imread(str(stages / f"frame_{frame:04d}_{stage}.png"))
+        file = stages / f"frame_{frame:04d}_{stage}.png"
+        image = cv2.imread(str(file)) if file.exists() else None
         if image is not None:
             panels.append((STRIP_TITLES[stage], image))
     if not panels:

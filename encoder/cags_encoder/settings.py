@@ -16,7 +16,7 @@ class EncodeSettings:
     fps: float | None = setting(None, "frames a second; the scene's own when not given", low=0.1, high=240)
     frames: int | None = setting(None, "encode this many frames at most; all when not given", low=1)
     gof_frames: int = setting(
-        60, "frames a group: clients join and seek at group starts, each of which sends all splats again", low=1
+        300, "frames a group: clients join and seek at group starts, each of which sends all splats again", low=1
     )
     codec: str = setting("svq", "how tiles are coded; others than svq are baselines to compare with")
     quantiser: str = setting("layered", "configuration of svq", choices=QUANTISERS)

@@ -13,13 +13,12 @@ from cags_bench.bundles import cached_bundle
 from cags_bench.demo.processes import Process, ProcessGroup
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.jsonl import provenance
-from cags_bench.stream_report import capacity_series, plot_stream, read_lines, write_strip
+from cags_bench.stream_report import STAGES_EVERY, capacity_series, plot_stream, read_lines, telling_frame, write_strip
 from cags_bench.traces import scaled_trace
 from cags_common.errors import CagsError, NetworkError
 from cags_encoder import EncodeSettings
 
 DEFAULT_FRAMES = 90
-STAGES_EVERY = 15
 TRACE_S = 60.0
 """Length of the scaled trace, which repeats."""
 
@@ -155,10 +154,9 @@ def write_report(report: Path, settings: DemoSettings) -> dict[str, Any]:
     frames, summary = read_lines(report / "frames.jsonl")
     seconds = max((frames[-1]["time_us"] - frames[0]["time_us"]) / 1e6, 0.1) if frames else 0.1
     plot_stream(frames, capacity_series(open_trace(link_trace(settings)), seconds), report / "timeline.png")
-    shown = [frame["frame"] for frame in frames]
-    candidates = [frame for frame in range(0, max(shown, default=0) + 1, STAGES_EVERY) if frame in shown]
-    if candidates:
-        write_strip(report / "stages", candidates[len(candidates) // 2], report / "strip.png")
+    chosen = telling_frame(frames)
+    if chosen is not None:
+        write_strip(report / "stages", chosen, report / "strip.png")
     merged = {**summary, "benchmark": "demo", "trace": settings.trace, **provenance()}
     (report / "summary.json").write_text(json.dumps(merged, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     return merged

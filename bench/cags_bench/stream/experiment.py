@@ -10,12 +10,11 @@ from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import dump, provenance
 from cags_bench.sim.session import Scenario, SessionResult, simulate
 from cags_bench.stream.command import StreamSettings
+from cags_bench.stream_report import STAGES_EVERY
 from cags_client.pipeline import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_encoder import EncodeSettings
 from cags_server.settings import ServerSettings
-
-STAGES_EVERY = 15
 
 
 def stream(settings: StreamSettings) -> dict[str, Any]:
@@ -65,12 +64,13 @@ def scenario_of(settings: StreamSettings) -> Scenario:
 
 def write_report(out: Path, settings: StreamSettings, result: SessionResult) -> None:
     """Frames, plot over time and a strip of pictures."""
-    from cags_bench.stream_report import capacity_series, plot_stream, write_strip
+    from cags_bench.stream_report import capacity_series, plot_stream, telling_frame, write_strip
     from cags_shaper.trace import open_trace
 
     (out / "frames.jsonl").write_text("".join(dump(line) + "\n" for line in result.frames), encoding="utf-8")
     times_us = [line["time_us"] for line in result.frames]
     seconds = max((times_us[-1] - times_us[0]) / 1e6, 0.1)
     plot_stream(result.frames, capacity_series(open_trace(settings.trace), seconds), out / "timeline.png")
-    middle = result.frames[len(result.frames) // 2]["frame"]
-    write_strip(out / "stages", middle - middle % STAGES_EVERY, out / "strip.png")
+    chosen = telling_frame(result.frames)
+    if chosen is not None:
+        write_strip(out / "stages", chosen, out / "strip.png")
