@@ -1,1 +1,1 @@
-
+"""Value types and codecs that every part shares."""

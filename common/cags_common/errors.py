@@ -1,7 +1,7 @@
 """The one exception family of the program.
 
-Every error that a user can cause derives from :class:`CagsError` and carries one clear line: the thing, its value, and the
-way out. Commands print that line and exit; they never show a traceback for these.
+Every error that a user can cause derives from :class:`CagsError` and carries one clear line: the thing, its value, and
+the way out. Commands print that line and exit; they never show a traceback for these.
 """
 
 from __future__ import annotations

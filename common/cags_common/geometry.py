@@ -111,7 +111,7 @@ def angle_between(a: Quat, b: Quat) -> float:
 class Pose:
     """A rigid pose ``T_world_camera``: where the camera is and how it is turned, in the world frame.
 
-    ``position`` is in world units (metres); ``rotation`` is a unit quaternion ``wxyz`` with w >= 0 (canonicalised here).
+    ``position`` is in world units (metres); ``rotation`` is a unit quaternion ``wxyz`` with w >= 0 (made so here).
     Raises ``ValueError`` for non-finite numbers.
     """
 

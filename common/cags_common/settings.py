@@ -30,7 +30,7 @@ else:
 
 def setting(
     default: Any,
-    help: str,  # noqa: A002 - argparse's own name for it
+    help: str,
     *,
     low: float | None = None,
     high: float | None = None,
@@ -41,7 +41,7 @@ def setting(
 
 
 def check_settings(settings: DataclassInstance) -> None:
-    """Check every field against its type, range and choices; call it from ``__post_init__``. Raises :class:`ConfigError`."""
+    """Check every field against its type, range and choices, from ``__post_init__``. Raises :class:`ConfigError`."""
     hints = typing.get_type_hints(type(settings))
     for f in fields(settings):
         value = getattr(settings, f.name)

@@ -62,8 +62,8 @@ class Splats:
     def checked(self, source: str) -> Splats:
         """These splats as contiguous float32 with unit quaternions; ``source`` names them in errors.
 
-        Raises :class:`SceneError` for wrong shapes, no splats at all, non-finite values (by attribute and index) and zero
-        quaternions. Infinite opacity logits are legal in real files (opacity exactly 0 or 1) and are clamped to +-20.
+        Raises :class:`SceneError` for wrong shapes, no splats at all, non-finite values (by attribute and index) and
+        zero quaternions. Infinite opacity logits are legal in real files (opacity exactly 0 or 1): clamped to +-20.
         """
         out = {name: np.ascontiguousarray(array, dtype=np.float32) for name, array in self.arrays()}
         n = len(out["means"])

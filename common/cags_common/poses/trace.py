@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common import so3
 from cags_common.errors import TraceError
 from cags_common.geometry import F64, Pose, Quat, Vec3, quaternion_of_matrix
 
@@ -70,7 +71,7 @@ class PoseTrace:
     @property
     def matrices(self) -> F64:
         """[N, 3, 3] rotations, camera to world."""
-        return _matrices(self.rotations)
+        return so3.matrices(self.rotations)
 
     def pose_at(self, t_us: int) -> Pose:
         """The pose at a time: positions linear, rotations by slerp. Past the end the walk goes back the way it came."""
@@ -99,7 +100,7 @@ class PoseTrace:
     def moved(self, rotation: F64, scale: float, origin: F64, target: F64) -> PoseTrace:
         """Similarity move: ``x -> target + scale * rotation @ (x - origin)``; the camera turns by ``rotation``."""
         positions = target + scale * (self.positions - origin) @ rotation.T
-        turned = _multiply(np.asarray(quaternion_of_matrix(rotation)), self.rotations)
+        turned = so3.multiply(np.asarray(quaternion_of_matrix(rotation)), self.rotations)
         return PoseTrace(self.times_us, positions, turned)
 
     def _poses_at(self, times_us: NDArray[np.int64]) -> list[Pose]:
@@ -119,7 +120,7 @@ class PoseTrace:
         span = (self.times_us[after] - self.times_us[before]).astype(np.float64)
         f = ((folded - self.times_us[before]) / span)[:, None]
         positions = self.positions[before] * (1 - f) + self.positions[after] * f
-        return positions, _slerp(self.rotations[before], self.rotations[after], f)
+        return positions, so3.slerp(self.rotations[before], self.rotations[after], f[:, 0])
 
 
 def read_poses(path: str | Path, axes: str = "openxr") -> PoseTrace:
@@ -138,7 +139,7 @@ def read_poses(path: str | Path, axes: str = "openxr") -> PoseTrace:
         raise TraceError(f"{path}: is not a CSV text ({error})") from error
     rotations = rows[:, 4:] / np.linalg.norm(rows[:, 4:], axis=1, keepdims=True)
     if axes == "openxr":  # half a turn about the camera's X takes (up, backward) to (down, forward)
-        rotations = _multiply(rotations, np.array([0.0, 1.0, 0.0, 0.0]))
+        rotations = so3.multiply(rotations, np.array([0.0, 1.0, 0.0, 0.0]))
     times_us = np.round((rows[:, 0] - rows[0, 0]) * 1e6).astype(np.int64)
     if (np.diff(times_us) <= 0).any():
         raise TraceError(f"{path}: two samples lie less than a microsecond apart")
@@ -147,7 +148,7 @@ def read_poses(path: str | Path, axes: str = "openxr") -> PoseTrace:
 
 def write_poses(trace: PoseTrace, path: str | Path) -> None:
     """Write a trace in the file format of :func:`read_poses` (OpenXR axes)."""
-    rotations = _multiply(trace.rotations, np.array([0.0, -1.0, 0.0, 0.0]))
+    rotations = so3.multiply(trace.rotations, np.array([0.0, -1.0, 0.0, 0.0]))
     with Path(path).open("w", newline="", encoding="utf-8") as file:
         file.write(",".join(COLUMNS) + "\n")
         for t, p, q in zip(trace.times_us, trace.positions, rotations, strict=True):
@@ -193,44 +194,6 @@ def _one_side(q: F64) -> F64:
     unit = q / np.linalg.norm(q, axis=1, keepdims=True)
     steps = np.where((unit[1:] * unit[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     return np.asarray(unit * np.concatenate([[1.0], np.cumprod(steps)])[:, None], dtype=np.float64)
-
-
-def _slerp(a: F64, b: F64, f: F64) -> F64:
-    cosine = np.clip((a * b).sum(axis=1, keepdims=True), -1.0, 1.0)
-    b = np.where(cosine < 0, -b, b)
-    angle = np.arccos(np.abs(cosine))
-    sine = np.sin(angle)
-    near = sine < 1e-6  # so close that the chord is the arc
-    safe = np.where(near, 1.0, sine)
-    wa = np.where(near, 1 - f, np.sin((1 - f) * angle) / safe)
-    wb = np.where(near, f, np.sin(f * angle) / safe)
-    mixed = wa * a + wb * b
-    return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True), dtype=np.float64)
-
-
-def _multiply(a: F64, b: F64) -> F64:
-    """Hamilton product of quaternions [..., 4], broadcasting."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
-
-
-def _matrices(q: F64) -> F64:
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def _vec3(v: F64) -> Vec3:

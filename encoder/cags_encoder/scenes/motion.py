@@ -13,6 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common import so3
 from cags_common.geometry import F32, F64, Vec3
 from cags_common.settings import check_settings, setting
 from cags_common.splats import SH_C0, Ids, Splats
@@ -131,7 +132,7 @@ class MotionScene:
 
 def _place(moved: Columns, rows: Rows, turns: F64, pivot: F64, shift: F64) -> None:
     """Turn ``rows`` by ``turns`` [M, 4] about ``pivot`` [3] and shift them, in place."""
-    matrices = rotations.matrices(turns)
+    matrices = so3.matrices(turns)
     offsets = moved["means"][rows].astype(np.float64) - pivot
     moved["means"][rows] = (np.einsum("nij,nj->ni", matrices, offsets) + pivot + shift).astype(np.float32)
     moved["quats"][rows] = rotations.turned(moved["quats"][rows], turns)
@@ -142,7 +143,7 @@ def _recolour(moved: Columns, rows: Rows, amount: float, swing: float) -> None:
     """Turn hues about the grey axis, and lighten and darken, in place."""
     angle = 1.5 * min(amount, 2.0) * np.sin(swing)
     grey = np.full(3, 1 / np.sqrt(3.0))
-    turn = rotations.matrices(rotations.about(grey, np.array(angle)))
+    turn = so3.matrices(rotations.about(grey, np.array(angle)))
     gain = 1.0 + 0.15 * min(amount, 2.0) * np.sin(2 * swing)
     rgb = 0.5 + SH_C0 * moved["sh0"][rows].astype(np.float64)
     moved["sh0"][rows] = ((gain * rgb @ turn.T - 0.5) / SH_C0).astype(np.float32)

@@ -4,39 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from cags_common import so3
 from cags_common.geometry import F32, F64
-
-
-def multiply(a: F64, b: F64) -> F64:
-    """Hamilton products [N, 4] of ``wxyz`` quaternions [N, 4] or [4]: the rotation ``b`` followed by ``a``."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
 
 
 def about(axis: F64, angles: F64) -> F64:
     """Quaternions [..., 4] of turns by ``angles`` [...] radians about one unit ``axis`` [3] or many [..., 3]."""
     half = np.asarray(angles)[..., None] / 2
     return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
-
-
-def matrices(quats: F64) -> F64:
-    """Rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
-    w, x, y, z = np.moveaxis(quats, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def of_frames(tangent: F64, bitangent: F64) -> F64:
@@ -65,7 +40,7 @@ def of_matrices(rotations: F64) -> F64:
 
 def turned(quats: F32, by: F64) -> F32:
     """Splat rotations ``quats`` [N, 4] turned by unit quaternions ``by`` [N, 4] or [4], unit with w >= 0."""
-    out = multiply(by, quats.astype(np.float64))
+    out = so3.multiply(by, quats.astype(np.float64))
     out *= np.where(out[:, :1] < 0, -1.0, 1.0) / np.linalg.norm(out, axis=1, keepdims=True)
     return out.astype(np.float32)
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from cags_common import so3
 from cags_common.geometry import F64
-from cags_server.predict import so3
 from cags_server.predict.base import PoseDistribution
 from cags_server.predict.history import PoseHistory
 from cags_server.predict.pooled import PooledWeights, displacements, windows

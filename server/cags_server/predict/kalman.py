@@ -19,8 +19,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from cags_common import so3
 from cags_common.geometry import F64
-from cags_server.predict import so3
 from cags_server.predict.base import MAX_HORIZON_US, PoseDistribution
 from cags_server.predict.history import PoseHistory
 from cags_server.predict.tangent import POSITION, ROTATION, distribution

@@ -16,9 +16,9 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from cags_common import so3
 from cags_common.errors import ConfigError
 from cags_common.geometry import F64
-from cags_server.predict import so3
 
 ORDERS = (1, 2, 4, 8, 12)
 """Window lengths: a short history uses a short window."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cags_common import so3
 from cags_common.geometry import F64, Pose
-from cags_server.predict import so3
 from cags_server.predict.base import MAX_HORIZON_US, PoseDistribution
 from cags_server.predict.history import PoseHistory
 

@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from cags_common import so3
 from cags_common.geometry import F32, F64, Vec3
 from cags_common.splats import SH_C0, SH_REST_OF_DEGREE
 from cags_encoder.scenes import rotations
@@ -73,7 +74,7 @@ class _Rigid:
 
     def __call__(self, time_s: float, columns: Columns) -> None:
         turn, position = self.path(time_s)
-        matrix = rotations.matrices(turn)
+        matrix = so3.matrices(turn)
         surfels, rows = self.stage.surfels, self.stage.rows
         points = (surfels.points - self.pivot) @ matrix.T + position
         normals = surfels.normals @ matrix.T
@@ -190,7 +191,7 @@ class _Sway:
         gust = 0.6 * np.sin(2 * np.pi * time_s / 2.6) + 0.4 * np.sin(2 * np.pi * time_s / 1.1 + 1.0)
         flutter = 0.08 * np.sin(7.0 * time_s + 9.0 * np.hypot(offsets[:, 0], offsets[:, 2]) + 5.0 * offsets[:, 0])
         turns = rotations.about(np.array([0.45, 0.0, 0.893]), 0.13 * gust * height + flutter * height)
-        columns["means"][rows] = np.einsum("nij,nj->ni", rotations.matrices(turns), offsets) + self.foot
+        columns["means"][rows] = np.einsum("nij,nj->ni", so3.matrices(turns), offsets) + self.foot
         columns["quats"][rows] = rotations.turned(columns["quats"][rows], turns)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cags_common import so3
 from cags_common.geometry import F64, rotation_matrix
 from cags_encoder.scenes import rotations
 from cags_encoder.scenes.harmonics import basis, lobe, rotate_rest
@@ -20,7 +21,7 @@ def unit(rng: np.random.Generator, *shape: int) -> F64:
 @given(SEEDS)
 def test_matrices_agree_with_single_ones_and_back(seed: int) -> None:
     quats = unit(np.random.default_rng(seed), 5, 4)
-    matrices = rotations.matrices(quats)
+    matrices = so3.matrices(quats)
     w, x, y, z = quats[2].tolist()
     np.testing.assert_allclose(matrices[2], rotation_matrix((w, x, y, z)), atol=1e-12)
     np.testing.assert_allclose(np.abs(np.sum(rotations.of_matrices(matrices) * quats, axis=1)), 1, atol=1e-9)
@@ -37,14 +38,14 @@ def test_half_turns_are_found(axis: int) -> None:
 @given(SEEDS)
 def test_products_compose(seed: int) -> None:
     a, b = unit(np.random.default_rng(seed), 2, 6, 4)
-    product = rotations.matrices(rotations.multiply(a, b))
-    np.testing.assert_allclose(product, rotations.matrices(a) @ rotations.matrices(b), atol=1e-12)
+    product = so3.matrices(rotations.multiply(a, b))
+    np.testing.assert_allclose(product, so3.matrices(a) @ so3.matrices(b), atol=1e-12)
 
 
 @given(SEEDS)
 def test_frames_lie_along_their_axes(seed: int) -> None:
     x, y = unit(np.random.default_rng(seed), 2, 4, 3)
-    matrices = rotations.matrices(rotations.of_frames(x, y))
+    matrices = so3.matrices(rotations.of_frames(x, y))
     np.testing.assert_allclose(matrices[..., 0], x, atol=1e-8)
     np.testing.assert_allclose(np.sum(matrices[..., 2] * y, axis=1), 0, atol=1e-8)
 
@@ -53,7 +54,7 @@ def test_frames_lie_along_their_axes(seed: int) -> None:
 @given(SEEDS, DEGREES)
 def test_turned_harmonics_show_in_turned_directions_what_they_showed_before(seed: int, degree: int) -> None:
     rng = np.random.default_rng(seed)
-    matrices = rotations.matrices(unit(rng, 4, 4))
+    matrices = so3.matrices(unit(rng, 4, 4))
     rest = rng.normal(size=(4, (degree + 1) ** 2 - 1, 3)).astype(np.float32)
     directions = unit(rng, 4, 3)
     before = np.einsum("nk,nkc->nc", basis(directions, degree)[:, 1:], rest)

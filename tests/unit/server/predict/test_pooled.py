@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from cags_common import so3
 from cags_common.errors import ConfigError
-from cags_server.predict import so3
 from cags_server.predict.pooled import HORIZON_STEPS, ORDERS, PooledWeights, displacements, windows
 from support.motion import swaying_pose
 

@@ -62,3 +62,14 @@ def _cross(a: F64, b: F64) -> F64:
 def slerp(a: F64, b: F64, fraction: F64) -> F64:
     """Unit quaternions on the shorter arc from ``a`` [N, 4] to ``b`` [N, 4] at ``fraction`` [N] in [0, 1]."""
     return multiply(a, exp(log(multiply(conjugate(a), b)) * fraction[:, None]))
+
+
+def matrices(q: F64) -> F64:
+    """Rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

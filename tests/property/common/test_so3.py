@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from cags_common import so3
 from cags_common.geometry import angle_between, quaternion_of_rotation_vector, rotation_matrix
-from cags_server.predict import so3
 
 component = st.floats(-3.0, 3.0)
 vectors = st.tuples(component, component, component)
