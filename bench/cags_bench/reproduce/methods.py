@@ -23,10 +23,11 @@ METHODS: dict[str, Method] = {
     "cags": Method("CAGS (ours)", "the defaults of this program"),
     "cags-paper": Method(
         "CAGS (as published)",
-        "66-bit SVQ, the four-step rate policy, fixed-margin field of view, a plain low-resolution reference; "
-        "closed-form restoration stands in for the paper's trained network where its weights are not shipped",
-        encode={"quantiser": "paper-66"},
-        server={"abr": "paper"},
+        "66-bit SVQ in the printed order of layers, the four-step rate policy, the LSTM's field of view; the closed-form "
+        "restoration stands in for the paper's trained network, whose weights are not public, and references keep the "
+        "client's footprint, without which it would do worse",
+        encode={"quantiser": "paper-66", "lod_order": "paper"},
+        server={"abr": "paper", "fov": "lstm"},
         client={"adapt": "none"},
     ),
     "sr-align-ref": Method(
