@@ -23,7 +23,7 @@ METHODS: dict[str, Method] = {
     "cags": Method("CAGS (ours)", "the defaults of this program"),
     "cags-paper": Method(
         "CAGS (as published)",
-        "66-bit SVQ in the printed order of layers, the four-step rate policy, the LSTM's field of view; the closed-form "
+        "66-bit SVQ in the printed order of layers, the four-step rate policy, the LSTM's field of view; closed-form "
         "restoration stands in for the paper's trained network, whose weights are not public, and references keep the "
         "client's footprint, without which it would do worse",
         encode={"quantiser": "paper-66", "lod_order": "paper"},
