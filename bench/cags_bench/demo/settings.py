@@ -15,7 +15,7 @@ class DemoSettings:
     frames: int = setting(0, "media frames to play; 0: all of the scene, at most 90", low=0, high=100_000)
     trace: str = setting("generated:lte-driving", "network trace: a file or generated:NAME (see cags-shaper --help)")
     share: float = setting(
-        0.25,
+        0.12,
         "share of the trace's rate that the link gets; the built-in scene is a quarter of a capture",
         low=1e-3,
         high=10,
