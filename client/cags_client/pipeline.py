@@ -120,7 +120,8 @@ class ClientPipeline:
         with watch("raster"):
             view = scene.render(camera, self._options())
         distorted = np.clip(view.rgb, 0.0, 1.0)
-        reference = None if store.full else self._references.nearest(frame, self.settings.reference_age)
+        nothing_left = store.full and self.live.restore.partition("@")[0] not in restore.REPLACING
+        reference = None if nothing_left else self._references.nearest(frame, self.settings.reference_age)
         aligned, shown, seen = None, distorted, None
         if reference is not None and view.depth is not None:
             with watch("align"):

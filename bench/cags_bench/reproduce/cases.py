@@ -57,8 +57,6 @@ class Runner:
         method = METHODS[case.method]
         bundle = self.bundle(case)
         server = replace(ServerSettings(rasteriser=self.device), **method.server)
-        if case.method == "reference-only":
-            server = replace(server, reference_width=case.width, reference_height=case.height)
         client = replace(ClientSettings(width=case.width, height=case.height, raster=self.device), **method.client)
         result = simulate(
             Scenario(bundle, self.link(case, bundle), case.poses, server=server, client=client, estimator="oracle")

@@ -53,12 +53,6 @@ METHODS: dict[str, Method] = {
         "trains are left out",
         encode={"codec": "video"},
     ),
-    "reference-only": Method(
-        "remote rendering",
-        "no splats at all: the server's picture for the predicted pose at the client's resolution, shown as it is",
-        server={"abr": "none", "opening_tiles": False},
-        client={"restore": "reference", "align": "unaligned", "adapt": "none"},
-    ),
     "no-prpa": Method(
         "w/o PRPA",
         "the reference is restored from without alignment",
@@ -72,5 +66,5 @@ METHODS: dict[str, Method] = {
 }
 """By the name that ``--methods`` takes."""
 
-BASELINES = ("lts-f", "v3-a", "sr-align-ref", "cr-no-ref", "reference-only")
+BASELINES = ("lts-f", "v3-a", "sr-align-ref", "cr-no-ref")
 ABLATIONS = ("no-prpa", "no-adaptive-fov")

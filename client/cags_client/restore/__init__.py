@@ -29,6 +29,10 @@ RESTORERS: dict[str, Callable[[], Restorer]] = {
 """Restorers by name, cheapest first. Networks need weights: those of the product, or of the content."""
 
 
+REPLACING = frozenset({"reference", "sr-align-ref", "cr-no-ref"})
+"""Restorers that do not correct the distorted picture but stand in its place: they run at the highest LoD too."""
+
+
 def create(name: str) -> Restorer:
     """The restorer called ``name``; a network's may name its runtime (``lite@openvino``).
 

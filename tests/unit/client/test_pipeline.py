@@ -93,6 +93,15 @@ def test_at_the_top_of_the_ladder_nothing_is_restored(reader: BundleReader) -> N
     assert shown.lod_mean == reader.manifest.lods - 1
 
 
+def test_a_restorer_that_replaces_the_picture_does_so_at_the_top_too(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader, restore="reference"), pose_of(reader)
+    send(pipe, reader, 0, lods=reader.manifest.lods)
+    pipe.on_reference(*reference(pipe, reader, 0, pose))
+    shown = pipe.present(0, pipe.camera(pose))
+    assert shown.aligned is not None
+    assert not np.array_equal(shown.rgb, shown.distorted)
+
+
 def test_an_old_reference_fades_and_a_very_old_one_is_not_used(reader: BundleReader) -> None:
     pipe, pose = pipeline(reader, reference_age=1), pose_of(reader)
     for frame in range(3):
