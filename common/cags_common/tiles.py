@@ -18,6 +18,7 @@ import DracoPy
 import numpy as np
 
 from cags_common.attributes import join_attributes
+from cags_common.draco import decode_points
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.lod import LodLayer
@@ -55,8 +56,6 @@ _BASE_HEADER = struct.Struct("<BBBBII4f")
 
 _ID_RANGE = 1
 """Flag: the ids are a range (key frames), and only its first id is there."""
-
-_DRACO_HEADER = struct.Struct("<5sBBBBHI")  # magic, version (2), geometry type, method, flags, points
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,16 +281,7 @@ def _draco_encode(cells: U32, codes: Mapping[str, U32], bits: int) -> bytes:
 
 def _draco_decode(data: bytes, count: int, attributes: int) -> tuple[F32, Iterable[U32]]:
     """Grid coordinates [count, 3] as float32, and the generic attributes in order."""
-    if len(data) < _DRACO_HEADER.size:
-        raise DecodeError("tile: Draco data is cut short")
-    magic, _, _, kind, _, flags, points = _DRACO_HEADER.unpack_from(data)
-    if magic != b"DRACO" or kind != 0 or flags or points != count:
-        raise DecodeError(f"tile: Draco data is not a point cloud of {count} points")
-    try:
-        cloud = DracoPy.decode(data)
-    except (ValueError, RuntimeError, DracoPy.FileTypeException, DracoPy.EncodingFailedException) as error:
-        raise DecodeError(f"tile: Draco cannot decode it ({error})") from error
-    columns = {a["unique_id"]: a["data"] for a in cloud.attributes if a["attribute_type"] != 0}
+    cloud, columns = decode_points(data, count)
     shapes = [getattr(columns.get(i), "shape", None) for i in range(attributes)]
     # Damaged data may give a cloud without points, whose ``points`` is None.
     if getattr(cloud.points, "shape", None) != (count, 3) or shapes != [(count, 1)] * attributes:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.baselines.scalar import U8
+from cags_common.draco import decode_points
 from cags_common.errors import DecodeError
 from cags_common.packing import U32, decode_ids, encode_ids
 from cags_common.splats import MAX_SPLATS, Ids
@@ -21,8 +22,6 @@ _HEAD = struct.Struct("<4sBBHII4f")
 
 MAX_REACH = 1e30
 """Largest coordinate, world units; sums of such still fit float32."""
-
-_DRACO_HEADER = struct.Struct("<5sBBBBHI")  # magic, version (2), geometry type, method, flags, points
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,16 +83,7 @@ def encode_cloud(cells: U32, columns: Sequence[U8], bits: int) -> bytes:
 
 def decode_cloud(data: bytes, count: int, dims: Sequence[int]) -> tuple[NDArray[np.float32], list[U8]]:
     """Inverse of :func:`encode_cloud`: coordinates [count, 3], attributes [count, dim]. Raises :class:`DecodeError`."""
-    if len(data) < _DRACO_HEADER.size:
-        raise DecodeError("tile: Draco data is cut short")
-    magic, _, _, kind, _, flags, points = _DRACO_HEADER.unpack_from(data)
-    if magic != b"DRACO" or kind != 0 or flags or points != count:
-        raise DecodeError(f"tile: Draco data is not a point cloud of {count} points")
-    try:
-        cloud = DracoPy.decode(data)
-    except (ValueError, RuntimeError, DracoPy.FileTypeException, DracoPy.EncodingFailedException) as error:
-        raise DecodeError(f"tile: Draco cannot decode it ({error})") from error
-    columns = {a["unique_id"]: a["data"] for a in cloud.attributes if a["attribute_type"] != 0}
+    cloud, columns = decode_points(data, count)
     found = [columns.get(i) for i in range(len(dims))]
     for column, dim in zip(found, dims, strict=True):
         if column is None or column.shape != (count, dim) or column.dtype != np.uint8:
