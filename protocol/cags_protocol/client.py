@@ -10,6 +10,7 @@ from cags_protocol import events as ev
 from cags_protocol import limits
 from cags_protocol.assembly import Assembler, ReceivedPackets
 from cags_protocol.blobs import BlobAssembler
+from cags_protocol.encoding import DamagedError, decode, printable
 from cags_protocol.messages import (
     SERVER_DATA,
     Abandon,
@@ -17,7 +18,6 @@ from cags_protocol.messages import (
     Blob,
     Bye,
     Control,
-    DamagedError,
     Fragment,
     FrameEnd,
     HeldTile,
@@ -31,8 +31,6 @@ from cags_protocol.messages import (
     Refusal,
     TileLayers,
     Welcome,
-    decode,
-    printable,
 )
 from cags_protocol.session import Session, SessionTimers, UnexpectedMessageError
 from cags_protocol.states import CLIENT_TABLE, State

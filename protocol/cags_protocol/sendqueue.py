@@ -11,8 +11,9 @@ from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 
 from cags_protocol import limits
+from cags_protocol.encoding import encode, encode_parts
 from cags_protocol.events import Outgoing
-from cags_protocol.messages import Fragment, ReferenceFrame, encode, encode_parts
+from cags_protocol.messages import Fragment, ReferenceFrame
 
 FRAGMENT_HEADER_BYTES = 96
 """Room left in a packet for the header of a :class:`Fragment`; its fields at their widest take 91 bytes."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from cags_common.errors import ProtocolError
 from cags_protocol import events as ev
 from cags_protocol import limits
+from cags_protocol.encoding import VersionError, printable
 from cags_protocol.flow import Flight, FlowControl
 from cags_protocol.messages import (
     Abandon,
@@ -19,9 +20,7 @@ from cags_protocol.messages import (
     Notice,
     PoseBatch,
     Refusal,
-    VersionError,
     Welcome,
-    printable,
 )
 from cags_protocol.sendqueue import Entry, SendQueue
 from cags_protocol.session import Session, SessionTimers, UnexpectedMessageError

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from cags_common.errors import ProtocolError
+from cags_protocol.encoding import decode, encode
 from cags_protocol.events import Closed
-from cags_protocol.messages import Buffer, Bye, Message, Ping, Pong, decode, encode
+from cags_protocol.messages import Buffer, Bye, Message, Ping, Pong
 from cags_protocol.states import State, Table
 
 E = TypeVar("E")

@@ -11,6 +11,7 @@ import msgpack
 
 from cags_common.geometry import Pose
 from cags_protocol import messages as m
+from cags_protocol.encoding import decode, encode
 from support.wire_pair import INTRINSICS, hello
 
 SEEDS: list[tuple[m.Message, bytes]] = [
@@ -41,10 +42,10 @@ ODD: list[Any] = [
 def fuzzed(rng: random.Random) -> bytes:
     """One message that is probably wrong."""
     message, payload = rng.choice(SEEDS)
-    data = m.encode(message, payload)
+    data = encode(message, payload)
     if rng.random() < 0.5:
         return _changed_bytes(rng, data)
-    header = msgpack.unpackb(data[: len(data) - len(m.decode(data)[1])], strict_map_key=False) if _whole(data) else {}
+    header = msgpack.unpackb(data[: len(data) - len(decode(data)[1])], strict_map_key=False) if _whole(data) else {}
     header.pop("crc", None)
     for _ in range(rng.randrange(1, 4)):
         _change_header(rng, header)
@@ -56,7 +57,7 @@ def fuzzed(rng: random.Random) -> bytes:
 
 def _whole(data: bytes) -> bool:
     """Whether the header is all there is but an opaque payload (a payload field is not told apart by decode)."""
-    message, _ = m.decode(data)
+    message, _ = decode(data)
     return message.PAYLOAD in (m.NO_PAYLOAD, m.OPAQUE)
 
 

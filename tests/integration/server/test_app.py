@@ -20,8 +20,9 @@ from cags_common.transport.base import ConnectionEndedError
 from cags_common.transport.websocket import ClientWebSocket, connect
 from cags_protocol import SUBPROTOCOL, ClientSession
 from cags_protocol import events as ev
+from cags_protocol.encoding import encode
 from cags_protocol.limits import MAX_MESSAGE_BYTES
-from cags_protocol.messages import Control, PoseSample, encode
+from cags_protocol.messages import Control, PoseSample
 from cags_server.app import App
 from cags_server.settings import ServeSettings
 from support.server_scene import hello, library

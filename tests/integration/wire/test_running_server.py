@@ -13,7 +13,7 @@ from cags_common.errors import NetworkError
 from cags_common.transport.websocket import ServerWebSocket, connect
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol import messages as m
+from cags_protocol.encoding import encode
 from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 from cags_server.app import App
 from cags_server.settings import ServeSettings
@@ -90,7 +90,7 @@ async def test_the_server_outlives_wrong_messages(server, caplog, seed):
         client = await connect(f"ws://127.0.0.1:{server}/stream", subprotocol=SUBPROTOCOL, max_message_bytes=1 << 20)
         with contextlib.suppress(NetworkError):
             if rng.random() < 0.7:
-                await client.send(m.encode(hello()))
+                await client.send(encode(hello()))
             for _ in range(rng.randrange(1, 6)):
                 await client.send(fuzzed(rng))
         await client.close()

@@ -9,6 +9,7 @@ from cags_common.errors import ProtocolError
 from cags_protocol import Outgoing, ServerSessionSettings
 from cags_protocol import events as ev
 from cags_protocol import messages as m
+from cags_protocol.encoding import decode, encode
 from support.wire_pair import Pair, reference, tile
 
 SIZES = st.lists(st.tuples(st.integers(0, 40_000), st.integers(0, 5), st.integers(0, 60_000)), min_size=1, max_size=12)
@@ -27,8 +28,8 @@ def test_over_a_reliable_network_everything_arrives_whole_and_exactly_once(plan,
         sent.append(outgoing)
         pair.run(wait_us)
     pair.run(30_000_000)
-    got = {bytes(m.encode(e.message, e.payload)) for _, e in pair.client_log if hasattr(e, "payload")}
-    assert got == {m.encode(o.message, o.payload) for o in sent}
+    got = {bytes(encode(e.message, e.payload)) for _, e in pair.client_log if hasattr(e, "payload")}
+    assert got == {encode(o.message, o.payload) for o in sent}
     assert sorted(map(id, sent)) == sorted(id(e.outgoing) for e in pair.server_events(ev.Delivered))
     assert not pair.server_events(ev.Dropped)
     assert pair.server.in_flight_bytes == pair.server.queued_bytes == 0
@@ -94,11 +95,11 @@ def test_over_a_hostile_network_every_message_is_settled_once_and_nothing_false_
 @settings(max_examples=300, deadline=None)
 def test_any_bytes_are_a_message_or_a_protocol_error(data):
     try:
-        message, payload = m.decode(data)
+        message, payload = decode(data)
     except ProtocolError as error:
         assert "\n" not in str(error)
     else:
-        again, rest = m.decode(m.encode(message, payload if message.PAYLOAD == m.OPAQUE else b""))
+        again, rest = decode(encode(message, payload if message.PAYLOAD == m.OPAQUE else b""))
         assert (again, bytes(rest)) == (message, bytes(payload))
 
 

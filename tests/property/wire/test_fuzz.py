@@ -8,13 +8,14 @@ from cags_common.errors import ProtocolError
 from cags_protocol import ClientSession, ServerSession
 from cags_protocol import events as ev
 from cags_protocol import messages as m
+from cags_protocol.encoding import decode, encode
 from support.wire_fuzz import fuzzed
 from support.wire_pair import hello, tile
 
 
 def open_server():
     session = ServerSession(now_us=0)
-    session.receive(m.encode(hello()), now_us=0)
+    session.receive(encode(hello()), now_us=0)
     session.accept(m.Welcome("s", 30.0, 10), now_us=0)
     session.queue(tile(0, 0, 30_000), now_us=0)
     session.data_to_send(0)
@@ -24,7 +25,7 @@ def open_server():
 def open_client():
     session = ClientSession(now_us=0)
     session.hello(hello(), now_us=0)
-    session.receive(m.encode(m.Welcome("s", 30.0, 10)), now_us=0)
+    session.receive(encode(m.Welcome("s", 30.0, 10)), now_us=0)
     session.data_to_send(0)
     return session
 
@@ -41,7 +42,7 @@ def check_end(session, said):
 
 def decodes(data):
     try:
-        m.decode(data)
+        decode(data)
     except ProtocolError:
         return False
     return True

@@ -8,6 +8,7 @@ from cags_common.errors import ProtocolError
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import limits
 from cags_protocol import messages as m
+from cags_protocol.encoding import DamagedError, VersionError, decode, encode, printable
 from support.wire_pair import hello
 
 POSE = Pose((1.0, 2.0, 3.0), (0.5, 0.5, 0.5, 0.5))
@@ -43,7 +44,7 @@ def pack(header: dict[str, object], payload: bytes = b"") -> bytes:
 
 @pytest.mark.parametrize(("message", "payload"), EXAMPLES, ids=lambda v: getattr(v, "TAG", None))
 def test_a_message_comes_back_as_it_went(message, payload):
-    decoded, rest = m.decode(m.encode(message, payload))
+    decoded, rest = decode(encode(message, payload))
     assert decoded == message
     assert bytes(rest) == payload
 
@@ -54,34 +55,34 @@ def test_every_message_has_an_example():
 
 @pytest.mark.parametrize(("message", "payload"), EXAMPLES, ids=lambda v: getattr(v, "TAG", None))
 def test_every_flipped_byte_is_noticed(message, payload):
-    data = m.encode(message, payload)
+    data = encode(message, payload)
     for index in range(len(data)):
         broken = bytearray(data)
         broken[index] ^= 0x41
         with pytest.raises(ProtocolError):
-            m.decode(broken)
+            decode(broken)
 
 
 @pytest.mark.parametrize(("message", "payload"), EXAMPLES, ids=lambda v: getattr(v, "TAG", None))
 def test_every_truncation_is_refused(message, payload):
-    data = m.encode(message, payload)
+    data = encode(message, payload)
     for end in range(len(data)):
         with pytest.raises(ProtocolError):
-            m.decode(data[:end])
+            decode(data[:end])
 
 
 def test_the_payload_is_not_copied():
-    data = m.encode(m.FrameEnd(1), b"payload")
-    assert m.decode(data)[1].obj is data
+    data = encode(m.FrameEnd(1), b"payload")
+    assert decode(data)[1].obj is data
 
 
 def test_unknown_header_entries_are_ignored():
-    assert m.decode(pack({"type": "ping", "t_us": 5, "colour": "red"}))[0] == m.Ping(5)
+    assert decode(pack({"type": "ping", "t_us": 5, "colour": "red"}))[0] == m.Ping(5)
 
 
 def test_records_may_grow():
     data = pack({"type": "ack", "ranges": [[1, 2, "later"]], "received_us": 3})
-    assert m.decode(data)[0] == m.Ack((m.SeqRange(1, 2),), 3)
+    assert decode(data)[0] == m.Ack((m.SeqRange(1, 2),), 3)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +112,7 @@ def test_records_may_grow():
 )
 def test_wrong_headers_are_refused_by_name(header, says):
     with pytest.raises(ProtocolError) as error:
-        m.decode(pack(header))
+        decode(pack(header))
     assert says in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -132,18 +133,18 @@ def test_wrong_headers_are_refused_by_name(header, says):
     ids=lambda data: repr(data[:6]),
 )
 def test_what_is_no_header_is_refused(data):
-    with pytest.raises(m.DamagedError):
-        m.decode(data)
+    with pytest.raises(DamagedError):
+        decode(data)
 
 
 def test_a_header_without_crc_is_refused():
-    with pytest.raises(m.DamagedError, match="crc"):
-        m.decode(msgpack.packb({"type": "ping", "t_us": 1}))
+    with pytest.raises(DamagedError, match="crc"):
+        decode(msgpack.packb({"type": "ping", "t_us": 1}))
 
 
 def test_a_hello_of_another_version_names_both():
-    with pytest.raises(m.VersionError, match=r"version = 9 .*speaks 1") as error:
-        m.decode(pack({"type": "hello", "version": 9, "camera": "holographic"}))
+    with pytest.raises(VersionError, match=r"version = 9 .*speaks 1") as error:
+        decode(pack({"type": "hello", "version": 9, "camera": "holographic"}))
     assert error.value.theirs == 9
 
 
@@ -164,25 +165,25 @@ def test_a_hello_of_another_version_names_both():
 )
 def test_what_must_not_travel_is_not_encoded(message, payload):
     with pytest.raises(ProtocolError):
-        m.encode(message, payload)
+        encode(message, payload)
 
 
 def test_a_payload_on_a_message_without_one_is_refused():
     with pytest.raises(ProtocolError, match="carries no payload, but 3 bytes follow"):
-        m.decode(pack({"type": "ping", "t_us": 1}, b"abc"))
+        decode(pack({"type": "ping", "t_us": 1}, b"abc"))
 
 
 def test_the_largest_fragment_header_fits_its_room():
     top = limits.MAX_MESSAGE_BYTES
-    data = m.encode(m.Fragment(2**53, 2**53, top - 1, top), b"x")
+    data = encode(m.Fragment(2**53, 2**53, top - 1, top), b"x")
     from cags_protocol.sendqueue import FRAGMENT_HEADER_BYTES
 
     assert len(data) - 1 <= FRAGMENT_HEADER_BYTES
 
 
 def test_printable_makes_any_text_sendable():
-    text = m.printable("line\nbreak " + "ü" * 2000)
-    assert m.decode(m.encode(m.Bye(text)))[0] == m.Bye(text)
+    text = printable("line\nbreak " + "ü" * 2000)
+    assert decode(encode(m.Bye(text)))[0] == m.Bye(text)
     assert text.startswith("line?break")
 
 

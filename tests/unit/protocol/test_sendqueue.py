@@ -1,8 +1,9 @@
 import pytest
 
 from cags_common.errors import ProtocolError
+from cags_protocol.encoding import decode
 from cags_protocol.limits import MAX_PARTIAL_MESSAGES, PACKET_BYTES
-from cags_protocol.messages import FrameEnd, decode
+from cags_protocol.messages import FrameEnd
 from cags_protocol.sendqueue import CHUNK_BYTES, Outgoing, SendQueue
 from support.wire_pair import reference, tile
 

@@ -6,6 +6,7 @@ from cags_protocol import ClientSession, Outgoing, ServerSession, ServerSessionS
 from cags_protocol import events as ev
 from cags_protocol import messages as m
 from cags_protocol.blobs import blob_chunks
+from cags_protocol.encoding import decode, encode
 from cags_protocol.limits import PACKET_BYTES
 from cags_protocol.states import CLIENT_TABLE, SERVER_TABLE
 from support.wire_pair import INTRINSICS, Pair, hello, reference, steady, tile
@@ -32,8 +33,8 @@ def test_a_refused_client_knows_why():
 
 def test_a_client_of_another_version_is_refused_by_name_of_both_versions():
     server = ServerSession(now_us=0)
-    server.receive(m.encode(hello(version=7)), now_us=1)
-    refusal, _ = m.decode(server.data_to_send(1)[0])
+    server.receive(encode(hello(version=7)), now_us=1)
+    refusal, _ = decode(server.data_to_send(1)[0])
     assert refusal.code == refusal.field == "version"
     assert "7" in refusal.message
     assert "speaks 1" in refusal.message
@@ -217,7 +218,7 @@ def test_a_client_that_never_says_hello_is_dropped():
     assert server.next_timer_us() == 1_000_000
     server.handle_timer(now_us=1_000_000)
     assert server.closed
-    assert m.decode(server.data_to_send(1_000_000)[0])[0].code == "timeout"
+    assert decode(server.data_to_send(1_000_000)[0])[0].code == "timeout"
 
 
 def test_a_bye_ends_both_and_drops_what_waits():
@@ -254,14 +255,14 @@ def test_a_lost_connection_is_an_event():
 )
 def test_a_message_out_of_place_ends_the_session_with_a_refusal(message):
     pair = Pair().open()
-    pair.server.receive(m.encode(message, b"x" if message.PAYLOAD == m.OPAQUE else b""), now_us=pair.now_us)
+    pair.server.receive(encode(message, b"x" if message.PAYLOAD == m.OPAQUE else b""), now_us=pair.now_us)
     assert pair.server.closed
-    assert m.decode(pair.server.data_to_send(pair.now_us)[-1])[0].code == "unexpected"
+    assert decode(pair.server.data_to_send(pair.now_us)[-1])[0].code == "unexpected"
 
 
 def test_an_acknowledgement_of_what_was_never_sent_is_refused():
     pair = Pair().open()
-    pair.server.receive(m.encode(m.Ack((m.SeqRange(1, 10**6),), 0)), now_us=pair.now_us)
+    pair.server.receive(encode(m.Ack((m.SeqRange(1, 10**6),), 0)), now_us=pair.now_us)
     assert pair.server.closed
 
 

@@ -15,6 +15,7 @@ import msgpack
 
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import messages as m
+from cags_protocol.encoding import decode, encode
 from cags_protocol.inventory import pack_inventory
 
 POSE = Pose((0.25, -1.5, 3.0), (0.5, 0.5, -0.5, 0.5))
@@ -90,7 +91,7 @@ def plain(message: m.Message) -> dict[str, object]:
 
 def vectors() -> dict[str, object]:
     """Everything a decoder must read or refuse."""
-    good = [(name, message, m.encode(message, payload)) for name, message, payload in MESSAGES] + LATER
+    good = [(name, message, encode(message, payload)) for name, message, payload in MESSAGES] + LATER
     return {
         "version": 1,
         "read": [
@@ -98,7 +99,7 @@ def vectors() -> dict[str, object]:
                 "name": name,
                 "type": message.TAG,
                 "fields": plain(message),
-                "payload": bytes(m.decode(data)[1]).hex(),
+                "payload": bytes(decode(data)[1]).hex(),
                 "data": data.hex(),
             }
             for name, message, data in good
