@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cags_common.geometry import F32, Camera, Pose
+from cags_common.geometry import F32, Camera
 from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Encoder
 from cags_protocol import events as ev
@@ -17,6 +17,7 @@ from cags_protocol.blobs import blob_chunks
 from cags_protocol.messages import Control, HeldTile, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
+from cags_server.budget import ByteBudget
 from cags_server.clock import ClientClock
 from cags_server.fov import FovObservation, FovOptions, create_fov_policy, widened
 from cags_server.library import SceneLibrary, VisibleTile
@@ -24,6 +25,7 @@ from cags_server.pace import Pace
 from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
+from cags_server.reference_video import ReferenceVideo
 from cags_server.settings import ServerSettings
 from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
@@ -39,12 +41,6 @@ MESSAGE_OVERHEAD_BYTES = 160
 
 MAX_LEAD_STRETCH = 3.0
 """A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
-
-MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
-"""Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""
-
-MAX_BUDGET_TICKS = 4
-"""A stretch of skipped frames earns at most the budget of so many."""
 
 
 def fov_options(settings: ServerSettings) -> FovOptions:
@@ -95,12 +91,8 @@ class Streamer:
         self._next_tick = 0
         self._job_running = False
         self._pace = Pace()
-        self._outstanding_bytes = 0
-        self._travelling: dict[int, int] = {}  # tiles queued and not settled: identity -> when, oldest first
-        self._reference_seq = 0
-        self._idr_seq = 0
-        self._saved_bytes = 0
-        self._needs_idr = True
+        self._budget = ByteBudget(settings.queue_ms)
+        self._video = ReferenceVideo()
         self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
         self._blind_tick = -1  # newest frame that was sent without looking
         self._unsettled: list[FrameRecord] = []
@@ -140,7 +132,7 @@ class Streamer:
             case ev.ControlReceived(control, arrival_us):
                 self._on_control(control, arrival_us)
             case ev.KeyframeRequested(reference_seq):
-                self._needs_idr = self._needs_idr or self._idr_seq <= reference_seq
+                self._video.requested(reference_seq)
             case ev.Delivered(outgoing, _):
                 self._on_settled(outgoing, delivered=True)
             case ev.Dropped(outgoing, _, sent_bytes, _):
@@ -176,16 +168,15 @@ class Streamer:
         self._next_tick, self._blind_tick = 0, -1
         if control.action == "seek":  # the client has forgotten everything
             self._tiles.start_anew()
-            self._needs_idr = True
+            self._video.broken()
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
-        self._outstanding_bytes -= len(outgoing.payload)
-        self._travelling.pop(id(outgoing), None)
+        self._budget.settled(outgoing)
         message = outgoing.message
         if isinstance(message, TileLayers):
             (self._tiles.inventory.delivered if delivered else self._tiles.inventory.dropped)(message)
         elif isinstance(message, ReferenceFrame) and not delivered:
-            self._needs_idr = self._needs_idr or message.seq >= self._idr_seq
+            self._video.dropped(message)
 
     # ------------------------------------------------------------------------------------------------------ planning
 
@@ -221,7 +212,7 @@ class Streamer:
         plan = self._plan(tick, frame, now_us)
         self._next_tick = tick + 1
         self._job_running = True
-        self._needs_idr = False
+        self._video.needs_idr = False
         intrinsics = widened(
             self._hello.intrinsics, plan.margins, self._settings.reference_width, self._settings.reference_height
         )
@@ -279,7 +270,7 @@ class Streamer:
             horizon_us=horizon_us,
             predicted=predicted,
             margins=margins,
-            idr=self._needs_idr,
+            idr=self._video.needs_idr,
         )
 
     def _predict(self, display_us: int) -> PoseDistribution:
@@ -294,7 +285,7 @@ class Streamer:
     def abandon(self, job: FrameJob) -> None:
         """A job failed or was given up: its picture never existed."""
         self._job_running = False
-        self._needs_idr = True
+        self._video.broken()
 
     def finish(self, render: FrameRender, now_us: int) -> list[ev.Outgoing]:
         """Turn a finished job into messages: the reference, the tiles that the rate policy chose, the frame's end."""
@@ -304,7 +295,7 @@ class Streamer:
         self.stats.render_ns += render.render_ns
         self.stats.encode_ns += render.encode_ns
         if plan.generation != self._generation:  # the viewer seeked meanwhile
-            self._needs_idr = True
+            self._video.broken()
             return []
         self._seen = self._library.manifest.gof_of(plan.frame), render.contribution
         if plan.tick < self._blind_tick:  # its tiles, and later ones, have gone ahead
@@ -325,10 +316,10 @@ class Streamer:
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""
         if now_us >= self._reference_deadline_us(render.plan):
-            self._needs_idr = True
+            self._video.broken()
             return []
         record.reference_bytes = len(render.access_unit)
-        return [self._reference(render)]
+        return [self._video.message(render, self._reference_deadline_us(render.plan))]
 
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The tiles that the rate policy chooses for a frame, and the frame's end."""
@@ -356,11 +347,7 @@ class Streamer:
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps = self._estimator.estimate_bps(now_us)
         allowed_bps = self._estimator.allowance_bps(now_us)
-        seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * self._timeline.period_us / 1e6
-        allowed_backlog = allowed_bps * self._settings.queue_ms / 8e3
-        excess = max(0.0, self._outstanding_bytes - allowed_backlog)
-        income = int(allowed_bps * seconds / 8 - record.reference_bytes - excess)
-        record.budget_bytes = max(0, income + self._saved_bytes)
+        record.budget_bytes = self._budget.open(record, allowed_bps, self._timeline.period_us)
         decision = self._policy.decide(
             Observation(
                 frame=record.frame,
@@ -369,24 +356,15 @@ class Streamer:
                 lod_gains_db=self._library.manifest.lod_gains_db,
                 message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
                 layered=self._tiles.layered,
-                waiting_us=now_us - next(iter(self._travelling.values()), now_us),
+                waiting_us=self._budget.waiting_us(now_us),
             )
         )
         record.tile_bytes = decision.bytes
-        most = max(allowed_bps * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
-        self._saved_bytes = min(max(0, record.budget_bytes - decision.bytes), int(most))
+        self._budget.close(record.budget_bytes - decision.bytes, allowed_bps)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
         return decision
 
     # ------------------------------------------------------------------------------------------------------ messages
-
-    def _reference(self, render: FrameRender) -> ev.Outgoing:
-        self._reference_seq += 1
-        if render.idr:
-            self._idr_seq = self._reference_seq
-        pose: Pose = render.plan.predicted.pose
-        message = ReferenceFrame(render.plan.frame, self._reference_seq, pose, render.intrinsics, render.idr)
-        return ev.Outgoing(message, render.access_unit, 0, self._reference_deadline_us(render.plan))
 
     def _reference_deadline_us(self, plan: FramePlan) -> int:
         """A late reference still serves the frames that follow its own."""
@@ -395,9 +373,8 @@ class Streamer:
     def _counted(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
         for each in outgoing:
             size = len(each.payload)
-            self._outstanding_bytes += size
+            self._budget.planned(each, now_us)
             if isinstance(each.message, TileLayers):
-                self._travelling[id(each)] = now_us
                 self.stats.bytes_tiles += size
             elif isinstance(each.message, ReferenceFrame):
                 self.stats.bytes_reference += size

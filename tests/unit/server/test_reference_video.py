@@ -1,0 +1,49 @@
+"""When the reference video must start anew."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cags_common.geometry import Intrinsics, Pose
+from cags_protocol.messages import ReferenceFrame
+from cags_server.reference_video import ReferenceVideo
+
+INTRINSICS = Intrinsics.of_fov(400, 300, 1.0, 0.8)
+
+
+def send(video: ReferenceVideo, *, idr: bool = False) -> ReferenceFrame:
+    plan = SimpleNamespace(frame=3, predicted=SimpleNamespace(pose=Pose.identity()))
+    render: Any = SimpleNamespace(plan=plan, intrinsics=INTRINSICS, idr=idr, access_unit=b"h264")
+    video.needs_idr = False
+    message = video.message(render, 9).message
+    assert isinstance(message, ReferenceFrame)
+    return message
+
+
+def test_the_first_picture_stands_alone_and_numbers_have_no_gap() -> None:
+    video = ReferenceVideo()
+    assert video.needs_idr
+    assert [send(video).seq for _ in range(3)] == [1, 2, 3]
+
+
+def test_a_dropped_picture_breaks_the_video_unless_an_idr_has_followed_it() -> None:
+    video = ReferenceVideo()
+    send(video, idr=True)
+    lost = send(video)
+    send(video, idr=True)
+    video.dropped(lost)
+    assert not video.needs_idr
+    video.dropped(send(video))
+    assert video.needs_idr
+
+
+@pytest.mark.parametrize(("last_decoded", "needed"), [(1, False), (2, True), (5, True)])
+def test_a_request_is_answered_by_an_idr_that_is_under_way(last_decoded: int, needed: bool) -> None:
+    video = ReferenceVideo()
+    send(video)
+    send(video, idr=True)
+    video.requested(last_decoded)
+    assert video.needs_idr is needed
