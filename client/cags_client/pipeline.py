@@ -99,6 +99,14 @@ class ClientPipeline:
         """The last reference picture that was decoded; 0 before any."""
         return self._references.last_decoded
 
+    def keeps(self, frame: int) -> bool:
+        """Whether a jump to ``frame`` can go on from what is held, of whatever quality."""
+        return self._store.keeps and self._store.in_group(frame)
+
+    def holds(self, frame: int) -> bool:
+        """Whether ``frame`` can be drawn whole without anything from the network."""
+        return self._store.holds(frame)
+
     def reset(self, frame: int) -> None:
         """The viewer jumped to ``frame``: forget tiles and references."""
         self._store.reset(frame)

@@ -292,6 +292,9 @@ class Player:
             return
         at_us = now_us + self.settings.start_delay_ms * 1000
         self._due_us = self.stats.started_us = at_us
+        self._ask_to_play(at_us, now_us)
+
+    def _ask_to_play(self, at_us: int, now_us: int) -> None:
         self._session.control(Control("play", self.settings.start_frame, at_us), now_us=now_us)
 
     def _frame_due_us(self, frame: int) -> int:

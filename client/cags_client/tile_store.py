@@ -6,13 +6,15 @@ all of a frame's at once, when that frame is shown. The rules, whatever the orde
 - the newest source frame wins, splat by splat (a tile of a later frame holds whole splats);
 - an enhancement layer changes only the splats that its own tile still owns;
 - a removal at frame f ends splats of source frames before f, and keeps late tiles of those from bringing them back;
-- each group of frames has its own ids; the old group is dropped when the first frame of the next is shown.
+- each group of frames has its own ids; the old group is dropped when the first frame of the next is shown;
+- showing an earlier frame of the group replays what is held, so a loop or a jump back asks the network for nothing.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +35,12 @@ MAX_WAITING_BYTES = 8 << 20
 MAX_TILES_PER_GOF = 1 << 17
 """Bound on the tiles of one group of frames."""
 
+MAX_KEPT_SPLATS = 1 << 22
+"""Splats of replaced tiles that are kept for showing earlier frames again (about 40 bytes each); past it none are."""
+
+REPLAY_AHEAD = 8
+"""Frames ahead of the display whose kept tiles are dequantised off the display path."""
+
 Key = tuple[int, int]
 """Source frame and tile."""
 
@@ -42,12 +50,18 @@ class _Held:
     """One tile: what is decoded of it, and how many rows it still owns."""
 
     index: int
-    frame: int
+    key: Key
     state: TileDecoder
     centre: F32  # [3] of its means
     radius: float
     owned: int = 0
     shown_lod: int = -1
+    replaced: bool = False
+
+    @property
+    def frame(self) -> int:
+        """Source frame."""
+        return self.key[0]
 
 
 @dataclass(eq=False)
@@ -89,14 +103,21 @@ class GofStore:
         self._owner = np.full(n, -1, np.int32)
         self._source = np.full(n, -1, np.int32)
         self._removed_at = np.full(n, -1, np.int32)
-        self._tiles: dict[Key, _Held | None] = {}  # None: every splat of it has been replaced
+        self._tiles: dict[Key, _Held | None] = {}  # None: every splat of it has been replaced, and it is not kept
         self._by_index: list[_Held] = []
+        self._late: dict[Key, list[tuple[int, bytes]]] = {}  # layers of tiles that are kept, though replaced
+        self._replay: dict[Key, _Held] = {}
+        self._kept_splats = self._late_bytes = 0
+        self._shown_frame = -1
+        self.keeps = True
+        """Whether earlier frames of the group can be shown again from what is held."""
+        self._rewound = False
         self._waiting: OrderedDict[Key, list[tuple[int, bytes]]] = OrderedDict()
         self._waiting_bytes = 0
         self._touched: dict[Key, _Held] = {}
         self._staged: dict[Key, _Staged] = {}
-        self._ends: dict[int, Ids] = {}
-        self._ended: set[int] = set()
+        self._ends: dict[int, Ids] = {}  # not yet shown
+        self._ended: dict[int, Ids] = {}
         self._lock = threading.Lock()
         self._decoding = threading.Lock()
 
@@ -113,6 +134,9 @@ class GofStore:
     def flush(self, horizon: int | None = None) -> None:
         """Dequantise the tiles that :meth:`add` touched (of frames up to ``horizon``), each once, and stage them."""
         with self._decoding:
+            near = self._shown_frame + REPLAY_AHEAD if horizon is None else horizon
+            for key in [k for k in self._replay if k[0] <= near]:
+                self._touched[key] = self._replay.pop(key)
             for key in [k for k in self._touched if horizon is None or k[0] <= horizon]:
                 held = self._touched.pop(key)
                 ids = held.state.ids
@@ -126,6 +150,9 @@ class GofStore:
             return
         held = self._tiles.get(key)
         layers = list(enumerate(payloads, start=from_lod))
+        if held is not None and held.replaced:  # of use once earlier frames are shown again
+            self._keep_late(key, layers)
+            return
         changed = False
         if held is None:
             if from_lod > 0 or not layers:
@@ -144,8 +171,7 @@ class GofStore:
         self._check_ids(removed, f"removed ids of frame {frame}")
         with self._lock:
             if frame not in self._ended:
-                self._ends[frame] = removed
-                self._ended.add(frame)
+                self._ends[frame] = self._ended[frame] = removed
 
     def _open(self, key: Key, payload: memoryview) -> _Held:
         if len(self._by_index) >= MAX_TILES_PER_GOF:
@@ -154,7 +180,7 @@ class GofStore:
         self._check_ids(state.ids, f"tile {key[1]} of frame {key[0]}")
         low, high = (state.means.min(axis=0), state.means.max(axis=0)) if len(state) else (np.zeros(3), np.zeros(3))
         centre, radius = ((low + high) / 2).astype(np.float32), float(np.linalg.norm(high - low) / 2)
-        held = _Held(len(self._by_index), key[0], state, centre, radius)
+        held = _Held(len(self._by_index), key, state, centre, radius)
         with self._lock:
             self._by_index.append(held)
             self._tiles[key] = held
@@ -163,6 +189,13 @@ class GofStore:
     def _check_ids(self, ids: Ids, what: str) -> None:
         if len(ids) and (int(ids.min()) < 0 or int(ids.max()) >= self.capacity):
             raise DecodeError(f"{what}: id {int(ids.max())} is outside the group's capacity {self.capacity}")
+
+    def _keep_late(self, key: Key, layers: list[tuple[int, memoryview]]) -> None:
+        with self._lock:
+            self._late.setdefault(key, []).extend((lod, bytes(payload)) for lod, payload in layers)
+            self._late_bytes += sum(len(payload) for _, payload in layers)
+            if self._late_bytes > MAX_WAITING_BYTES:
+                self._stop_keeping()
 
     def _wait(self, key: Key, layers: list[tuple[int, memoryview]]) -> None:
         """Keep layers whose base has not come yet; the oldest go when too many bytes wait."""
@@ -183,6 +216,9 @@ class GofStore:
 
     def commit(self, frame: int) -> tuple[NDArray[np.intp], bool]:
         """Show what has come for frames up to ``frame``: the rows that changed, and whether ``frame`` is whole."""
+        if frame < self._shown_frame:
+            self._rewind()
+        self._shown_frame = frame
         with self._lock:
             horizon = max((f for f in self._ended if f <= frame), default=-1)
         self.flush(horizon)
@@ -197,11 +233,37 @@ class GofStore:
                 del self._ends[f]
             whole = frame in self._ended
         touched = np.zeros(self.capacity, dtype=bool)
+        if self._rewound:
+            touched[:], self._rewound = True, False
         for f, ids in ends:
             self._remove(f, ids, touched)
         for _, staged in updates:
             self._write(staged, touched)
         return np.nonzero(touched)[0], whole
+
+    def _rewind(self) -> None:
+        """Back to an empty picture; everything held waits to be shown again, in order."""
+        with self._decoding, self._lock:
+            self.splats.logit_opacities[:] = ABSENT_LOGIT
+            for rows in (self._owner, self._source, self._removed_at):
+                rows[:] = -1
+            for key, held in self._tiles.items():
+                if held is not None:
+                    held.owned, held.shown_lod, held.replaced = 0, -1, False
+                    self._replay[key] = held
+                    for lod, payload in self._late.pop(key, []):
+                        with suppress(DecodeError):  # damaged on the way: the tile stays as good as it was
+                            held.state.add_layer(lod, payload)
+            self._staged.clear()
+            self._touched.clear()
+            self._ends = dict(self._ended)
+            self._kept_splats = self._late_bytes = 0
+            self._rewound = True
+
+    def holds(self, frame: int) -> bool:
+        """Whether ``frame`` can be shown whole at once."""
+        with self._lock:
+            return self.keeps and frame in self._ended
 
     def _remove(self, frame: int, ids: Ids, touched: NDArray[np.bool_]) -> None:
         self._removed_at[ids] = np.maximum(self._removed_at[ids], frame)
@@ -239,10 +301,23 @@ class GofStore:
                 self._forget(held)
 
     def _forget(self, held: _Held) -> None:
+        """Nothing of a tile is shown any more: it is kept for a replay, as long as there is room."""
+        if held.replaced:
+            return
         with self._lock:
-            for key in [k for k, h in self._tiles.items() if h is held]:
-                self._tiles[key] = None
-                self._staged.pop(key, None)
+            self._staged.pop(held.key, None)
+            held.replaced = True
+            self._kept_splats += len(held.state)
+            if not self.keeps:
+                self._tiles[held.key] = None
+            elif self._kept_splats > MAX_KEPT_SPLATS:
+                self._stop_keeping()
+
+    def _stop_keeping(self) -> None:
+        self.keeps = False
+        self._late.clear()
+        for key in [k for k, h in self._tiles.items() if h is not None and h.replaced]:
+            self._tiles[key] = None
 
     # ---------------------------------------------------------------------------------------------------------- figures
 
@@ -344,6 +419,20 @@ class TileStore:
             for old in [g for g in self._gofs if g < gof]:
                 del self._gofs[old]
         return store, Committed(gof, rows, fresh, not whole)
+
+    @property
+    def keeps(self) -> bool:
+        """Whether every frame of the group on display that was sent once can be shown again."""
+        return self._shown is None or self._shown.keeps
+
+    def in_group(self, frame: int) -> bool:
+        """Whether ``frame`` is of the group on display."""
+        return self._manifest.gof_of(frame) == self._oldest
+
+    def holds(self, frame: int) -> bool:
+        """Whether ``frame`` can be shown whole without anything from the network."""
+        store = self._gofs.get(self._manifest.gof_of(frame))
+        return store is not None and store.holds(frame)
 
     def reset(self, frame: int) -> None:
         """Forget everything: the viewer jumped to ``frame``."""

@@ -131,7 +131,8 @@ class Control(Message):
     """The viewer's wish, as the whole state of play: media frame ``frame`` is displayed at ``at_us``.
 
     While playing, frame i is displayed at ``at_us + (i - frame) * 1e6 / (fps * rate)``; with ``loop`` the first
-    follows the last.
+    follows the last. With ``keeps`` the client goes on holding what it was sent of a group of frames when it jumps or
+    loops within it, so that nothing of it is sent again.
     """
 
     TAG = "control"
@@ -140,6 +141,7 @@ class Control(Message):
     at_us: int = wire(_TIME)
     rate: float = wire(Real(0.01, 16.0), 1.0)
     loop: bool = wire(Flag(), False)
+    keeps: bool = wire(Flag(), False)
 
 
 @dataclass(frozen=True, slots=True)

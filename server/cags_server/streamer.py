@@ -166,8 +166,10 @@ class Streamer:
         self._controlled = True
         self._generation += 1
         self._next_tick, self._blind_tick = 0, -1
-        if control.action == "seek":  # the client has forgotten everything
-            self._tiles.start_anew()
+        self._tiles.client_keeps = control.keeps
+        if control.action == "seek":
+            self._tiles.go_back(control.frame)
+            self._tiles.from_nothing = True
             self._video.broken()
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:

@@ -30,6 +30,9 @@ class TileSender:
         """Newest media frame whose end was queued."""
         self.from_nothing = False
         """Whether the client holds nothing and must be given a beginning."""
+        self.client_keeps = False
+        """Whether the client holds on to a group of frames when it goes back within it."""
+        self._group: int | None = None  # of the frame ended last
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles from an earlier session: they are not sent again."""
@@ -79,15 +82,22 @@ class TileSender:
             return
         left, entered = self._library.manifest.gof_of(self.ended), self._library.manifest.gof_of(frame)
         if frame < self.ended:
-            self.start_anew()
+            self.go_back(frame)
         elif left != entered:
             frames = self._library.manifest.gof_frames(left)
             self.inventory.keep(frames[0], frames[-1])
 
+    def go_back(self, frame: int) -> None:
+        """The media goes on from ``frame``: a client that keeps its group of frames still holds all it was sent."""
+        if self.client_keeps and self._group == self._library.manifest.gof_of(frame):
+            self.ended = None
+        else:
+            self.start_anew()
+
     def start_anew(self) -> None:
         """The client holds nothing any more."""
         self.inventory.clear()
-        self.ended = None
+        self.ended = self._group = None
         self.from_nothing = True
 
     def view(self, tile: VisibleTile) -> TileView:
@@ -135,6 +145,6 @@ class TileSender:
     def frame_ends(self, frame: int) -> list[ev.Outgoing]:
         """The ends of every frame up to ``frame`` that has not been ended: skipped ones too, for their removed ids."""
         first = self._library.gof_start(frame) if self.ended is None else self.ended + 1
-        self.ended = frame
+        self.ended, self._group = frame, self._library.manifest.gof_of(frame)
         reader = self._library.reader
         return [ev.Outgoing(FrameEnd(at), reader.removed_payload(at), BASE_PRIORITY) for at in range(first, frame + 1)]

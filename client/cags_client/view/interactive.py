@@ -1,8 +1,9 @@
 """A player that the viewer steers: pause, play, seek, speed, loop, and a camera that moves while the clip stands still.
 
 The state of play is one anchor: frame ``f`` is displayed at client time ``t``. Every wish makes a new anchor and tells
-the server. A seek empties the stores, so it waits until no decoding and no drawing is under way. The server is asked to
-hold the frame; when that has come whole, the clip goes on from it. So nothing is skipped, however slow the link is.
+the server. A seek waits until no decoding and no drawing is under way. Where the store cannot show the frame from what
+it holds, the server is asked to hold there; when the frame has come whole, the clip goes on from it. So nothing is
+skipped, however slow the link is. A loop within one group of frames goes on without a break: the server plans it ahead.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ class InteractivePlayer(Player):
         self._wanted_frame: int | None = None
         self._awaited: tuple[int, int] | None = None
         self._shown_pose: Pose | None = None
+        self._loop_told = False
         super().__init__(*arguments, **named)
         self.frame = self.settings.start_frame
 
@@ -67,6 +69,12 @@ class InteractivePlayer(Player):
         self.rate = rate
         if self.playing and self.frame + 1 < self._end_frame:
             self._tell("rate", self.frame + 1, next_us, now_us)
+
+    def set_loop(self, on: bool, now_us: int) -> None:
+        """Start again at the clip's end, or hold there."""
+        if on != self.loop:
+            self.loop = on
+            self.set_rate(self.rate, now_us)  # tells the server in time, or not: the end looks at what it was told
 
     def leave(self, now_us: int) -> None:
         """Say goodbye."""
@@ -122,40 +130,49 @@ class InteractivePlayer(Player):
     # --------------------------------------------------------------------------------------------------------- details
 
     def _at_end(self, now_us: int) -> None:
-        if self.loop:
-            self.seek(0)
-        else:
+        assert self.pipeline is not None
+        if not self.loop:
             self.pause(now_us)
+        elif self._loop_told and self.pipeline.keeps(0):
+            self._next_frame, self._due_us = 0, self._frame_due_us(self._end_frame)
+            self._anchor = (0, self._due_us)
+        else:
+            self.seek(0)
 
     def _open(self, now_us: int) -> None:
         super()._open(now_us)
         if self.info is not None:
             self._end_frame = self.info.frames
 
-    def _play(self, now_us: int) -> None:
-        first = self.stats.started_us is None
-        super()._play(now_us)
-        if first and self._due_us is not None:
-            self._anchor = (self.settings.start_frame, self._due_us)
-            if not self.playing:
-                self._tell("pause", self.frame, now_us, now_us)
+    def _ask_to_play(self, at_us: int, now_us: int) -> None:
+        if self.playing:
+            self._tell("play", self.settings.start_frame, at_us, now_us)
+        else:
+            self._tell("pause", self.frame, now_us, now_us)
 
     def _tell(self, action: str, frame: int, at_us: int, now_us: int) -> None:
         if self.stats.started_us is None:
             return
         self._anchor, self._next_frame, self._due_us = (frame, at_us), frame, at_us
-        self._session.control(Control(action, frame, at_us, self.rate), now_us=now_us)
+        keeps = self.pipeline is not None and self.pipeline.keeps(frame)
+        self._loop_told = self.loop and keeps and self.info is not None and len(self.info.gof_starts) == 1
+        control = Control(action, frame, at_us, self.rate, loop=self._loop_told, keeps=keeps)
+        self._session.control(control, now_us=now_us)
 
     def _seek_now(self, frame: int, now_us: int) -> None:
         assert self.pipeline is not None
         self._wanted_frame = None
-        self._decodes.clear()
-        self.pipeline.reset(frame)
+        keeps = self.pipeline.keeps(frame)
+        if not keeps:
+            self._decodes.clear()
+            self.pipeline.reset(frame)
         self.frame = frame
         self._tell("seek", frame, now_us, now_us)
         if self.playing:
-            self._session.control(Control("pause", frame, now_us, self.rate), now_us=now_us)
+            self._session.control(Control("pause", frame, now_us, self.rate, keeps=keeps), now_us=now_us)
         self._awaited = (frame, now_us + SEEK_PATIENCE_US)
+        if self.pipeline.holds(frame):
+            self._go_on(now_us)
 
     def _go_on(self, now_us: int) -> None:
         """The frame that was sought is there."""

@@ -99,7 +99,8 @@ class PlayerControls:
 
     def set_loop(self, on: bool) -> None:
         """Start again at the end, or hold."""
-        self._player.loop = on
+        self._player.set_loop(on, now_us())
+        self._wake()
 
     def set_restorer(self, name: str) -> None:
         """Restore in another way from the next frame on."""

@@ -209,14 +209,49 @@ def test_layers_that_wait_for_their_base_are_bounded(store: TileStore, monkeypat
     assert gof._waiting_bytes <= 100
 
 
-def test_tiles_without_splats_left_are_forgotten(store: TileStore) -> None:
+def replaced_thrice(store: TileStore) -> TileStore:
+    """Frames 0 .. 3, each with the same two splats anew; the third also ends splat 2."""
+    store.add(0, 1, 0, [base([2, 3], 9)])
     for frame in range(4):
         store.add(frame, 0, 0, [base([0, 1], frame + 1)])
-        store.end(frame, removed())
-        gof, _ = store.commit(frame)
-    assert sum(held is not None for held in gof._tiles.values()) == 1
-    store.add(0, 0, 1, [layer(2, 1)])  # late, for a forgotten one
+        store.end(frame, removed(2) if frame == 2 else removed())
+        store.commit(frame)
+    return store
+
+
+def test_tiles_without_splats_left_take_no_part(store: TileStore) -> None:
+    gof, _ = replaced_thrice(store).commit(3)
+    assert sum(held is not None and held.owned > 0 for held in gof._tiles.values()) == 2
+    store.add(0, 0, 1, [layer(2, 1)])  # late, for a replaced one
     assert gof.commit(3)[0].tolist() == []
+
+
+def test_earlier_frames_are_shown_again_from_what_is_held(store: TileStore) -> None:
+    replaced_thrice(store)
+    for frame in (0, 1, 2, 3, 1, 3, 0):  # a loop, a jump back, a jump ahead
+        assert store.holds(frame)
+        assert xs(store, frame)[:4] == [frame + 1, frame + 1, -1 if frame >= 2 else 9, 9]
+
+
+def test_layers_that_come_after_their_tile_was_replaced_count_in_the_replay(store: TileStore) -> None:
+    replaced_thrice(store)
+    store.add(0, 0, 1, [layer(2, 1)])
+    gof, committed = store.commit(0)
+    assert len(committed.rows) == CAPACITY
+    assert gof._by_index[1].shown_lod == 1
+    assert gof.splats.sh0[0, 0] == 3  # code 1 with another bit
+
+
+@pytest.mark.parametrize("bound", ["MAX_KEPT_SPLATS", "MAX_WAITING_BYTES"])
+def test_what_is_kept_for_a_replay_is_bounded(store: TileStore, bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(f"cags_client.tile_store.{bound}", 3)
+    replaced_thrice(store)
+    store.add(0, 0, 1, [layer(2, 1)])
+    gof, _ = store.commit(3)
+    assert not store.keeps
+    assert not store.holds(0)
+    assert sum(held is not None for held in gof._tiles.values()) == 2
+    assert not gof._late
 
 
 def test_lod_mean_counts_what_is_in_view(store: TileStore) -> None:

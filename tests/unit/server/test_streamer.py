@@ -258,6 +258,28 @@ def test_the_end_of_the_media_ends_the_planning_and_a_loop_goes_on() -> None:
     assert frames == [*range(12), 0, 1]
 
 
+@pytest.mark.parametrize("keeps", [True, False])
+def test_a_client_that_keeps_a_group_is_sent_nothing_again_when_it_loops_or_jumps_in_it(keeps: bool) -> None:
+    rig = Rig()
+    rig.poses(0)
+    rig.control("play", keeps=keeps)
+    for _ in range(4):
+        rig.step()
+    rig.control("seek", 1, 900_000, keeps=keeps)
+    again = rig.step()
+    assert bool(of(TileLayers, again)) != keeps
+    assert of(FrameEnd, again)[-1].frame == 1
+    rig.control("seek", 8, 1_900_000, keeps=keeps)  # another group
+    assert of(TileLayers, rig.step())
+    looped = Rig(gof=12)
+    looped.poses(0)
+    looped.control("play", loop=True, keeps=keeps)
+    for _ in range(12):
+        looped.step()
+    again = [message for _ in range(12) for message in of(TileLayers, looped.step())]
+    assert bool(again) != keeps
+
+
 def test_a_new_group_starts_from_nothing() -> None:
     rig = Rig()
     rig.play()

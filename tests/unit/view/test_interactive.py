@@ -54,6 +54,14 @@ class FakePipeline:
     def __init__(self) -> None:
         self.resets: list[int] = []
         self.settings = ClientSettings()
+        self.kept = False
+        self.held: set[int] = set()
+
+    def keeps(self, frame: int) -> bool:
+        return self.kept
+
+    def holds(self, frame: int) -> bool:
+        return frame in self.held
 
     def reset(self, frame: int) -> None:
         self.resets.append(frame)
@@ -67,7 +75,7 @@ class Stage:
         self.poses = LivePoses(StillWalk())
         self.now_us = 0
         self.player = InteractivePlayer(self.session, ClientSettings(**settings), self.poses, now_us=0)  # type: ignore[arg-type]
-        self.player.info = SimpleNamespace(fps=FPS, frames=FRAMES)  # type: ignore[assignment]
+        self.player.info = SimpleNamespace(fps=FPS, frames=FRAMES, gof_starts=(0,))  # type: ignore[assignment]
         self.player.pipeline = self.pipeline  # type: ignore[assignment]
         self.player._end_frame = FRAMES
         self.end(0)
@@ -177,6 +185,40 @@ def test_seeking_while_paused_shows_that_frame(stage: Stage) -> None:
     stage.end(FRAMES - 1)
     assert stage.run(100_000) == [FRAMES - 1]
     assert not stage.player.playing
+
+
+def test_what_is_held_loops_without_a_break_and_without_a_word(stage: Stage) -> None:
+    stage.pipeline.kept = True
+    stage.player.set_rate(1.0, stage.now_us)
+    said = len(stage.session.controls)
+    assert stage.session.controls[-1].loop
+    assert stage.session.controls[-1].keeps
+    drawn = stage.run(DELAY_US + 2.5 * FRAMES * FRAME_US)
+    assert drawn[: 2 * FRAMES] == [*range(1, FRAMES), *range(FRAMES), 0]
+    assert len(stage.session.controls) == said
+    assert stage.pipeline.resets == []
+    stage.player.set_loop(False, stage.now_us)
+    assert not stage.session.controls[-1].loop
+    stage.run(FRAMES * FRAME_US)
+    assert not stage.player.playing
+
+
+def test_a_store_that_can_keep_no_more_loops_by_a_seek(stage: Stage) -> None:
+    stage.pipeline.kept = True
+    stage.player.set_rate(1.0, stage.now_us)
+    stage.run(DELAY_US + 0.5 * FRAMES * FRAME_US)
+    stage.pipeline.kept = False
+    stage.run(0.6 * FRAMES * FRAME_US)
+    assert stage.pipeline.resets == [0]
+    assert not stage.session.controls[-1].keeps
+
+
+def test_a_jump_to_what_is_held_does_not_wait(stage: Stage) -> None:
+    stage.pipeline.kept, stage.pipeline.held = True, {3}
+    stage.run(DELAY_US + 5 * FRAME_US)
+    stage.player.seek(3)
+    assert stage.run(DELAY_US + 2.5 * FRAME_US)[:2] == [3, 4]
+    assert stage.pipeline.resets == []
 
 
 def test_half_speed_takes_twice_as_long(stage: Stage) -> None:

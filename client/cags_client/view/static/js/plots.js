@@ -1,7 +1,7 @@
 // Small live plots over the last seconds, on canvas. A hand's width each; the newest value stands in the legend.
 
 const SPAN_MS = 20000;
-const REDRAW_MS = 100;
+const REDRAW_MS = 400; // the pictures matter more: a redraw costs as much as one of them
 const STAGE_COLOURS = ["--s1", "--s2", "--s3", "--s4", "--s5", "--s6"];
 
 const PLOTS = [

@@ -73,7 +73,7 @@ export class Stage {
     if (!image) return this.#missing([x, y, w, h]);
     const { context } = this;
     const [iw, ih] = sizeOf(image);
-    context.imageSmoothingQuality = "high";
+    context.imageSmoothingQuality = w < iw ? "medium" : "low"; // "high" is bicubic: 12 ms a picture without a GPU
     context.drawImage(image, iw * from, 0, iw * (to - from), ih, x + w * from, y, w * (to - from), h);
   }
 
