@@ -22,9 +22,10 @@ from cags_client.tile_store import Committed, GofStore, TileStore
 from cags_common import raster
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import tile_codec
+from cags_common.effects import Effect, EffectPlan, Situation, held_sh_degree, plan_frame
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
-from cags_common.raster.base import Exactness, Footprint, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 
 
@@ -38,14 +39,17 @@ class PresentedFrame:
     distorted: F32  # [H, W, 3]: the client's own render
     aligned: Aligned | None
     """The aligned reference, or None where there was none to align or nothing to restore."""
-    depth: F32  # [H, W] camera-space z; +inf where void
+    depth: F32 | None  # [H, W] camera-space z; +inf where void. None where nothing needed it
     alpha: F32  # [H, W]
     reference: ReferencePicture | None
+    """The reference at hand, whether or not the frame's effects use it."""
     lod_mean: float
     """Mean LoD of the splats in view; NaN where none is held."""
     missed: bool
     """The frame's own data had not all come: something older is shown."""
     stages_ms: dict[str, float]
+    effects: EffectPlan
+    """What was done for this frame, and by that what was left out."""
 
 
 class ClientPipeline:
@@ -68,6 +72,7 @@ class ClientPipeline:
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
+        self._sh_degree = 0  # highest band with anything in it since the group's first frame
         self._adapter: SirtAdapter | None = None
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
@@ -125,73 +130,122 @@ class ClientPipeline:
         with watch("update"):
             store, committed = self._store.commit(frame)
             scene = self._updated(store, committed)
+        reference = self._references.nearest(frame, self.settings.reference_age)
+        situation = self._situation(store, committed, (frame, camera), reference)
+        plan = plan_frame(situation, self.settings.effects)
         with watch("raster"):
-            view = scene.render(camera, self._options())
+            view = scene.render(camera, self._options(plan))
         distorted = np.clip(view.rgb, 0.0, 1.0)
-        nothing_left = store.full and self.live.restore.partition("@")[0] not in restore.REPLACING
-        reference = None if nothing_left else self._references.nearest(frame, self.settings.reference_age)
-        aligned, shown, seen = None, distorted, None
-        if reference is not None and view.depth is not None:
-            with watch("align"):
-                aligned = _faded(self._aligner.align(reference, view.depth, camera), self._freshness(reference, frame))
-            with watch("own"):
-                own = scene.render(reference.camera, self._reference_options(reference))
-                seen = own.contribution
-            if self._adapter is not None:
-                with watch("adapt"):  # seen from the next frame on
-                    self._adapter.adapt(scene, store.splats, reference, own, self._reference_options(reference))
-            with watch("restore"):
-                shown = self._restored(RestoreInput(distorted, view.alpha, aligned, reference, own))
+        drawn = _Drawn(scene, store, camera, distorted, view)
+        aligned, own, shown = None, None, distorted
+        if reference is not None:
+            aligned, own, shown = self._with_reference(plan, drawn, reference, frame, watch)
         return PresentedFrame(
             frame=frame,
             camera=camera,
             rgb=shown,
             distorted=distorted,
             aligned=aligned,
-            depth=_depth(view),
+            depth=view.depth,
             alpha=view.alpha,
             reference=reference,
-            lod_mean=store.lod_mean(camera, seen),
+            lod_mean=store.lod_mean(camera, own.contribution if own is not None else None),
             missed=committed.missed,
             stages_ms=watch.stages_ms,
+            effects=plan,
         )
+
+    def _situation(
+        self, store: GofStore, committed: Committed, view: tuple[int, Camera], reference: ReferencePicture | None
+    ) -> Situation:
+        if self._restorer.name != self.live.restore:
+            self._restorer = restore.create(self.live.restore)
+        frame, camera = view
+        there = reference.camera.pose.position if reference is not None else None
+        return Situation(
+            sh_degree=self._sh_degree,
+            scene_sh_degree=self.info.sh_degree,
+            changed=committed.fresh or len(committed.rows) > 0,
+            whole=store.full,
+            reference=reference is not None,
+            same_place=there == camera.pose.position,
+            same_frame=reference is not None and reference.frame == frame,
+            restorer=self._restorer.needs,
+            replaces=self.live.restore.partition("@")[0] in restore.REPLACING,
+            adapts=self._adapter is not None,
+            depth_shown=self.live.depth_shown,
+        )
+
+    def _with_reference(
+        self, plan: EffectPlan, drawn: _Drawn, reference: ReferencePicture, frame: int, watch: _Stopwatch
+    ) -> tuple[Aligned | None, RenderedView | None, F32]:
+        """The aligned reference, the client's own view of it, and the restored picture, each where planned."""
+        aligned, own, shown = None, None, drawn.distorted
+        depth = drawn.view.depth
+        if Effect.ALIGNMENT in plan and depth is not None:
+            with watch("align"):
+                occlusion = Effect.OCCLUSION in plan
+                aligned = self._aligner.align(reference, depth, drawn.camera, occlusion=occlusion)
+                if Effect.FADE in plan:
+                    aligned = _faded(aligned, self._freshness(reference, frame))
+        options = self._reference_options(plan, reference)
+        if Effect.OWN_VIEW in plan:
+            with watch("own"):
+                own = drawn.scene.render(reference.camera, options)
+        if Effect.ADAPTATION in plan and own is not None and self._adapter is not None:
+            with watch("adapt"):  # seen from the next frame on
+                self._adapter.adapt(drawn.scene, drawn.store.splats, reference, own, options)
+        if Effect.RESTORATION in plan and aligned is not None:
+            with watch("restore"):
+                shown = self._restorer.restore(RestoreInput(drawn.distorted, drawn.view.alpha, aligned, reference, own))
+        return aligned, own, shown
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
         if self._scene is None or committed.fresh:
             self._scene = self._rasteriser.load(store.splats)
             self._adapter = SirtAdapter(store.capacity) if self.settings.adapt == "sirt" else None
+            self._sh_degree = held_sh_degree(store.splats.sh_rest)
         elif len(committed.rows):
             if self._adapter is not None:
                 self._adapter.forget(committed.rows)
-            self._scene.update(committed.rows, store.splats.take(committed.rows))
+            changed = store.splats.take(committed.rows)
+            self._scene.update(committed.rows, changed)
+            self._sh_degree = max(self._sh_degree, held_sh_degree(changed.sh_rest))
         return self._scene
 
-    def _options(self) -> RenderOptions:
-        return RenderOptions(exactness=Exactness(self.live.exactness), threads=self.settings.threads)
+    def _options(self, plan: EffectPlan) -> RenderOptions:
+        return RenderOptions(
+            exactness=Exactness(self.live.exactness),
+            threads=self.settings.threads,
+            max_sh_degree=plan.sh_degree,
+            depth=DepthKind.EXPECTED if Effect.DEPTH in plan else DepthKind.NONE,
+        )
 
-    def _reference_options(self, reference: ReferencePicture) -> RenderOptions:
+    def _reference_options(self, plan: EffectPlan, reference: ReferencePicture) -> RenderOptions:
         """How the server draws references, so that the client's splats can be compared with them."""
         footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
-        return replace(self._options(), footprint=footprint, contribution=True)
+        return replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint, contribution=True)
 
     def _freshness(self, reference: ReferencePicture, frame: int) -> float:
         """1 for the reference of this very frame, falling to 0 past the oldest that is allowed."""
         return 1.0 - abs(frame - reference.frame) / (self.settings.reference_age + 1)
 
-    def _restored(self, inputs: RestoreInput) -> F32:
-        if self._restorer.name != self.live.restore:
-            self._restorer = restore.create(self.live.restore)
-        return self._restorer.restore(inputs)
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """The client's own picture of a frame, and what it was drawn from."""
+
+    scene: RasterScene
+    store: GofStore
+    camera: Camera
+    distorted: F32
+    view: RenderedView
 
 
 def _faded(aligned: Aligned, freshness: float) -> Aligned:
     if freshness >= 1.0:
         return aligned
     return replace(aligned, paint=lambda: aligned.rgb, confidence=aligned.confidence * np.float32(freshness))
-
-
-def _depth(view: RenderedView) -> F32:
-    return view.depth if view.depth is not None else np.full(view.alpha.shape, np.inf, np.float32)
 
 
 class _Stopwatch:

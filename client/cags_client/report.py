@@ -12,7 +12,11 @@ import numpy as np
 from cags_client.pipeline import PresentedFrame
 from cags_client.player import PlayStats, Present
 from cags_client.score import averages
+from cags_common.effects import Effect, tally
 from cags_common.geometry import angle_between
+
+STAGE = "ms_"
+"""Prefix of a record's stage times."""
 
 
 def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> dict[str, Any]:
@@ -33,12 +37,13 @@ def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> di
         there, here = reference.camera.pose, presented.camera.pose
         record["prediction_error_deg"] = math.degrees(angle_between(there.rotation, here.rotation))
         record["prediction_error_m"] = math.dist(there.position, here.position)
-    record |= {f"ms_{stage}": value for stage, value in presented.stages_ms.items()}
+    record["effects"] = sorted(presented.effects.on)
+    record |= {f"{STAGE}{stage}": value for stage, value in presented.stages_ms.items()}
     return record
 
 
 def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
-    """The last line of a report: counts, goodput and the mean of every figure of the frames."""
+    """The last line of a report: counts, goodput, the mean of every figure of the frames, and the effects' shares."""
     means = averages(records)
     for key in ("frame", "time_us", "reference_frame", "bytes_tiles", "bytes_reference"):
         means.pop(key, None)
@@ -56,8 +61,15 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         "bytes_reference": stats.bytes_reference,
         "goodput_mbps": received * 8 / seconds / 1e6 if seconds > 0 else 0.0,
         **means,
+        "effects": tally(map(_effects, records)),
         "latency_p95_ms": float(np.percentile(latencies, 95)) if latencies else None,
     }
+
+
+def _effects(record: Mapping[str, Any]) -> tuple[frozenset[Effect], dict[str, float]]:
+    """What was on in a frame, and its stages' milliseconds."""
+    stages = {key.removeprefix(STAGE): float(value) for key, value in record.items() if key.startswith(STAGE)}
+    return frozenset(map(Effect, record["effects"])), stages
 
 
 def json_line(record: Mapping[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from cags_common.effects import NEEDED, POLICIES
 from cags_common.geometry import Intrinsics
 from cags_common.settings import check_settings, setting
 
@@ -23,6 +24,9 @@ class ClientSettings:
     restore: str = setting("affine", "restorer: none, reference, affine, lite, srresnet (or NETWORK@RUNTIME)")
     adapt: str = setting("none", "colour corrections that stay with the splats", choices=("none", "sirt"))
     threads: int = setting(2, "threads of a render", low=1, high=256)
+    effects: str = setting(
+        NEEDED, "work of a frame: what the scene and the moment need, or always everything", choices=POLICIES
+    )
     reference_age: int = setting(
         10, "media frames after which a reference is too old to restore from; younger ones fade", low=0, high=1000
     )
@@ -52,3 +56,5 @@ class LiveSettings:
     def __init__(self, settings: ClientSettings) -> None:
         self.restore = settings.restore
         self.exactness = settings.exactness
+        self.depth_shown = False
+        """Whether somebody looks at the depth picture; else it is drawn only where alignment needs it."""

@@ -18,6 +18,7 @@ from collections.abc import Sized
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
+from cags_common.effects import LinkEffect
 from cags_common.errors import ConfigError
 from cags_shaper.trace import NEVER_US, OPPORTUNITY_BYTES, Trace
 
@@ -70,6 +71,18 @@ class LinkSettings:
         if self.cap_bps is not None and not 1e3 <= self.cap_bps <= 1e12:
             raise ConfigError(f"cap_bps = {self.cap_bps} must lie in [1000, 1e12], or not be given")
 
+    def effects(self, *, rated: bool) -> frozenset[LinkEffect]:
+        """What is named here and so happens; ``rated``: the link has a trace."""
+        named = {
+            LinkEffect.RATE: rated,
+            LinkEffect.DELAY: self.delay_us > 0,
+            LinkEffect.JITTER: self.jitter_us > 0,
+            LinkEffect.LOSS: self.loss > 0,
+            LinkEffect.QUEUE: self.queue_bytes is not None or self.queue_packets is not None,
+            LinkEffect.CAP: self.cap_bps is not None,
+        }
+        return frozenset(effect for effect, on in named.items() if on)
+
 
 @dataclass
 class LinkCounts:
@@ -90,6 +103,7 @@ class Link(Generic[T]):
 
     def __init__(self, trace: Trace | None, settings: LinkSettings | None = None) -> None:
         self.trace, self.settings = trace, settings or LinkSettings()
+        self.effects = self.settings.effects(rated=trace is not None)
         self.counts = LinkCounts()
         self._random = random.Random(self.settings.seed)  # noqa: S311 - a simulation, not a secret
         self._position = 0  # bytes of opportunities used or passed, by the end of the last packet
@@ -102,6 +116,7 @@ class Link(Generic[T]):
     def change(self, **settings: Any) -> None:
         """Change settings by name, for packets pushed from now on; those on their way keep their times."""
         self.settings = replace(self.settings, **settings)
+        self.effects = self.settings.effects(rated=self.trace is not None)
 
     def push(self, now_us: int, data: T, size_bytes: int | None = None) -> bool:
         """Offer a packet, or a piece of a stream, of ``size_bytes`` (default: ``len(data)``).
@@ -113,11 +128,11 @@ class Link(Generic[T]):
         if size_bytes is None or size_bytes < 1:
             raise ValueError(f"size_bytes = {size_bytes} must be at least 1")
         self._leave(now_us)
-        if self.settings.loss and self._random.random() < self.settings.loss:
+        if LinkEffect.LOSS in self.effects and self._random.random() < self.settings.loss:
             self.counts.lost_bytes += size_bytes
             self.counts.lost_packets += 1
             return True
-        if not self._has_room(size_bytes):
+        if LinkEffect.QUEUE in self.effects and not self._has_room(size_bytes):
             self.counts.dropped_bytes += size_bytes
             self.counts.dropped_packets += 1
             return False
@@ -169,7 +184,7 @@ class Link(Generic[T]):
             self._position = start + size
             served_us = self.trace.time_of(start // OPPORTUNITY_BYTES + 1)
             finished_us = self.trace.time_of(-(-self._position // OPPORTUNITY_BYTES))
-        if self.settings.cap_bps is not None:
+        if LinkEffect.CAP in self.effects and self.settings.cap_bps is not None:
             start_us = max(self._cap_free_us, now_us)
             self._cap_free_us = start_us + size * 8e6 / self.settings.cap_bps
             served_us = max(served_us, math.ceil(start_us))
@@ -185,7 +200,7 @@ class Link(Generic[T]):
         if finished_us >= NEVER_US:
             return NEVER_US
         arrival_us = finished_us + self.settings.delay_us
-        if self.settings.jitter_us:
+        if LinkEffect.JITTER in self.effects:
             arrival_us += round(self._random.expovariate(1.0 / self.settings.jitter_us))
         self._last_us = max(self._last_us, arrival_us)
         return self._last_us

@@ -63,7 +63,7 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
     kept: list[PresentedFrame] = []
 
     def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
-        if presented.reference is not None:
+        if presented.aligned is not None:
             kept.append(presented)
 
     simulate(scenario, watch)

@@ -141,6 +141,7 @@ class _Simulation:
         out = summary(self.frames, self.player.stats)
         started_us = self.player.stats.started_us or 0
         out["first_picture_ms"] = started_us / 1e3
+        out["link_effects"] = sorted(self.down.link.effects)
         out["capacity_mbps"] = self.trace.mean_bps(0, max(self.world.now_us, 1)) / 1e6
         return out
 

@@ -158,9 +158,10 @@ class Aligner(Protocol):
         """Name in the registry."""
         ...
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera) -> Aligned:
+    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
         """Align ``reference`` to ``camera`` by its depth [H, W] (camera-space z; non-finite or <= 0 is void).
 
+        Without ``occlusion`` every pixel counts as seen: for cameras at one place, where nothing can be hidden.
         Raises ``ValueError`` where ``depth`` does not have the camera's size.
         """
         ...

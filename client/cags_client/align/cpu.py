@@ -7,6 +7,9 @@ from cags_client.align.base import Aligned, AlignSettings, ReferencePicture, Rep
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
 
+NOTHING_HIDDEN = 1e30
+"""A depth tolerance that no pixel lies behind; the pass that looks for the nearest one is then cut short too."""
+
 
 class CpuAligner:
     """The same result as :class:`cags_client.align.reference.ReferenceAligner` in float32, a frame in milliseconds.
@@ -21,7 +24,7 @@ class CpuAligner:
             raise ConfigError(f"aligner 'cpu' cannot run: {cags_kernels.why_unavailable()}; use 'fast'")
         self._settings = settings or AlignSettings()
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera) -> Aligned:
+    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`."""
         from cags_kernels import align as kernels
 
@@ -29,8 +32,8 @@ class CpuAligner:
         s = self._settings
         parameters = kernels.AlignParameters(
             cell_px=geometry.cell_px,
-            stride=geometry.stride,
-            depth_tolerance=s.depth_tolerance,
+            stride=geometry.stride if occlusion else max(depth.shape),
+            depth_tolerance=s.depth_tolerance if occlusion else NOTHING_HIDDEN,
             slope_cells=s.slope_cells,
             border_px=s.border_px,
             erosion_radius=s.erosion_radius_px,

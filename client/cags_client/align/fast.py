@@ -20,13 +20,13 @@ class FastAligner:
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self._settings = settings or AlignSettings()
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera) -> Aligned:
+    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`."""
         geometry = Reprojection(depth, camera, reference.camera)
         s, w, h = self._settings, reference.camera.width_px, reference.camera.height_px
         x, y, _, inside = geometry.projected
         cell = y.astype(np.int32) * (w + 1) + x.astype(np.int32)
-        occluded, occluder = _occlusion(geometry, cell, s)
+        occluded, occluder = _occlusion(geometry, cell, s) if occlusion else (np.zeros_like(inside),) * 2
         distance = np.minimum(np.minimum(x, w - x), np.minimum(y, h - y))
         confidence = np.clip(distance / np.float32(max(s.border_px, 1e-6)), 0, 1) * (inside & ~occluded)
 

@@ -33,13 +33,15 @@ class ReferenceAligner:
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self._settings = settings or AlignSettings()
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera) -> Aligned:
+    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`."""
         geometry = Reprojection(depth, camera, reference.camera)
         d = np.where(np.isfinite(depth) & (depth > 0), depth, np.nan).astype(np.float64)
         x, y, z = _project(d, geometry)
         inside = (z > 0) & (x >= 0) & (y >= 0) & (x <= reference.camera.width_px) & (y <= reference.camera.height_px)
-        occluded, occluder = self._occlusion(d, _Projected(x, y, z, inside), geometry)
+        nowhere = np.zeros_like(inside)
+        seen = _Projected(x, y, z, inside)
+        occluded, occluder = self._occlusion(d, seen, geometry) if occlusion else (nowhere, nowhere)
         rgb = np.where(inside[..., None], _bilinear(reference.rgb.astype(np.float64), x, y), 0.0)
         rgb = _erode(rgb, occluded, inside & ~occluded & ~occluder, self._settings)
         confidence = np.where(inside & ~occluded, _border(x, y, reference.camera, self._settings.border_px), 0.0)

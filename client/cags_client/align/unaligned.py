@@ -17,6 +17,8 @@ class UnalignedAligner:
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self._inner = FastAligner(settings)
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera) -> Aligned:
+    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`; ``depth`` only tells void pixels."""
-        return self._inner.align(replace(reference, camera=reference.camera.at(camera.pose)), depth, camera)
+        del occlusion  # as if from one place: nothing is hidden
+        there = replace(reference, camera=reference.camera.at(camera.pose))
+        return self._inner.align(there, depth, camera, occlusion=False)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 import cags_kernels
 from cags_client.align.fast import sample
-from cags_client.restore.base import RestoreInput
+from cags_client.restore.base import COMPARED, RestoreInput
 from cags_common.geometry import F32
 from cags_common.settings import check_settings, setting
 
@@ -65,6 +65,7 @@ class AffineRestorer:
     """The closed-form tier."""
 
     name = "affine"
+    needs = COMPARED
 
     def __init__(self, settings: AffineSettings | None = None) -> None:
         self._settings = settings or AffineSettings()

@@ -6,8 +6,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from cags_client.align.base import Aligned, ReferencePicture
+from cags_common.effects import Effect
 from cags_common.geometry import F32
 from cags_common.raster.base import RenderedView
+
+ALIGNED = frozenset({Effect.ALIGNMENT, Effect.EROSION})
+COMPARED = frozenset({Effect.ALIGNMENT, Effect.OWN_VIEW})
+"""What restorers need: the aligned colours, or where pixels lie in the reference and the client's own view of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +34,11 @@ class Restorer(Protocol):
     @property
     def name(self) -> str:
         """Name in the registry."""
+        ...
+
+    @property
+    def needs(self) -> frozenset[Effect]:
+        """What it looks at: alignment, erosion (of aligned colours), own-view. Nothing: it shows what it is given."""
         ...
 
     def restore(self, inputs: RestoreInput) -> F32:

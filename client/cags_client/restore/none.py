@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cags_client.restore.base import RestoreInput
+from cags_common.effects import Effect
 from cags_common.geometry import F32
 
 
@@ -10,6 +11,7 @@ class NoRestorer:
     """Shows the distorted picture."""
 
     name = "none"
+    needs: frozenset[Effect] = frozenset()
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""

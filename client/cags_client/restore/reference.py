@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cags_client.restore.base import RestoreInput
+from cags_client.restore.base import ALIGNED, RestoreInput
 from cags_common.geometry import F32
 
 
@@ -12,6 +12,7 @@ class ReferenceRestorer:
     """The reference itself, upsampled: what a client without splats of its own colours could show."""
 
     name = "reference"
+    needs = ALIGNED
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""

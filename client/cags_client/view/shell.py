@@ -150,6 +150,7 @@ async def watch_live(
             url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES, token=settings.token
         )
         live = LiveSettings(settings)
+        live.depth_shown = True  # the page can show it at any time
         player = InteractivePlayer(
             ClientSession(now_us=now_us()),
             settings,

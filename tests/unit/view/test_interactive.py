@@ -13,6 +13,7 @@ from cags_client.player import Decode, DecodeResult, Present
 from cags_client.settings import ClientSettings
 from cags_client.view.interactive import SEEK_PATIENCE_US, InteractivePlayer
 from cags_client.view.poses import LivePoses
+from cags_common.effects import EffectPlan
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
 from cags_protocol.messages import Control, FrameEnd
@@ -91,7 +92,9 @@ class Stage:
         if not isinstance(action, Present):
             return None
         blank = np.zeros((2, 2, 3), np.float32)
-        shown = PresentedFrame(action.frame, None, blank, blank, None, blank, blank, None, 0.0, False, {})  # type: ignore[arg-type]
+        shown = PresentedFrame(
+            action.frame, None, blank, blank, None, blank, blank, None, 0.0, False, {}, EffectPlan(frozenset())
+        )  # type: ignore[arg-type]
         self.player.done(action, shown, self.now_us)
         return action.frame
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from cags_client.restore.base import RestoreInput
+from cags_client.restore.base import ALIGNED, COMPARED, RestoreInput
 from cags_client.restore.networks.inputs import HALF, filled, half_features, reach
 from cags_client.restore.networks.runtimes import Runtime
 from cags_common.geometry import F32
@@ -13,6 +13,8 @@ from cags_common.geometry import F32
 
 class LiteRestorer:
     """Adds the change that :class:`~cags_client.restore.networks.lite.Lite` finds to the distorted picture."""
+
+    needs = COMPARED
 
     def __init__(self, runtime: Runtime, name: str = "lite") -> None:
         self.name = name
@@ -37,6 +39,8 @@ class PictureRestorer:
     With ``fall_back`` the distorted picture is shown where the reference says nothing near a pixel. The baselines go
     without: they show what the paper's configurations show.
     """
+
+    needs = ALIGNED
 
     def __init__(self, runtime: Runtime, name: str, *, fall_back: bool) -> None:
         self.name = name

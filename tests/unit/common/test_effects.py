@@ -1,0 +1,108 @@
+"""Effect plans: on whenever needed, left out else, and their account."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cags_common.effects import ALWAYS, Effect, Situation, held_sh_degree, plan_frame, tally
+from cags_common.splats import SH_REST_OF_DEGREE
+
+COMPARING = frozenset({Effect.ALIGNMENT, Effect.OWN_VIEW})
+PAINTING = frozenset({Effect.ALIGNMENT, Effect.EROSION})
+BUSY = Situation(
+    sh_degree=2,
+    scene_sh_degree=3,
+    changed=True,
+    whole=False,
+    reference=True,
+    same_place=False,
+    same_frame=False,
+    restorer=PAINTING | COMPARING,
+    replaces=False,
+    adapts=True,
+    depth_shown=True,
+)
+situations = st.builds(
+    Situation,
+    sh_degree=st.integers(0, 3),
+    scene_sh_degree=st.just(3),
+    changed=st.booleans(),
+    whole=st.booleans(),
+    reference=st.booleans(),
+    same_place=st.booleans(),
+    same_frame=st.booleans(),
+    restorer=st.sampled_from([frozenset(), COMPARING, PAINTING]),
+    replaces=st.booleans(),
+    adapts=st.booleans(),
+    depth_shown=st.booleans(),
+)
+
+
+def test_a_busy_moment_needs_everything() -> None:
+    plan = plan_frame(BUSY)
+    assert plan.on == frozenset(Effect)
+    assert plan.sh_degree == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "gone"),
+    [
+        ({"sh_degree": 0}, {Effect.VIEW_COLOUR}),
+        ({"changed": False}, {Effect.DELTAS}),
+        ({"same_place": True}, {Effect.OCCLUSION, Effect.EROSION}),
+        ({"same_frame": True}, {Effect.FADE}),
+        ({"restorer": COMPARING}, {Effect.EROSION}),
+        ({"adapts": False}, {Effect.ADAPTATION}),
+        ({"adapts": False, "restorer": PAINTING}, {Effect.ADAPTATION, Effect.OWN_VIEW}),
+        ({"depth_shown": False}, set()),  # alignment needs it
+        ({"whole": True, "depth_shown": False}, set(Effect) - {Effect.VIEW_COLOUR, Effect.DELTAS}),
+        ({"reference": False, "depth_shown": False}, set(Effect) - {Effect.VIEW_COLOUR, Effect.DELTAS}),
+    ],
+)
+def test_each_condition_takes_its_own_effects_away(change: dict[str, object], gone: set[Effect]) -> None:
+    assert set(Effect) - plan_frame(replace(BUSY, **change)).on == gone  # type: ignore[arg-type]
+
+
+@given(situations)
+def test_what_is_needed_is_a_part_of_always(situation: Situation) -> None:
+    needed, always = plan_frame(situation), plan_frame(situation, ALWAYS)
+    assert needed.on <= always.on
+    assert needed.sh_degree <= always.sh_degree
+
+
+@given(situations)
+def test_plans_are_consistent(situation: Situation) -> None:
+    plan = plan_frame(situation)
+    assert (Effect.VIEW_COLOUR in plan) == (plan.sh_degree > 0)
+    assert Effect.DEPTH in plan or Effect.ALIGNMENT not in plan
+    assert Effect.OWN_VIEW in plan or Effect.ADAPTATION not in plan
+    assert Effect.ALIGNMENT in plan or not plan.on & {Effect.OCCLUSION, Effect.FADE, Effect.EROSION}
+    assert situation.reference or not plan.on & {Effect.RESTORATION, Effect.ADAPTATION, Effect.OWN_VIEW}
+
+
+def test_without_takes_the_degree_along() -> None:
+    assert plan_frame(BUSY).without(Effect.VIEW_COLOUR).sh_degree == 0
+    assert plan_frame(BUSY).without(Effect.FADE).sh_degree == 2
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_the_highest_band_with_anything_in_it_counts(degree: int) -> None:
+    rest = np.zeros((5, SH_REST_OF_DEGREE[3], 3), np.float32)
+    if degree:
+        rest[3, SH_REST_OF_DEGREE[degree] - 1, 1] = 1e-30
+    assert held_sh_degree(rest) == degree
+    assert held_sh_degree(rest[:, : SH_REST_OF_DEGREE[degree]]) == degree
+    assert held_sh_degree(rest[:0]) == 0
+
+
+def test_the_account_counts_shares_and_what_leaving_out_saved() -> None:
+    on, off = frozenset({Effect.ALIGNMENT, Effect.DEPTH}), frozenset[Effect]()
+    account = tally([(on, {"raster": 10, "align": 4}), (off, {"raster": 9}), (off, {"raster": 9})])
+    assert account["alignment"] == {"share": pytest.approx(1 / 3), "saved_ms": 8}
+    assert account["depth"]["saved_ms"] == pytest.approx(2)
+    assert account["own-view"] == {"share": 0, "saved_ms": None}
+    assert tally([(on, {})])["alignment"] == {"share": 1, "saved_ms": None}
+    assert tally([]) == {}
