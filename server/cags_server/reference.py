@@ -9,9 +9,10 @@ import numpy as np
 
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RenderOptions
-from cags_common.video.h264 import H264Encoder, is_idr
+from cags_common.video.h264 import is_idr
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.predict.base import PoseDistribution
+from cags_server.reference_encoder import ReferenceEncoder
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class FrameJob:
     library: SceneLibrary
     camera: Camera
     client: Intrinsics
-    encoder: H264Encoder
+    encoder: ReferenceEncoder
     visible_px: float
     threads: int
 

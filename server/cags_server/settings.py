@@ -28,6 +28,13 @@ class ServerSettings:
     reference_kbps: int | None = setting(
         None, "cap of the reference video's rate, kilobits a second; none when not given", low=10, high=1_000_000
     )
+    reference_full_size: bool = setting(False, "references as large as the client's display (remote rendering)")
+    reference_share: float | None = setting(
+        None,
+        "share of the link that the reference video may fill; constant quality when not given",
+        low=0.01,
+        high=1,
+    )
     opening_tiles: bool = setting(True, "send the base layers of the first frame before the play begins")
     rasteriser: str = setting("auto", "rendering backend: auto, reference, cpu or cuda")
     render_threads: int = setting(2, "threads of one reference render", low=1, high=256)

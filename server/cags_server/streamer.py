@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from cags_common.geometry import F32, Camera
-from cags_common.video.colour import Chroma
-from cags_common.video.h264 import H264Encoder
 from cags_protocol import events as ev
 from cags_protocol.blobs import blob_chunks
 from cags_protocol.messages import Control, HeldTile, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
@@ -25,6 +23,7 @@ from cags_server.pace import Pace
 from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
+from cags_server.reference_encoder import ReferenceEncoder
 from cags_server.reference_video import ReferenceVideo
 from cags_server.settings import ServerSettings
 from cags_server.tiles import TileSender
@@ -73,14 +72,7 @@ class Streamer:
         self._predictor = create_predictor(settings.predictor)
         self._fov = create_fov_policy(settings.fov, fov_options(settings))
         self._policy = create_rate_policy(settings.abr)
-        self._encoder = H264Encoder(
-            settings.reference_width,
-            settings.reference_height,
-            library.manifest.fps,
-            crf=settings.reference_crf,
-            chroma=Chroma(settings.reference_chroma),
-            max_bps=settings.reference_kbps * 1000 if settings.reference_kbps else None,
-        )
+        self._encoder = ReferenceEncoder(settings, hello.intrinsics, library.manifest.fps)
         self._clock = ClientClock()
         self._history = PoseHistory()
         self._tiles = TileSender(library, opening=settings.opening_tiles)
@@ -215,9 +207,9 @@ class Streamer:
         self._next_tick = tick + 1
         self._job_running = True
         self._video.needs_idr = False
-        intrinsics = widened(
-            self._hello.intrinsics, plan.margins, self._settings.reference_width, self._settings.reference_height
-        )
+        self._encoder.follow(self._estimator.estimate_bps(now_us))
+        size = self._encoder.width_px, self._encoder.height_px
+        intrinsics = widened(self._hello.intrinsics, plan.margins, *size)
         return FrameJob(
             plan=plan,
             library=self._library,

@@ -53,6 +53,22 @@ METHODS: dict[str, Method] = {
         "trains are left out",
         encode={"codec": "video"},
     ),
+    "reference-only": Method(
+        "reference only",
+        "plain remote rendering: no splats are sent; the video of the predicted view, at the client's own size with a "
+        "margin of 10 %, may fill 85 % of the link (up to crf 14); the client corrects where it looks by a homography, "
+        "not where it stands",
+        server={
+            "abr": "none",
+            "opening_tiles": False,
+            "reference_full_size": True,
+            "reference_share": 0.85,
+            "reference_crf": 14.0,
+            "fov": "fixed",
+            "fov_margin": 0.1,
+        },
+        client={"restore": "reference", "align": "rotation", "adapt": "none"},
+    ),
     "no-prpa": Method(
         "w/o PRPA",
         "the reference is restored from without alignment",
@@ -66,5 +82,5 @@ METHODS: dict[str, Method] = {
 }
 """By the name that ``--methods`` takes."""
 
-BASELINES = ("lts-f", "v3-a", "sr-align-ref", "cr-no-ref")
+BASELINES = ("lts-f", "v3-a", "sr-align-ref", "cr-no-ref", "reference-only")
 ABLATIONS = ("no-prpa", "no-adaptive-fov")

@@ -9,6 +9,7 @@ from cags_client.align.base import Aligned, Aligner, AlignSettings, ReferencePic
 from cags_client.align.cpu import CpuAligner
 from cags_client.align.fast import FastAligner
 from cags_client.align.reference import ReferenceAligner
+from cags_client.align.rotation import RotationAligner
 from cags_client.align.unaligned import UnalignedAligner
 from cags_common.errors import ConfigError
 
@@ -19,6 +20,7 @@ ALIGNERS: dict[str, Callable[[AlignSettings], Aligner]] = {
     "fast": FastAligner,
     "cpu": CpuAligner,
     "unaligned": UnalignedAligner,
+    "rotation": RotationAligner,
 }
 """Aligners by name."""
 

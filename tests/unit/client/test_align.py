@@ -11,7 +11,7 @@ from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
 
 TOLERANCE = 2e-5
-TRUE_ALIGNERS = sorted(set(ALIGNERS) - {"unaligned"})
+TRUE_ALIGNERS = sorted(set(ALIGNERS) - {"unaligned", "rotation"})
 LARGE = Intrinsics.of_fov(160, 120, 1.0, 0.8)
 SMALL = Intrinsics.of_fov(40, 30, 1.0, 0.8)
 
@@ -246,3 +246,28 @@ def test_unaligned_ignores_the_pose_but_not_the_field_of_view() -> None:
 def test_an_unknown_aligner_is_named() -> None:
     with pytest.raises(ConfigError, match="'magic' is unknown; known: auto"):
         create("magic")
+
+
+def test_rotation_alone_turns_the_reference_without_any_depth() -> None:
+    pose = turned(0.1, (0.3, 0.0, 0.0))
+    reference = picture(LARGE, pose, seen_from_afar(rays(LARGE, pose)))
+    void = np.full((120, 160), np.inf, np.float32)
+    here = Camera(LARGE, Pose.identity())
+    out = create("rotation").align(reference, void, here)
+    shown = out.confidence >= 1
+    assert shown.mean() > 0.8
+    np.testing.assert_allclose(out.rgb[shown], seen_from_afar(rays(LARGE, here.pose))[shown], atol=2e-3)
+    assert not out.occluded.any()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.05, 0.2])
+def test_from_one_place_nothing_is_hidden(aligner: Aligner, angle: float) -> None:
+    """So that the test for it may be left out."""
+    reference = picture(LARGE, turned(angle))
+    depth = 1 + 3 * texture(120, 160, seed=1)[..., 0]
+    tested, untested = (
+        aligner.align(reference, depth, Camera(LARGE, Pose.identity()), occlusion=on) for on in (True, False)
+    )
+    assert not tested.occluded.any()
+    np.testing.assert_array_equal(tested.rgb, untested.rgb)
+    np.testing.assert_array_equal(tested.confidence, untested.confidence)

@@ -1,0 +1,57 @@
+"""The encoder of one client's references: of constant quality, or at a share of what the link carries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numpy.typing import NDArray
+
+from cags_common.geometry import Intrinsics
+from cags_common.video.colour import Chroma
+from cags_common.video.h264 import H264Encoder
+from cags_server.settings import ServerSettings
+
+RATE_STEP = 1.25
+"""The video is begun anew (with a picture that needs no other) when its rate is off by more than this factor."""
+
+LEAST_BPS = 50_000
+
+BUFFER_S = 0.1
+"""Over which a followed rate is kept: more would arrive in bursts that come too late."""
+
+
+class ReferenceEncoder:
+    """Encodes the references of one client. ``client`` is its display: the size of references that ask for it."""
+
+    def __init__(self, settings: ServerSettings, client: Intrinsics, fps: float) -> None:
+        self._settings, self._fps = settings, fps
+        full = settings.reference_full_size
+        self.width_px = client.width_px // 2 * 2 if full else settings.reference_width
+        self.height_px = client.height_px // 2 * 2 if full else settings.reference_height
+        self._bps = settings.reference_kbps * 1000 if settings.reference_kbps else None
+        self._encoder = self._opened()
+
+    def follow(self, link_bps: float) -> None:
+        """The link carries so much now. Only a video that takes a share of the link changes its rate."""
+        if self._settings.reference_share is None:
+            return
+        wanted = max(int(link_bps * self._settings.reference_share), LEAST_BPS)
+        if self._bps is None or not self._bps / RATE_STEP <= wanted <= self._bps * RATE_STEP:
+            self._bps = wanted
+            self._encoder = self._opened()
+
+    def encode(self, rgb: NDArray[Any], *, idr: bool = False) -> bytes:
+        """See :meth:`cags_common.video.h264.H264Encoder.encode`."""
+        return self._encoder.encode(rgb, idr=idr)
+
+    def _opened(self) -> H264Encoder:
+        s = self._settings
+        return H264Encoder(
+            self.width_px,
+            self.height_px,
+            self._fps,
+            crf=s.reference_crf,
+            chroma=Chroma(s.reference_chroma),
+            max_bps=self._bps,
+            buffer_s=0.5 if s.reference_share is None else BUFFER_S,
+        )
