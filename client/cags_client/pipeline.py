@@ -6,7 +6,7 @@ decode and store; :meth:`ClientPipeline.present` draws one frame. One thread may
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 
@@ -15,14 +15,17 @@ import numpy as np
 from cags_client import align, restore
 from cags_client.adapt import SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture
+from cags_client.gof_store import Committed, GofStore
+from cags_client.opening import Arrival
 from cags_client.references import References
 from cags_client.restore import RestoreInput
 from cags_client.settings import ClientSettings, LiveSettings
-from cags_client.tile_store import Committed, GofStore, TileStore
+from cags_client.tile_store import TileStore
 from cags_common import raster
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import tile_codec
 from cags_common.effects import Effect, EffectPlan, Situation, held_sh_degree, plan_frame
+from cags_common.errors import DecodeError
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
@@ -68,7 +71,7 @@ class ClientPipeline:
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self._clock = clock
-        self._store = TileStore(info, tile_codec(info, codebooks))
+        self._store = TileStore(info, tile_codec(info, codebooks), settings.threads)
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
@@ -80,12 +83,12 @@ class ClientPipeline:
 
     # -------------------------------------------------------------------------------------------------------- decoding
 
-    def on_tile(self, message: TileLayers, payload: memoryview) -> None:
-        """Decode layers of a tile. Raises :class:`DecodeError`; what was held stays."""
-        self._store.add(message.frame, message.tile, message.from_lod, message.split(payload))
+    def on_tiles(self, tiles: Sequence[tuple[TileLayers, memoryview]]) -> list[DecodeError]:
+        """Decode layers of tiles; what is wrong with those that are left out. What was held stays."""
+        return self._store.add_all([Arrival(m.frame, m.tile, m.from_lod, m.split(payload)) for m, payload in tiles])
 
     def flush(self) -> None:
-        """After a run of :meth:`on_tile`: dequantise what they touched, each tile once, off the display path."""
+        """After :meth:`on_tiles`: dequantise what they touched, each tile once, off the display path."""
         self._store.flush()
 
     def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:

@@ -57,20 +57,22 @@ class DecodeResult:
 
 @dataclass(frozen=True, eq=False)
 class Decode:
-    """Messages to decode, in order; :meth:`run` returns what came of it. In one go, a tile is dequantised once."""
+    """Messages to decode; :meth:`run` returns what came of it.
+
+    Tiles go first, all at once: the end of a frame never overtakes what belongs to it.
+    """
 
     events: tuple[DataEvent, ...]
     pipeline: ClientPipeline
 
     def run(self) -> DecodeResult:
         """Decode into the pipeline. A damaged message is left out and reported; the others count."""
-        errors: list[DecodeError] = []
+        tiles = [(event.message, event.payload) for event in self.events if isinstance(event, ev.TileReceived)]
+        errors = self.pipeline.on_tiles(tiles)
         needs_idr, whole = False, -1
         for event in self.events:
             try:
                 match event:
-                    case ev.TileReceived(message, payload):
-                        self.pipeline.on_tile(message, payload)
                     case ev.ReferenceReceived(reference, payload):
                         needs_idr = not self.pipeline.on_reference(reference, payload)
                     case ev.FrameEnded(end, payload):

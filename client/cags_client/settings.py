@@ -23,10 +23,10 @@ class ClientSettings:
     erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
     restore: str = setting("affine", "restorer: none, reference, affine, lite, srresnet (or NETWORK@RUNTIME)")
     adapt: str = setting("none", "colour corrections that stay with the splats", choices=("none", "sirt"))
-    threads: int = setting(2, "threads of a render", low=1, high=256)
     effects: str = setting(
         NEEDED, "work of a frame: what the scene and the moment need, or always everything", choices=POLICIES
     )
+    threads: int = setting(2, "threads of a render, and of decoding tiles", low=1, high=256)
     reference_age: int = setting(
         10, "media frames after which a reference is too old to restore from; younger ones fade", low=0, high=1000
     )

@@ -33,8 +33,9 @@ them are small rotations everywhere, also at 180 degrees, where leaving out w lo
 """
 
 SH_REST_ATTRIBUTES = ("sh1", "sh2", "sh3")
+ROTATION_PARTS = ("rotation_real", "rotation_imag")
 
-_FORMS = {"rotation": (("rotation",), ("rotation_real", "rotation_imag")), "opacity": (("alpha",), ("opacity",))}
+_FORMS = {"rotation": (("rotation",), ROTATION_PARTS), "opacity": (("alpha",), ("opacity",))}
 
 _MIN_ALPHA = 1e-4
 """Decoded opacities stay this far inside 0..1, so that their logits are finite; 1/255 is the least that is drawn."""
@@ -85,8 +86,13 @@ def join_attributes(means: F32, values: Mapping[str, F32]) -> Splats:
 def _logits(values: Mapping[str, F32]) -> F32:
     if "opacity" in values:
         return np.ascontiguousarray(values["opacity"][:, 0])
-    alpha = np.clip(values["alpha"][:, 0], np.float32(_MIN_ALPHA), np.float32(1 - _MIN_ALPHA))
-    logits: F32 = np.log(alpha / (1 - alpha))
+    return np.ascontiguousarray(alpha_logits(values["alpha"])[:, 0])
+
+
+def alpha_logits(alpha: F32) -> F32:
+    """Opacity logits of drawn opacities, kept inside (0, 1)."""
+    inside = np.clip(alpha, np.float32(_MIN_ALPHA), np.float32(1 - _MIN_ALPHA))
+    logits: F32 = np.log(inside / (1 - inside))
     return logits
 
 
@@ -94,7 +100,7 @@ def _quaternions(values: Mapping[str, F32]) -> F32:
     if "rotation" not in values:
         return unit_quaternions(np.concatenate([values["rotation_real"], values["rotation_imag"]], axis=1))
     rodrigues = values["rotation"]
-    square = np.einsum("ij,ij->i", rodrigues, rodrigues)
+    square = _squares(rodrigues)
     # Refinement may carry parameters a little beyond length 1, which is a turn of more than 180 degrees.
     shrink = np.where(square > 1, np.float32(-1), np.float32(1)) / (1 + square)
     quats = np.empty((len(square), 4), np.float32)
@@ -105,9 +111,17 @@ def _quaternions(values: Mapping[str, F32]) -> F32:
 
 def unit_quaternions(quats: F32) -> F32:
     """Quaternions [n, 4] made unit with w >= 0; those without a direction become the identity."""
-    norms = np.sqrt(np.einsum("ij,ij->i", quats, quats))
+    norms = np.sqrt(_squares(quats))
     lost = norms < 1e-12
     sign = np.where(quats[:, 0] < 0, np.float32(-1.0), np.float32(1.0))
     out = quats * (sign / np.where(lost, np.float32(1.0), norms))[:, None]
     out[lost] = (1.0, 0.0, 0.0, 0.0)
     return np.ascontiguousarray(out, dtype=np.float32)
+
+
+def _squares(rows: F32) -> F32:
+    """Sum of squares [n] of each row, from the first column to the last: the order that the kernel adds in."""
+    total = rows[:, 0] * rows[:, 0]
+    for column in rows.T[1:]:
+        total += column * column
+    return total

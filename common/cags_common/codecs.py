@@ -7,15 +7,19 @@ rate policies and the client, and differ here alone.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from cags_common.bundle.manifest import Manifest
+from cags_common.dequantise import Dequantiser
 from cags_common.errors import BundleError
 from cags_common.geometry import F32
 from cags_common.lod import check_order
 from cags_common.splats import Ids, Splats
 from cags_common.svq import CodebookSet
-from cags_common.tiles import TileState, decode_base, decode_base_ids
+from cags_common.tile_state import TileState
+from cags_common.tiles import decode_base, decode_base_ids
+
+if TYPE_CHECKING:  # the bundle's reader opens tiles by this module
+    from cags_common.bundle.manifest import Manifest
 
 
 class TileDecoder(Protocol):
@@ -68,10 +72,11 @@ class SvqTileCodec:
     def __init__(self, manifest: Manifest, codebooks: bytes | memoryview) -> None:
         self._books, self._order = CodebookSet.from_bytes(codebooks), manifest.lod_order
         check_order(self._order, {book.attribute: book.enhancement_layers for book in self._books})
+        self._dequantiser = Dequantiser(self._books)
 
     def open_tile(self, payload: bytes | memoryview) -> TileDecoder:
         """Decode LoD 0."""
-        return TileState(decode_base(payload, self._books), self._books, self._order)
+        return TileState(decode_base(payload, self._books), self._dequantiser, self._order)
 
     def tile_ids(self, payload: bytes | memoryview) -> Ids:
         """Only the ids [n] of a LoD 0 payload."""

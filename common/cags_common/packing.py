@@ -1,4 +1,4 @@
-"""Bytes in and out: bit packing, gzip with nothing of the clock in it, ascending id lists, CRC-32.
+"""Bytes in and out: bit packing, deflate where it helps, gzip without the clock, ascending id lists, CRC-32.
 
 Everything here is deterministic (same input, same bytes) and every decoder bounds its output before it allocates.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,32 @@ def gunzip_bounded(data: bytes | memoryview, limit_bytes: int, what: str) -> byt
     return out
 
 
+def squeeze(data: bytes) -> bytes:
+    """``data`` deflated (RFC 1951) where that is shorter, else as it is; :func:`unsqueeze` tells them by their length.
+
+    Codes of balanced trees are next to random: deflate's frame would cost more than it saves on most layers.
+    """
+    machine = zlib.compressobj(GZIP_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+    deflated = machine.compress(data) + machine.flush()
+    return deflated if len(deflated) < len(data) else data
+
+
+def unsqueeze(data: bytes | memoryview, size: int, what: str) -> bytes:
+    """Inverse of :func:`squeeze` for data of ``size`` bytes. Raises :class:`DecodeError` naming ``what``."""
+    if len(data) == size:
+        return bytes(data)
+    if len(data) > size:
+        raise DecodeError(f"{what}: takes {len(data)} bytes, at most {size} are expected")
+    machine = zlib.decompressobj(-zlib.MAX_WBITS)
+    try:
+        out = machine.decompress(data, size + 1)
+    except zlib.error as error:
+        raise DecodeError(f"{what}: cannot be inflated ({error})") from error
+    if len(out) != size or not machine.eof or machine.unused_data:
+        raise DecodeError(f"{what}: inflates to other than its {size} bytes")
+    return out
+
+
 def packed_bytes(count: int, bits: int) -> int:
     """Bytes that ``count`` values of ``bits`` bits take."""
     return (count * bits + 7) // 8
@@ -97,6 +124,18 @@ def unpack_bits(data: bytes | memoryview, count: int, bits: int) -> U32:
     padded[:, :bits] = planes
     packed = np.packbits(padded, axis=1, bitorder="little")
     return packed[:, 0].astype(np.uint32) if width == 8 else packed.view("<u4")[:, 0].astype(np.uint32)
+
+
+@dataclass(frozen=True, slots=True)
+class PackedCodes:
+    """Codes as :func:`pack_bits` leaves them, not unpacked before they are needed."""
+
+    data: bytes
+    bits: int
+
+    def unpack(self, count: int) -> U32:
+        """The ``count`` codes [n]. Raises :class:`DecodeError` for a wrong length."""
+        return unpack_bits(self.data, count, self.bits)
 
 
 def encode_ids(ids: Ids) -> bytes:

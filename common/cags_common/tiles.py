@@ -1,38 +1,37 @@
 """Tile payloads, both ways.
 
-LoD 0 of a tile (``encode_base``) is a fixed header, the ids (absent in key frames, whose tiles are id ranges), and a
-Draco point cloud in the tile's order: positions on a grid, and every attribute's base code as a generic attribute. Each
-further LoD (``encode_layer``) is one enhancement layer's bits, packed and gzipped. CRCs travel beside payloads: one
-flipped byte makes Draco decode wrong values without an error. Layout: ``docs/bundle.md``.
+LoD 0 of a tile (``encode_base``) is a fixed header, the ids (absent in key frames, whose tiles are id ranges), a Draco
+point cloud of the positions on a grid, in the tile's order, and every attribute's base codes. Each further LoD
+(``encode_layer``) is one enhancement layer's bits. Codes are packed, and deflated where that is shorter. CRCs travel
+beside payloads: one flipped byte makes Draco decode wrong values without an error. Layout: ``docs/bundle.md``.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import DracoPy
 import numpy as np
 
-from cags_common.attributes import join_attributes
+from cags_common import dequantise
 from cags_common.draco import decode_points
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
-from cags_common.lod import LodLayer
 from cags_common.packing import (
     U32,
+    PackedCodes,
     decode_ids,
     encode_ids,
-    gunzip_bounded,
-    gzip_bytes,
     pack_bits,
     packed_bytes,
-    unpack_bits,
+    squeeze,
+    unsqueeze,
 )
-from cags_common.splats import MAX_SPLATS, Ids, Splats
+from cags_common.splats import MAX_SPLATS, Ids
 from cags_common.svq import MAX_LAYER_BITS, CodebookSet
 
 KEY_TILE_SPLATS = 8_000
@@ -49,10 +48,13 @@ MAX_POSITION = 1e30
 """Bound on coordinates: sums and products of grids stay inside float32."""
 
 DRACO_LEVEL = 7
-BASE_VERSION = 1
+BASE_VERSION = 2
+"""Version 1 carried base codes as generic attributes inside Draco, which took as long to decode as the positions."""
 
-_BASE_HEADER = struct.Struct("<BBBBII4f")
-"""Version, flags, position bits, attributes, splats, first id or bytes of the id list, grid origin and step."""
+_BASE_HEADER = struct.Struct("<BBBBIII4f")
+"""Version, flags, position bits, attributes, splats, first id or bytes of the id list, bytes of the Draco data, grid
+origin and step.
+"""
 
 _ID_RANGE = 1
 """Flag: the ids are a range (key frames), and only its first id is there."""
@@ -85,8 +87,7 @@ class PositionGrid:
 
     def dequantise(self, cells: Any) -> F32:
         """Means [n, 3] of integer coordinates."""
-        wide: F32 = (self.origin.astype(np.float64) + cells.astype(np.float64) * self.step).astype(np.float32)
-        return wide
+        return dequantise.positions(cells, self.origin, self.step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,51 +96,63 @@ class BaseTile:
 
     ids: Ids  # [n] ascending
     means: F32  # [n, 3] world, metres
-    codes: dict[str, U32]  # attribute -> [n] base codes
+    layers: dict[str, PackedCodes]  # attribute -> n base codes
 
     def __len__(self) -> int:
         return len(self.ids)
 
+    @property
+    def codes(self) -> dict[str, U32]:
+        """Attribute -> base codes [n]."""
+        return {name: layer.unpack(len(self)) for name, layer in self.layers.items()}
 
-def encode_base(ids: Ids, means: F32, codes: Mapping[str, U32], grid: PositionGrid, *, id_range: bool) -> bytes:
-    """LoD 0 of a tile: ``ids`` [n] ascending, ``means`` [n, 3], ``codes`` attribute -> [n] base codes < 256.
 
-    ``codes`` is in coding order. With ``id_range`` (key frames) the ids are consecutive and only the first is written.
-    The same input gives the same bytes.
+def encode_base(
+    ids: Ids, means: F32, codes: Mapping[str, U32], grid: PositionGrid, codebooks: CodebookSet, *, id_range: bool
+) -> bytes:
+    """LoD 0 of a tile: ``ids`` [n] ascending, ``means`` [n, 3], ``codes`` attribute -> [n] base codes.
+
+    With ``id_range`` (key frames) the ids are consecutive and only the first is written. The same input gives the same
+    bytes.
     """
     id_bytes = b"" if id_range else encode_ids(ids)
     id_field = (int(ids[0]) if len(ids) else 0) if id_range else len(id_bytes)
     ox, oy, oz = (float(c) for c in grid.origin)
+    draco = _draco_encode(grid.quantise(means), grid.bits) if len(ids) else b""
+    packed = b"".join(pack_bits(codes[book.attribute], book.layer_bits[0]) for book in codebooks)
     header = _BASE_HEADER.pack(
-        BASE_VERSION, _ID_RANGE * id_range, grid.bits, len(codes), len(ids), id_field, ox, oy, oz, grid.step
+        *(BASE_VERSION, _ID_RANGE * id_range, grid.bits, len(codebooks), len(ids), id_field, len(draco)),
+        *(ox, oy, oz, grid.step),
     )
-    if len(ids) == 0:
-        return header + id_bytes
-    return header + id_bytes + _draco_encode(grid.quantise(means), codes, grid.bits)
+    return header + id_bytes + draco + squeeze(packed)
 
 
 def decode_base(payload: bytes | memoryview, codebooks: CodebookSet) -> BaseTile:
     """Inverse of :func:`encode_base`. Raises :class:`DecodeError` for damaged payloads."""
     head = _read_header(payload, len(codebooks))
-    ids = _read_ids(payload, head)
+    ids, (draco, codes) = _read_ids(payload, head), head.sections(payload)
+    layers = _base_layers(codes, head.splats, codebooks)
     if head.splats == 0:
-        return BaseTile(
-            ids, np.zeros((0, 3), np.float32), {name: np.zeros(0, np.uint32) for name in codebooks.attributes}
-        )
-    cells, columns = _draco_decode(
-        bytes(memoryview(payload)[_BASE_HEADER.size + head.id_bytes :]), head.splats, len(codebooks)
-    )
-    codes: dict[str, U32] = {}
-    for book, column in zip(codebooks, columns, strict=True):
-        if int(column.max()) >> book.layer_bits[0]:
-            raise DecodeError(
-                f"tile: base code {int(column.max())} of {book.attribute!r} exceeds {book.layer_bits[0]} bits"
-            )
-        codes[book.attribute] = column
-    means = head.grid.dequantise(cells)
+        return BaseTile(ids, np.zeros((0, 3), np.float32), layers)
+    means = head.grid.dequantise(_draco_decode(bytes(draco), head.splats))
     if not np.isfinite(means).all():
         raise DecodeError("tile: a position is not finite")
-    return BaseTile(ids, means, codes)
+    return BaseTile(ids, means, layers)
+
+
+def position_bytes(payload: bytes | memoryview) -> int:
+    """How many bytes of a LoD 0 payload are not base codes. Raises :class:`DecodeError`."""
+    return len(payload) - len(_read_header(payload, None).sections(payload)[1])
+
+
+def _base_layers(data: memoryview, count: int, codebooks: CodebookSet) -> dict[str, PackedCodes]:
+    sizes = {book.attribute: packed_bytes(count, book.layer_bits[0]) for book in codebooks}
+    packed, at, layers = unsqueeze(data, sum(sizes.values()), "tile: base codes"), 0, {}
+    for book in codebooks:
+        end = at + sizes[book.attribute]
+        layers[book.attribute] = PackedCodes(packed[at:end], book.layer_bits[0])
+        at = end
+    return layers
 
 
 def decode_base_ids(payload: bytes | memoryview) -> Ids:
@@ -148,84 +161,15 @@ def decode_base_ids(payload: bytes | memoryview) -> Ids:
 
 
 def encode_layer(codes: U32, bits: int) -> bytes:
-    """One enhancement layer: ``codes`` [n] < 2**bits, packed and gzipped."""
-    return gzip_bytes(pack_bits(codes, bits))
+    """One enhancement layer: ``codes`` [n] < 2**bits."""
+    return squeeze(pack_bits(codes, bits))
 
 
-def decode_layer(payload: bytes | memoryview, count: int, bits: int) -> U32:
-    """Inverse of :func:`encode_layer`: [count] uint32. Raises :class:`DecodeError`."""
+def decode_layer(payload: bytes | memoryview, count: int, bits: int) -> PackedCodes:
+    """Inverse of :func:`encode_layer`: the ``count`` codes. Raises :class:`DecodeError`."""
     if not 1 <= bits <= MAX_LAYER_BITS or not 0 <= count <= MAX_TILE_SPLATS:
         raise DecodeError(f"layer: {count} codes of {bits} bits are outside the allowed range")
-    return unpack_bits(gunzip_bounded(payload, packed_bytes(count, bits), "layer"), count, bits)
-
-
-class TileState:
-    """What a decoder holds of one tile: its base, and enhancement layers that may come in any order.
-
-    An attribute is decoded to its *depth*: the number of layers there without a gap. Not thread-safe.
-    """
-
-    def __init__(self, base: BaseTile, codebooks: CodebookSet, lod_order: Sequence[LodLayer]) -> None:
-        self.base = base
-        self._books, self._order = codebooks, tuple(lod_order)
-        self._codes = dict(base.codes)
-        self._depth = dict.fromkeys(codebooks.attributes, 0)
-        self._waiting: dict[tuple[str, int], U32] = {}
-
-    def __len__(self) -> int:
-        return len(self.base)
-
-    @property
-    def ids(self) -> Ids:
-        """Ids [n], ascending."""
-        return self.base.ids
-
-    @property
-    def means(self) -> F32:
-        """Positions [n, 3], world, metres."""
-        return self.base.means
-
-    @property
-    def lod(self) -> int:
-        """Highest LoD up to which everything has come."""
-        for level, item in enumerate(self._order):
-            if self._depth[item.attribute] < item.layer:
-                return level
-        return len(self._order)
-
-    def depth(self, attribute: str) -> int:
-        """Enhancement layers of ``attribute`` that are decoded, from the base on without a gap."""
-        return self._depth[attribute]
-
-    def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
-        """Take LoD ``lod`` >= 1.
-
-        Returns whether a depth rose (a layer below may be missing still). Raises :class:`DecodeError`.
-        """
-        if not 1 <= lod <= len(self._order):
-            raise DecodeError(f"tile: LoD {lod} is outside 1 to {len(self._order)}")
-        item = self._order[lod - 1]
-        if item.layer <= self._depth[item.attribute]:
-            return False
-        bits = self._books[item.attribute].layer_bits[item.layer]
-        self._waiting[item.attribute, item.layer] = decode_layer(payload, len(self), bits)
-        return self._absorb(item.attribute)
-
-    def dequantise(self) -> Splats:
-        """The tile's splats [n] at the depths there are, in the order of ``base.ids``."""
-        values = {
-            book.attribute: book.lookup(self._codes[book.attribute], self._depth[book.attribute] + 1)
-            for book in self._books
-        }
-        return join_attributes(self.base.means, values)
-
-    def _absorb(self, attribute: str) -> bool:
-        before, book = self._depth[attribute], self._books[attribute]
-        while (part := self._waiting.pop((attribute, self._depth[attribute] + 1), None)) is not None:
-            self._depth[attribute] += 1
-            bits = np.uint32(book.layer_bits[self._depth[attribute]])
-            self._codes[attribute] = (self._codes[attribute] << bits) | part
-        return self._depth[attribute] > before
+    return PackedCodes(unsqueeze(payload, packed_bytes(count, bits), "layer"), bits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,18 +177,26 @@ class _Header:
     splats: int
     first_id: int | None
     id_bytes: int
+    draco_bytes: int
     grid: PositionGrid
+
+    def sections(self, payload: bytes | memoryview) -> tuple[memoryview, memoryview]:
+        """Draco data and base codes."""
+        first = _BASE_HEADER.size + self.id_bytes
+        end = first + self.draco_bytes
+        return memoryview(payload)[first:end], memoryview(payload)[end:]
 
 
 def _read_header(payload: bytes | memoryview, attributes: int | None) -> _Header:
     if len(payload) < _BASE_HEADER.size:
         raise DecodeError(f"tile: {len(payload)} bytes are too few for a base layer")
-    version, flags, bits, columns, splats, id_field, ox, oy, oz, step = _BASE_HEADER.unpack_from(payload)
+    version, flags, bits, columns, splats, id_field, draco, ox, oy, oz, step = _BASE_HEADER.unpack_from(payload)
     if version != BASE_VERSION or flags & ~_ID_RANGE:
         raise DecodeError(f"tile: base layer of version {version}, flags {flags}; this program reads {BASE_VERSION}")
     first_id, id_bytes = (id_field, 0) if flags & _ID_RANGE else (None, id_field)
-    if splats > MAX_TILE_SPLATS or bits > MAX_POSITION_BITS or id_bytes > len(payload) - _BASE_HEADER.size:
-        raise DecodeError(f"tile: claims {splats} splats, {bits} position bits, {id_bytes} bytes of ids; beyond bounds")
+    if splats > MAX_TILE_SPLATS or bits > MAX_POSITION_BITS or id_bytes + draco > len(payload) - _BASE_HEADER.size:
+        claims = f"{splats} splats, {bits} position bits, {id_bytes} bytes of ids and {draco} of positions"
+        raise DecodeError(f"tile: claims {claims}; beyond bounds")
     if first_id is not None and first_id > MAX_SPLATS - splats:
         raise DecodeError(f"tile: first id {first_id} is beyond {MAX_SPLATS} splats")
     if attributes is not None and columns != attributes:
@@ -252,7 +204,7 @@ def _read_header(payload: bytes | memoryview, attributes: int | None) -> _Header
     reach = max(abs(ox), abs(oy), abs(oz)) + step * 2**bits
     if not all(map(math.isfinite, (ox, oy, oz, step))) or step < 0 or reach > MAX_POSITION:
         raise DecodeError(f"tile: its position grid is not finite or reaches beyond {MAX_POSITION:g}")
-    return _Header(splats, first_id, id_bytes, PositionGrid(np.array([ox, oy, oz], np.float32), step, bits))
+    return _Header(splats, first_id, id_bytes, draco, PositionGrid(np.array([ox, oy, oz], np.float32), step, bits))
 
 
 def _read_ids(payload: bytes | memoryview, head: _Header) -> Ids:
@@ -264,9 +216,8 @@ def _read_ids(payload: bytes | memoryview, head: _Header) -> Ids:
     return ids
 
 
-def _draco_encode(cells: U32, codes: Mapping[str, U32], bits: int) -> bytes:
+def _draco_encode(cells: U32, bits: int) -> bytes:
     # Draco rounds to a grid of its own: spanned over [0, 2**bits - 1] with that many bits, its grid is the integers.
-    columns = {i: column.astype(np.uint8).reshape(-1, 1) for i, column in enumerate(codes.values())}
     encoded: bytes = DracoPy.encode(
         cells.astype(np.float32),
         quantization_bits=max(bits, 1),
@@ -274,19 +225,18 @@ def _draco_encode(cells: U32, codes: Mapping[str, U32], bits: int) -> bytes:
         quantization_origin=np.zeros(3),
         compression_level=DRACO_LEVEL,
         preserve_order=True,
-        generic_attributes=columns,
     )
     return encoded
 
 
-def _draco_decode(data: bytes, count: int, attributes: int) -> tuple[F32, Iterable[U32]]:
-    """Grid coordinates [count, 3] as float32, and the generic attributes in order."""
-    cloud, columns = decode_points(data, count)
-    shapes = [getattr(columns.get(i), "shape", None) for i in range(attributes)]
+def _draco_decode(data: bytes, count: int) -> F32:
+    """Grid coordinates [count, 3] as float32."""
+    points = decode_points(data, count)[0].points
     # Damaged data may give a cloud without points, whose ``points`` is None.
-    if getattr(cloud.points, "shape", None) != (count, 3) or shapes != [(count, 1)] * attributes:
-        raise DecodeError("tile: Draco data lacks an attribute or holds one of another shape")
-    return cloud.points, (columns[i][:, 0].astype(np.uint32) for i in range(attributes))
+    if getattr(points, "shape", None) != (count, 3):
+        raise DecodeError("tile: Draco data holds no positions, or some of another shape")
+    cells: F32 = np.asarray(points, np.float32)
+    return cells
 
 
 def _low_and_extent(means: F32) -> tuple[F32, float]:

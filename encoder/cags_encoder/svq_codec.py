@@ -79,7 +79,7 @@ class SvqCodec:
         books = self.quantiser.books
         grid = self.grid(coded)
         base = {name: books[name].layer(codes, 0) for name, codes in coded.codes.items()}
-        payloads = [encode_base(ids, coded.means, base, grid, id_range=id_range)]
+        payloads = [encode_base(ids, coded.means, base, grid, books, id_range=id_range)]
         for item in self.lod_order:
             book = books[item.attribute]
             layer = book.layer(coded.codes[item.attribute], item.layer)

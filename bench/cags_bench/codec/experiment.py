@@ -22,7 +22,7 @@ from cags_common.lpips import Lpips
 from cags_common.morton import morton_order, tile_ranges
 from cags_common.raster import create
 from cags_common.splats import Splats
-from cags_common.tiles import KEY_TILE_SPLATS, encode_base
+from cags_common.tiles import KEY_TILE_SPLATS, position_bytes
 from cags_encoder import EncodeSettings
 from cags_encoder.measuring import cameras_around, measured
 from cags_encoder.pipeline import near_plane
@@ -69,7 +69,7 @@ def _ladder(
         codec = measured(codec, splats, cameras, rasteriser, lambda at, end: None)
     tiles = _encode(codec, splats)
     sizes = np.array([[len(payload) for payload in payloads] for payloads in tiles]).sum(axis=0)
-    positions = _position_bytes(codec, splats)
+    positions = sum(position_bytes(payloads[0]) for payloads in tiles)
     books = codec.codebooks()
     manifest = Manifest("", 30.0, 1, (0,), (0,), 0, ((0, 0, 0), (0, 0, 0)), codec.lod_order, ())
     opener = tile_codec(manifest, books)
@@ -126,15 +126,6 @@ def _decode(opener: TileCodec, tiles: list[tuple[bytes, ...]], lod: int) -> Spla
             state.add_layer(level, payloads[level])
         parts.append(state.dequantise())
     return Splats.concatenate(parts)
-
-
-def _position_bytes(codec: SvqCodec, splats: Splats) -> int:
-    coded, total = codec.quantise(codec.prepare(splats)), 0
-    for first, end in tile_ranges(len(splats), KEY_TILE_SPLATS):
-        part = coded.take(slice(first, end))
-        ids = np.arange(first, end, dtype=np.int32)
-        total += len(encode_base(ids, part.means, {}, codec.grid(part), id_range=True))
-    return total
 
 
 def _median_ms(work: Callable[[], object], repeats: int) -> float:

@@ -19,7 +19,7 @@ from cags_common.lod import LodLayer
 from cags_common.splats import MAX_SPLATS
 
 FORMAT = "cags-bundle"
-VERSION = 1
+VERSION = 2
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
 MAX_LODS = 254

@@ -19,7 +19,9 @@ QUICK = settings(max_examples=150, deadline=None, suppress_health_check=[HealthC
 def some_payload() -> bytes:
     means = cloud(60).means
     codes = {name: np.arange(60, dtype=np.uint32) % 16 for name in BOOKS.attributes}
-    return encode_base(np.arange(0, 120, 2, dtype=np.int32), means, codes, PositionGrid.over(means, 12), id_range=False)
+    return encode_base(
+        np.arange(0, 120, 2, dtype=np.int32), means, codes, PositionGrid.over(means, 12), BOOKS, id_range=False
+    )
 
 
 PAYLOAD = some_payload()
@@ -48,7 +50,9 @@ def test_positions_come_back_within_half_a_step(points: list[tuple[float, float,
     means = np.array(points, np.float32)
     grid = PositionGrid.over(means, bits)
     codes = {name: np.zeros(len(means), np.uint32) for name in BOOKS.attributes}
-    tile = decode_base(encode_base(np.arange(len(means), dtype=np.int32), means, codes, grid, id_range=True), BOOKS)
+    tile = decode_base(
+        encode_base(np.arange(len(means), dtype=np.int32), means, codes, grid, BOOKS, id_range=True), BOOKS
+    )
     rounding = np.spacing(np.abs(means).max()) * 2
     assert np.abs(tile.means.astype(np.float64) - means).max() <= grid.step * 0.5000001 + rounding
 

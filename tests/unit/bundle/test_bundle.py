@@ -18,7 +18,7 @@ def tile(ids: np.ndarray, seed: int, *, id_range: bool) -> TilePayloads:
     random, means = np.random.default_rng(seed), cloud(len(ids), seed).means
     base = {name: random.integers(0, 16, len(ids)).astype(np.uint32) for name in BOOKS.attributes}
     layers = [encode_layer(random.integers(0, 4, len(ids)).astype(np.uint32), 2) for _ in ORDER]
-    first = encode_base(ids, means, base, PositionGrid.over(means, 12), id_range=id_range)
+    first = encode_base(ids, means, base, PositionGrid.over(means, 12), BOOKS, id_range=id_range)
     corner = (0.0, 0.0, 0.0)
     return TilePayloads(len(ids), int(ids[0]) if id_range else None, (corner, corner), (first, *layers))
 

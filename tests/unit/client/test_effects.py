@@ -58,7 +58,7 @@ class Stage:
         for entry in self.reader.frame(frame).tiles:
             parts = [self.reader.payload(frame, entry.tile, lod) for lod in range(lods)]
             message = TileLayers(frame, entry.tile, 0, lods, tuple(map(len, parts)), entry.crcs[:lods])
-            self.pipe.on_tile(message, memoryview(b"".join(parts)))
+            assert self.pipe.on_tiles([(message, memoryview(b"".join(parts)))]) == []
         self.pipe.on_frame_end(FrameEnd(frame), memoryview(self.reader.removed_payload(frame)))
 
     def refer(self, frame: int, pose: Pose) -> None:

@@ -39,7 +39,7 @@ def send(pipe: ClientPipeline, reader: BundleReader, frame: int, lods: int = 1) 
     for entry in reader.frame(frame).tiles:
         parts = [reader.payload(frame, entry.tile, lod) for lod in range(lods)]
         message = TileLayers(frame, entry.tile, 0, lods, tuple(map(len, parts)), entry.crcs[:lods])
-        pipe.on_tile(message, memoryview(b"".join(parts)))
+        assert pipe.on_tiles([(message, memoryview(b"".join(parts)))]) == []
     pipe.on_frame_end(FrameEnd(frame), memoryview(reader.removed_payload(frame)))
 
 

@@ -1,11 +1,14 @@
 """The store's rules, under every order of arrival that a link can make."""
 
+import contextlib
 import itertools
 
 import numpy as np
 import pytest
 
-from cags_client.tile_store import ABSENT_LOGIT, TileStore
+from cags_client.gof_store import ABSENT_LOGIT
+from cags_client.opening import Arrival
+from cags_client.tile_store import TileStore
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import SvqTileCodec
 from cags_common.errors import DecodeError
@@ -52,7 +55,7 @@ def base(ids: list[int], value: float, code: int = 1) -> memoryview:
     means = np.full((len(ids), 3), value, np.float32)
     codes = {name: np.full(len(ids), code, np.uint32) for name in ATTRIBUTES}
     grid = PositionGrid(np.zeros(3, np.float32), 1.0, 16)
-    return memoryview(encode_base(np.array(ids, np.int32), means, codes, grid, id_range=False))
+    return memoryview(encode_base(np.array(ids, np.int32), means, codes, grid, books(), id_range=False))
 
 
 def layer(count: int, bit: int) -> memoryview:
@@ -202,7 +205,7 @@ def test_damage_is_refused_and_what_was_held_stays(store: TileStore) -> None:
 
 
 def test_layers_that_wait_for_their_base_are_bounded(store: TileStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cags_client.tile_store.MAX_WAITING_BYTES", 100)
+    monkeypatch.setattr("cags_client.gof_store.MAX_WAITING_BYTES", 100)
     for tile in range(1000):
         store.add(0, tile, 1, [layer(4, 1)])
     gof, _ = store.commit(0)
@@ -277,3 +280,28 @@ def test_a_reset_forgets_and_starts_anywhere(store: TileStore) -> None:
     store.add(0, 0, 0, [base([0], 1)])
     store.end(0, removed())
     assert xs(store, 0)[0] == 1
+
+
+def test_many_at_once_on_two_threads_end_as_one_by_one_and_only_the_damaged_are_left_out() -> None:
+    one, two = (TileStore(manifest(), SvqTileCodec(manifest(), books().to_bytes()), threads) for threads in (1, 2))
+    arrivals = [
+        Arrival(0, 1, 1, [layer(2, 1)]),  # before its base
+        Arrival(0, 0, 0, [base([0, 1, 2], 1), layer(3, 1)]),
+        Arrival(0, 1, 0, [base([3, 4], 2)]),
+        Arrival(0, 2, 0, [base([5], 3)[:-3]]),
+        Arrival(0, 2, 0, [base([5], 4)]),
+        Arrival(0, 3, 0, [base([CAPACITY], 5)]),
+        Arrival(99, 0, 0, [base([6], 6)]),
+    ]
+    for arrival in arrivals:
+        with contextlib.suppress(DecodeError):
+            one.add(arrival.frame, arrival.tile, arrival.from_lod, arrival.payloads)
+    wrong = [str(error) for error in two.add_all(arrivals)]
+    assert len(wrong) == 3
+    assert any("outside the group's capacity" in text for text in wrong)
+    for store in (one, two):
+        store.end(0, removed())
+        store.flush()
+    assert xs(one, 0) == xs(two, 0) == [1, 1, 1, 2, 2, 4, *[-1] * (CAPACITY - 6)]
+    for (name, a), (_, b) in zip(one.commit(0)[0].splats.arrays(), two.commit(0)[0].splats.arrays(), strict=True):
+        assert np.array_equal(a, b), name

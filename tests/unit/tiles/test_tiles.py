@@ -1,13 +1,14 @@
 import numpy as np
 import pytest
 
+from cags_common.dequantise import Dequantiser
 from cags_common.errors import DecodeError
 from cags_common.lod import LodLayer
 from cags_common.packing import U32
 from cags_common.svq import CodebookSet
+from cags_common.tile_state import TileState
 from cags_common.tiles import (
     PositionGrid,
-    TileState,
     decode_base,
     decode_base_ids,
     decode_layer,
@@ -32,7 +33,7 @@ def payload(
     ids = np.arange(7, 7 + 3 * n, 3, dtype=np.int32) if not id_range else np.arange(7, 7 + n, dtype=np.int32)
     grid = PositionGrid.over(means, bits)
     base = {book.attribute: book.layer(codes[book.attribute], 0) for book in BOOKS}
-    return encode_base(ids, means, base, grid, id_range=id_range), ids, grid
+    return encode_base(ids, means, base, grid, BOOKS, id_range=id_range), ids, grid
 
 
 @pytest.mark.parametrize("id_range", [False, True])
@@ -60,7 +61,7 @@ def test_duplicate_positions_and_a_range_of_a_million_keep_their_order() -> None
     means[4] = (5e5, -2.0, 1.0)
     grid = PositionGrid.over(means, 22)
     codes = {name: np.arange(6, dtype=np.uint32) for name in BOOKS.attributes}
-    tile = decode_base(encode_base(np.arange(6, dtype=np.int32), means, codes, grid, id_range=True), BOOKS)
+    tile = decode_base(encode_base(np.arange(6, dtype=np.int32), means, codes, grid, BOOKS, id_range=True), BOOKS)
     assert np.abs(tile.means - means).max() <= grid.step
     assert np.array_equal(tile.codes["scale"], np.arange(6))
 
@@ -68,7 +69,7 @@ def test_duplicate_positions_and_a_range_of_a_million_keep_their_order() -> None
 def state(n: int, codes: dict[str, U32]) -> tuple[TileState, list[bytes]]:
     data, _, _ = payload(n, codes)
     layers = [encode_layer(BOOKS[item.attribute].layer(codes[item.attribute], item.layer), 2) for item in ORDER]
-    return TileState(decode_base(data, BOOKS), BOOKS, ORDER), layers
+    return TileState(decode_base(data, BOOKS), Dequantiser(BOOKS), ORDER), layers
 
 
 def test_layers_may_come_in_any_order() -> None:

@@ -19,6 +19,7 @@ from cags_client.align import ReferencePicture
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
+from cags_common.dequantise import Dequantiser
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.lod import LodLayer
 from cags_common.metrics import psnr, ssim
@@ -26,7 +27,8 @@ from cags_common.poses import Focus, open_poses
 from cags_common.raster.base import Footprint, RenderOptions
 from cags_common.splats import Splats
 from cags_common.svq import CodebookSet
-from cags_common.tiles import TileState, decode_base
+from cags_common.tile_state import TileState
+from cags_common.tiles import decode_base
 from cags_encoder import EncodeSettings
 
 VIEWS = 4
@@ -165,10 +167,10 @@ def layers(context: Context) -> Section:
 
 def _without(reader: BundleReader, books: CodebookSet, stills: Stills, left_out: list[LodLayer]) -> tuple[float, float]:
     """Bytes a splat and PSNR when these layers are not sent."""
-    parts, size = [], 0
+    parts, size, dequantiser = [], 0, Dequantiser(books)
     for entry in reader.frame(0).tiles:
         base = reader.payload(0, entry.tile, 0)
-        state = TileState(decode_base(base, books), books, reader.manifest.lod_order)
+        state = TileState(decode_base(base, books), dequantiser, reader.manifest.lod_order)
         size += len(base)
         for lod, item in enumerate(reader.manifest.lod_order, start=1):
             if item not in left_out:

@@ -115,16 +115,18 @@ def _client_works(bench: Any) -> dict[str, Callable[[], Any]]:
 
 
 def _layer_decoder(reader: Any, books: Any, bases: list[bytes]) -> Callable[[], Any]:
-    from cags_common.tiles import TileState, decode_base
+    from cags_common.dequantise import Dequantiser
+    from cags_common.tile_state import TileState
+    from cags_common.tiles import decode_base
 
     decoded = [decode_base(base, books) for base in bases]
-    order = reader.manifest.lod_order
+    order, dequantiser = reader.manifest.lod_order, Dequantiser(books)
     layers = [[reader.payload(0, tile, lod) for lod in range(1, len(order) + 1)] for tile in range(len(bases))]
 
     def work() -> list[Any]:
         out = []
         for base, payloads in zip(decoded, layers, strict=True):
-            state = TileState(base, books, order)
+            state = TileState(base, dequantiser, order)
             for lod, payload in enumerate(payloads, start=1):
                 state.add_layer(lod, payload)
             out.append(state.dequantise())

@@ -1,0 +1,83 @@
+"""What a decoder holds of one tile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cags_common.dequantise import Dequantiser, FreshLayers
+from cags_common.errors import DecodeError
+from cags_common.geometry import F32
+from cags_common.lod import LodLayer
+from cags_common.packing import U32, PackedCodes
+from cags_common.splats import Ids, Splats
+from cags_common.tiles import BaseTile, decode_layer
+
+
+class TileState:
+    """One tile: its base, and enhancement layers that may come in any order.
+
+    An attribute is decoded to its *depth*: the number of layers there without a gap. Layers are unpacked when
+    :meth:`dequantise` needs them. Not thread-safe; different tiles may be decoded in different threads.
+    """
+
+    def __init__(self, base: BaseTile, dequantiser: Dequantiser, lod_order: Sequence[LodLayer]) -> None:
+        self.base = base
+        self._dequantise, self._order = dequantiser, tuple(lod_order)
+        self._books = dequantiser.books
+        self._codes: U32 | None = None
+        self._fresh: dict[str, list[PackedCodes]] = {name: [layer] for name, layer in base.layers.items()}
+        self._depth = dict.fromkeys(self._books.attributes, 0)
+        self._waiting: dict[tuple[str, int], PackedCodes] = {}
+
+    def __len__(self) -> int:
+        return len(self.base)
+
+    @property
+    def ids(self) -> Ids:
+        """Ids [n], ascending."""
+        return self.base.ids
+
+    @property
+    def means(self) -> F32:
+        """Positions [n, 3], world, metres."""
+        return self.base.means
+
+    @property
+    def lod(self) -> int:
+        """Highest LoD up to which everything has come."""
+        for level, item in enumerate(self._order):
+            if self._depth[item.attribute] < item.layer:
+                return level
+        return len(self._order)
+
+    def depth(self, attribute: str) -> int:
+        """Enhancement layers of ``attribute`` that are decoded, from the base on without a gap."""
+        return self._depth[attribute]
+
+    def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
+        """Take LoD ``lod`` >= 1.
+
+        Returns whether a depth rose (a layer below may be missing still). Raises :class:`DecodeError`.
+        """
+        if not 1 <= lod <= len(self._order):
+            raise DecodeError(f"tile: LoD {lod} is outside 1 to {len(self._order)}")
+        item = self._order[lod - 1]
+        if item.layer <= self._depth[item.attribute]:
+            return False
+        bits = self._books[item.attribute].layer_bits[item.layer]
+        self._waiting[item.attribute, item.layer] = decode_layer(payload, len(self), bits)
+        return self._absorb(item.attribute)
+
+    def dequantise(self) -> Splats:
+        """The tile's splats [n] at the depths there are, in the order of ``base.ids``."""
+        fresh = [FreshLayers(self._depth[name] + 1 - len(parts), tuple(parts)) for name, parts in self._fresh.items()]
+        splats, self._codes = self._dequantise(self.base.means, self._codes, fresh)
+        self._fresh = {name: [] for name in self._fresh}
+        return splats
+
+    def _absorb(self, attribute: str) -> bool:
+        before = self._depth[attribute]
+        while (part := self._waiting.pop((attribute, self._depth[attribute] + 1), None)) is not None:
+            self._depth[attribute] += 1
+            self._fresh[attribute].append(part)
+        return self._depth[attribute] > before

@@ -1,0 +1,35 @@
+// The C interface of the codec: packed layers of codes to splats; the readable definition is cags_common.dequantise.
+#pragma once
+#include "cags_kernels.h"
+
+enum CagsRotation : int32_t { CAGS_ROTATION_QUATERNION = 0, CAGS_ROTATION_RODRIGUES = 1 };
+enum CagsColumn : int32_t { CAGS_QUATS = 0, CAGS_LOG_SCALES, CAGS_LOGITS, CAGS_SH0, CAGS_SH_REST, CAGS_COLUMNS };
+
+// How one attribute's codes are read. Tables have a row for every code that their bits can name.
+struct CagsCodecAttribute {
+  const uint8_t* layer_bits;  // [layers] bits of each fresh layer, 1 to 8, those nearest to the root first
+  const float* table;         // [2^bits, dim]: rows of whole codes, or of their lowest below_bits bits
+  const float* leaves;        // [2^leaf bits, dim]; null where the first tree is all there is
+  const float* spreads;       // as leaves: the unit of the table's rows
+  int32_t layers, dim, below_bits;
+  int32_t column, offset;  // where the values go: a CagsColumn, and the first float of a row
+};
+
+struct CagsCodecTile {
+  int64_t count;
+  const uint32_t* before;  // [attributes, count] codes so far; null: none
+  const uint8_t* data;     // the fresh layers, attribute by attribute: ceil(count bits / 8) bytes each, low bits first
+  int64_t data_bytes;
+  int32_t attributes, rotation;
+  int32_t strides[CAGS_COLUMNS];  // floats a row of each column
+};
+
+struct CagsCodecTargets {
+  uint32_t* codes;                // [attributes, count]; may be the same memory as before
+  float* columns[CAGS_COLUMNS];   // [count, stride]
+};
+
+CAGS_API int32_t cags_codec_dequantise(const CagsCodecTile* tile, const CagsCodecAttribute* attributes,
+                                       const CagsCodecTargets* targets);
+// means [count, 3] = float(origin + cells step), each product and sum rounded as a double
+CAGS_API int32_t cags_codec_positions(int64_t count, const float* cells, const double* origin, double step, float* means);
