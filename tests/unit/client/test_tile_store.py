@@ -245,9 +245,11 @@ def test_layers_that_come_after_their_tile_was_replaced_count_in_the_replay(stor
     assert gof.splats.sh0[0, 0] == 3  # code 1 with another bit
 
 
-@pytest.mark.parametrize("bound", ["MAX_KEPT_SPLATS", "MAX_WAITING_BYTES"])
-def test_what_is_kept_for_a_replay_is_bounded(store: TileStore, bound: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(f"cags_client.tile_store.{bound}", 3)
+@pytest.mark.parametrize(("bound", "least"), [("MAX_KEPT_SPLATS", 3), ("MAX_WAITING_BYTES", 0)])
+def test_what_is_kept_for_a_replay_is_bounded(
+    store: TileStore, bound: str, least: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"cags_client.gof_store.{bound}", least)
     replaced_thrice(store)
     store.add(0, 0, 1, [layer(2, 1)])
     gof, _ = store.commit(3)
