@@ -161,6 +161,7 @@ addEventListener("keydown", (event) => {
 });
 addEventListener("keyup", (event) => gestures?.key(event, false));
 addEventListener("themechange", () => {
+  stage.ground = null;
   stage.draw();
   plots.draw();
 });

@@ -9,6 +9,7 @@ const MODES = ["single", "wipe", "side"];
 const CAP_LEAST_MBPS = 0.5;
 const CAP_MOST_MBPS = 150;
 const TROUBLE_MS = 6000;
+const CLOCK_MS = 150; // a layout of the page costs as much as decoding a picture
 
 export class Panel {
   #send;
@@ -17,6 +18,8 @@ export class Panel {
   #state = { playing: true, loop: true };
   #seeking = false;
   #troubleTimer = 0;
+  #frame = 0;
+  #clocked = 0;
 
   /** `send(message)` goes to the server; `on` holds rig(name) and home(). */
   constructor(stage, send, on) {
@@ -49,6 +52,7 @@ export class Panel {
   }
 
   state(state) {
+    if (JSON.stringify(state) === JSON.stringify(this.#state)) return;
     this.#state = state;
     $("play").dataset.playing = state.playing;
     $("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
@@ -71,6 +75,10 @@ export class Panel {
   }
 
   frame(header) {
+    this.#frame = header.frame;
+    const now = performance.now();
+    if (now - this.#clocked < CLOCK_MS && this.#state.playing) return;
+    this.#clocked = now;
     $("waiting").hidden = true;
     if (!this.#seeking) $("seek").value = header.frame;
     $("clock").textContent = `${header.frame + 1} / ${this.#scene?.frames ?? "?"}`;
@@ -154,7 +162,7 @@ export class Panel {
 
   #step(by) {
     this.#act("pause");
-    this.#act("seek", Math.min(Math.max(Number($("seek").value) + by, 0), this.#scene.frames - 1));
+    this.#act("seek", Math.min(Math.max(this.#frame + by, 0), this.#scene.frames - 1));
   }
 
   #chooseRig(name) {

@@ -53,7 +53,9 @@ export class Plots {
     canvas.addEventListener("pointerleave", () => (this.#hover = null));
     box.append(legend, canvas);
     host.append(box);
-    return { ...plot, legend, canvas, context: canvas.getContext("2d") };
+    const built = { ...plot, legend, canvas, context: canvas.getContext("2d"), size: [1, 1] };
+    new ResizeObserver(([entry]) => (built.size = [entry.contentRect.width, entry.contentRect.height])).observe(canvas);
+    return built;
   }
 
   #seriesOf(plot) {
@@ -71,7 +73,7 @@ export class Plots {
     const series = this.#seriesOf(plot).filter((one) => this.#samples.some((s) => Number.isFinite(one.get(s))));
     this.#legend(plot, series, now, colour);
     const { canvas, context } = plot;
-    const [w, h] = [Math.round(canvas.clientWidth * devicePixelRatio), Math.round(canvas.clientHeight * devicePixelRatio)];
+    const [w, h] = plot.size.map((side) => Math.max(1, Math.round(side * devicePixelRatio)));
     if (canvas.width !== w || canvas.height !== h) Object.assign(canvas, { width: w, height: h });
     context.clearRect(0, 0, w, h);
     const values = series.flatMap((one) => this.#samples.map(one.get)).filter(Number.isFinite);

@@ -27,6 +27,7 @@ export class Stage {
     this.wipe = 0.5;
     this.names = ["restored", "distorted"];
     this.frame = null;
+    this.scale = devicePixelRatio; // canvas pixels a CSS pixel
     this.#watchSize();
     this.#watchWipe();
   }
@@ -41,10 +42,11 @@ export class Stage {
 
   draw() {
     const { context, canvas, frame } = this;
-    context.fillStyle = getComputedStyle(canvas).getPropertyValue("--stage") || "#05070a";
+    const [a, b] = this.names.map((name) => frame?.images.get(name));
+    this.#resize(a ?? b);
+    context.fillStyle = this.ground ??= getComputedStyle(canvas).getPropertyValue("--stage") || "#05070a";
     context.fillRect(0, 0, canvas.width, canvas.height);
     if (!frame) return;
-    const [a, b] = this.names.map((name) => frame.images.get(name));
     const two = this.mode !== "single";
     const boxes = this.#boxes(a ?? b);
     if (!boxes) return;
@@ -60,7 +62,7 @@ export class Stage {
     const [w, h] = sizeOf(image);
     const { width, height } = this.canvas;
     if (this.mode !== "side") return Array(2).fill(fitted(w, h, 0, 0, width, height));
-    const gap = Math.round(4 * devicePixelRatio);
+    const gap = Math.round(4 * this.scale);
     if (width >= height) {
       const half = (width - gap) / 2;
       return [fitted(w, h, 0, 0, half, height), fitted(w, h, half + gap, 0, half, height)];
@@ -81,7 +83,7 @@ export class Stage {
     const { context } = this;
     context.fillStyle = "#8fa0b3";
     context.textAlign = "center";
-    context.font = `${14 * devicePixelRatio}px system-ui, sans-serif`;
+    context.font = `${14 * this.scale}px system-ui, sans-serif`;
     context.fillText("not in this frame", x + w / 2, y + h / 2);
   }
 
@@ -98,7 +100,7 @@ export class Stage {
       context.moveTo(x + x0 * w, y + y0 * h);
       context.lineTo(x + x1 * w, y + y1 * h);
     };
-    context.lineWidth = 1.2 * devicePixelRatio;
+    context.lineWidth = 1.2 * this.scale;
     for (const box of tiles) {
       context.strokeStyle = `rgb(${detailColour(box.detail).join(" ")} / 0.85)`;
       context.beginPath();
@@ -114,7 +116,7 @@ export class Stage {
     const { context } = this;
     for (const [style, width] of [["#0008", 4], ["#7cf5ff", 2]]) {
       context.strokeStyle = style;
-      context.lineWidth = width * devicePixelRatio;
+      context.lineWidth = width * this.scale;
       context.beginPath();
       lines.forEach(line);
       context.stroke();
@@ -125,15 +127,15 @@ export class Stage {
   #inset(lines, [x, y, w, h]) {
     const { context } = this;
     const [iw, ih] = [w * 0.2, h * 0.2];
-    const [left, top] = [x + w - iw - 14 * devicePixelRatio, y + h - ih - 14 * devicePixelRatio];
+    const [left, top] = [x + w - iw - 14 * this.scale, y + h - ih - 14 * this.scale];
     const at = (u, v) => [left + iw * (0.5 + (u - 0.5) * 0.5), top + ih * (0.5 + (v - 0.5) * 0.5)];
     context.save();
     context.fillStyle = "#0a0e14c8";
     context.beginPath();
-    context.roundRect(left, top, iw, ih, 8 * devicePixelRatio);
+    context.roundRect(left, top, iw, ih, 8 * this.scale);
     context.fill();
     context.clip();
-    context.lineWidth = 1.5 * devicePixelRatio;
+    context.lineWidth = 1.5 * this.scale;
     context.strokeStyle = "#7cf5ff";
     context.beginPath();
     for (const [x0, y0, x1, y1] of lines) {
@@ -148,17 +150,31 @@ export class Stage {
   }
 
   #watchSize() {
-    new ResizeObserver(() => {
-      const box = this.canvas.getBoundingClientRect();
-      this.canvas.width = Math.max(1, Math.round(box.width * devicePixelRatio));
-      this.canvas.height = Math.max(1, Math.round(box.height * devicePixelRatio));
+    new ResizeObserver(([entry]) => {
+      this.view = entry.contentRect;
       this.draw();
     }).observe(this.canvas);
   }
 
+  /** As many canvas pixels as the picture has, if the screen has more and no lines are drawn: the browser's compositor
+   *  then scales it, which without a GPU costs a third of drawing it larger. */
+  #resize(image) {
+    const { canvas, frame, view = { width: 1, height: 1 } } = this;
+    const { grids, tiles, reference } = frame?.header.overlays ?? {};
+    this.scale = devicePixelRatio;
+    if (image && this.mode !== "side" && !grids?.length && !tiles && !reference) {
+      const [w, h] = sizeOf(image);
+      this.scale = Math.min(this.scale, Math.max(w / view.width, h / view.height));
+    }
+    const [width, height] = [view.width, view.height].map((side) => Math.max(1, Math.round(side * this.scale)));
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  }
+
   #placeWipe([x, , w]) {
     this.wipeHandle.hidden = this.mode !== "wipe";
-    this.wipeHandle.style.left = `${(x + w * this.wipe) / devicePixelRatio}px`;
+    if (this.mode !== "wipe") return;
+    const left = `${Math.round((x + w * this.wipe) / this.scale)}px`;
+    if (this.wipeHandle.style.left !== left) this.wipeHandle.style.left = left;
     this.wipeHandle.setAttribute("aria-valuenow", Math.round(this.wipe * 100));
     this.box = [x, w];
   }
@@ -174,7 +190,7 @@ export class Stage {
     handle.addEventListener("pointermove", (event) => {
       if (!handle.hasPointerCapture(event.pointerId) || !this.box) return;
       const left = this.canvas.getBoundingClientRect().left;
-      this.#setWipe(((event.clientX - left) * devicePixelRatio - this.box[0]) / this.box[1]);
+      this.#setWipe(((event.clientX - left) * this.scale - this.box[0]) / this.box[1]);
     });
     handle.addEventListener("keydown", (event) => {
       const step = { ArrowLeft: -0.02, ArrowRight: 0.02, Home: -1, End: 1 }[event.key];
