@@ -32,6 +32,10 @@ from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 
 
+FRESH_FRAMES = 1
+"""References this many frames away count in full: servers may draw one for every other frame."""
+
+
 @dataclass(frozen=True, eq=False)
 class PresentedFrame:
     """One displayed frame and how it came about."""
@@ -77,6 +81,7 @@ class ClientPipeline:
         self._scene: RasterScene | None = None
         self._sh_degree = 0  # highest band with anything in it since the group's first frame
         self._adapter: SirtAdapter | None = None
+        self._own: tuple[ReferencePicture, RenderedView] | None = None
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._restorer = restore.create(self.live.restore)
@@ -194,7 +199,7 @@ class ClientPipeline:
         options = self._reference_options(plan, reference)
         if Effect.OWN_VIEW in plan:
             with watch("own"):
-                own = drawn.scene.render(reference.camera, options)
+                own = self._seen_from(reference, drawn.scene, options)
         if Effect.ADAPTATION in plan and own is not None and self._adapter is not None:
             with watch("adapt"):  # seen from the next frame on
                 self._adapter.adapt(drawn.scene, drawn.store.splats, reference, own, options)
@@ -202,6 +207,14 @@ class ClientPipeline:
             with watch("restore"):
                 shown = self._restorer.restore(RestoreInput(drawn.distorted, drawn.view.alpha, aligned, reference, own))
         return aligned, own, shown
+
+    def _seen_from(self, reference: ReferencePicture, scene: RasterScene, options: RenderOptions) -> RenderedView:
+        """The splats from the reference's camera: once a reference, unless their colours are being adapted to it."""
+        if self._own is not None and self._own[0] is reference and self._adapter is None:
+            return self._own[1]
+        own = scene.render(reference.camera, options)
+        self._own = reference, own
+        return own
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
         if self._scene is None or committed.fresh:
@@ -230,8 +243,9 @@ class ClientPipeline:
         return replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint, contribution=True)
 
     def _freshness(self, reference: ReferencePicture, frame: int) -> float:
-        """1 for the reference of this very frame, falling to 0 past the oldest that is allowed."""
-        return 1.0 - abs(frame - reference.frame) / (self.settings.reference_age + 1)
+        """1 for the reference of this very frame or one beside it, falling to 0 past the oldest that is allowed."""
+        age = max(abs(frame - reference.frame) - FRESH_FRAMES, 0)
+        return 1.0 - age / (self.settings.reference_age + 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,9 @@ class ServerSettings:
     fov_gain: float = setting(0.7, "factor on the margins of the LSTM field of view", low=0.0, high=10.0)
     abr: str = setting("utility", "how the byte budget is spent on tiles")
     lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
+    reference_every: int = setting(
+        1, "media frames for one reference picture; what the others get is chosen by what was seen last", low=1, high=30
+    )
     reference_width: int = setting(400, "width of reference pictures, pixels, even", low=16, high=4096)
     reference_height: int = setting(300, "height of reference pictures, pixels, even", low=16, high=4096)
     reference_crf: float = setting(20.0, "H.264 quality of reference pictures, lower is better", low=0.0, high=51.0)

@@ -87,6 +87,7 @@ class Streamer:
         self._video = ReferenceVideo()
         self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
         self._blind_tick = -1  # newest frame that was sent without looking
+        self._looked_tick: int | None = None  # newest frame that was looked at
         self._unsettled: list[FrameRecord] = []
         self._started_us = now_us
 
@@ -157,7 +158,7 @@ class Streamer:
         self._timeline = self._timeline.controlled(control)
         self._controlled = True
         self._generation += 1
-        self._next_tick, self._blind_tick = 0, -1
+        self._next_tick, self._blind_tick, self._looked_tick = 0, -1, None
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
             self._tiles.go_back(control.frame)
@@ -195,7 +196,7 @@ class Streamer:
         Frames that became due before it and were not begun are skipped: their references would come too late.
         """
         due_us = self.next_due_us()
-        if self._job_running or due_us is None or now_us < due_us:
+        if self._job_running or self._between_looks() or due_us is None or now_us < due_us:
             return None
         behind = int((now_us - due_us) // self._timeline.period_us)
         tick = self._next_tick + behind
@@ -204,7 +205,7 @@ class Streamer:
         frame = self._media_frame(tick)
         assert frame is not None
         plan = self._plan(tick, frame, now_us)
-        self._next_tick = tick + 1
+        self._next_tick, self._looked_tick = tick + 1, tick
         self._job_running = True
         self._video.needs_idr = False
         self._encoder.follow(self._estimator.estimate_bps(now_us))
@@ -221,13 +222,15 @@ class Streamer:
         )
 
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
-        """While a job takes long: the tiles and ends of frames that are overdue, chosen by what was seen last.
+        """Between two looks, and while a job takes long: tiles and ends of frames, chosen by what was seen last.
 
         Media goes on without new references; only they wait for the renderer.
         """
         due_us, tick, frame = self.next_due_us(), self._next_tick, self._blind_frame()
-        if not self._job_running or self._seen is None or frame is None or due_us is None or now_us < due_us:
+        between = self._between_looks()
+        if not (self._job_running or between) or frame is None or due_us is None or now_us < due_us:
             return []
+        assert self._seen is not None
         self._next_tick = tick + 1
         self._blind_tick = tick
         visible = self._library.visible_tiles(frame, self._seen[1], self._settings.visible_px)
@@ -235,9 +238,16 @@ class Streamer:
         predicted = self._predict(display_us)
         plan = FramePlan(self._generation, tick, frame, 1, now_us, display_us, 0, predicted, (0.0, 0.0), False)
         record = self._record(plan)
-        record.reference_late = True
-        self.stats.references_late += 1
+        record.reference_late = not between
+        self.stats.references_late += record.reference_late
         return self._upgrades(visible, record, now_us)
+
+    def _between_looks(self) -> bool:
+        """Whether the next frame is one of those that get no reference of their own."""
+        if self._job_running or self._looked_tick is None or self._video.needs_idr:
+            return False
+        due = self._looked_tick + self._settings.reference_every
+        return self._next_tick < due and self._blind_frame() is not None
 
     def _blind_frame(self) -> int | None:
         """The next media frame, if it can be served without a look: not in a group of which nothing was seen yet."""

@@ -103,15 +103,36 @@ def test_a_restorer_that_replaces_the_picture_does_so_at_the_top_too(reader: Bun
 
 
 def test_an_old_reference_fades_and_a_very_old_one_is_not_used(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader, reference_age=1), pose_of(reader)
+    pipe, pose = pipeline(reader, reference_age=2), pose_of(reader)
+    strict = pipeline(reader, reference_age=1)
+    for each in (pipe, strict):
+        for frame in range(3):
+            send(each, reader, frame)
+        each.on_reference(*reference(each, reader, 0, pose))
+    fresh, beside, older = (pipe.present(frame, pipe.camera(pose)) for frame in range(3))
+    assert fresh.aligned is not None
+    assert beside.aligned is not None
+    assert older.aligned is not None
+    assert beside.aligned.confidence.max() == fresh.aligned.confidence.max()
+    assert older.aligned.confidence.max() == pytest.approx(fresh.aligned.confidence.max() * 2 / 3)
+    assert strict.present(2, strict.camera(pose)).aligned is None
+
+
+def test_the_own_view_of_a_reference_is_drawn_once(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader), pose_of(reader)
     for frame in range(3):
         send(pipe, reader, frame)
     pipe.on_reference(*reference(pipe, reader, 0, pose))
-    fresh, older, old = (pipe.present(frame, pipe.camera(pose)) for frame in range(3))
-    assert fresh.aligned is not None
-    assert older.aligned is not None
-    assert older.aligned.confidence.max() == pytest.approx(fresh.aligned.confidence.max() / 2)
-    assert old.aligned is None
+    views = []
+    for frame in range(3):
+        if frame == 2:
+            pipe.on_reference(*reference(pipe, reader, 2, pose))
+        shown = pipe.present(frame, pipe.camera(pose))
+        assert not np.array_equal(shown.rgb, shown.distorted)
+        assert pipe._own is not None
+        views.append(pipe._own[1])
+    assert views[0] is views[1]
+    assert views[0] is not views[2]
 
 
 def test_a_frame_that_did_not_come_shows_the_one_before(reader: BundleReader) -> None:

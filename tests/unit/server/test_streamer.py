@@ -405,6 +405,26 @@ def test_media_goes_on_while_a_picture_is_being_rendered() -> None:
     assert [r.frame for r in of(ReferenceFrame, rig.step())] == [4]
 
 
+def test_frames_between_two_looks_get_tiles_and_ends_without_a_reference() -> None:
+    rig = Rig(replace(SETTINGS, reference_every=3))
+    rig.play()
+    kinds = []
+    for _ in range(6):
+        due = rig.streamer.next_due_us()
+        assert rig.streamer.catch_up(due - 1) == []
+        out = rig.streamer.catch_up(due)
+        rig.deliver(out)
+        kinds.append("between" if out else "look")
+        if not out:
+            out = rig.step()
+        assert of(FrameEnd, out) or len(kinds) == 1  # the opening held that of the first frame
+        assert bool(of(ReferenceFrame, out)) == (kinds[-1] == "look")
+    assert kinds == ["look", "between", "between"] * 2
+    assert rig.streamer.stats.references_late == 0
+    rig.streamer.on_event(ev.KeyframeRequested(99), 0)
+    assert of(ReferenceFrame, rig.step())[0].idr
+
+
 def test_a_new_group_is_not_entered_without_looking() -> None:
     rig = Rig()
     rig.play()
