@@ -31,7 +31,6 @@ from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 
-
 FRESH_FRAMES = 1
 """References this many frames away count in full: servers may draw one for every other frame."""
 
