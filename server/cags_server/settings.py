@@ -22,7 +22,7 @@ class ServerSettings:
     abr: str = setting("utility", "how the byte budget is spent on tiles")
     lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
     reference_every: int = setting(
-        1, "media frames for one reference picture; saves rendering, costs the others some of their restoration", low=1, high=30
+        1, "media frames for one reference picture; more save rendering and cost quality", low=1, high=30
     )
     reference_width: int = setting(400, "width of reference pictures, pixels, even", low=16, high=4096)
     reference_height: int = setting(300, "height of reference pictures, pixels, even", low=16, high=4096)
