@@ -7,26 +7,24 @@ a burst of tiles nor a slow disk holds up the display.
 from __future__ import annotations
 
 import asyncio
-import http.client
+import random
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
-from urllib.parse import urlsplit
 
+from cags_client.actions import Decode, Present
+from cags_client.dial import Dial
 from cags_client.pipeline import PresentedFrame
-from cags_client.player import Decode, Player, PoseSource, Present
+from cags_client.player import Player, PoseSource
 from cags_client.present.base import FrameSink
 from cags_client.report import frame_stats
 from cags_client.settings import ClientSettings, LiveSettings
-from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.errors import CagsError, NetworkError
-from cags_common.transport import Transport, websocket
+from cags_common.transport import Transport
 from cags_protocol.client import ClientSession
-from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 
-INFO_TIMEOUT_S = 10.0
 SINK_BACKLOG = 8
 """Frames that may wait for the sinks; beyond it the display waits, which shows as late frames."""
 
@@ -34,30 +32,6 @@ SINK_BACKLOG = 8
 def now_us() -> int:
     """The client's clock: microseconds, monotonic."""
     return time.monotonic_ns() // 1000
-
-
-def fetch_info(url: str) -> Manifest:
-    """The public manifest of the server behind a stream URL, by HTTP: walks are placed before the session begins.
-
-    Raises :class:`NetworkError` where there is no such server, :class:`BundleError` for another version's manifest.
-    """
-    parts = urlsplit(url)
-    if parts.scheme not in ("ws", "wss") or not parts.hostname:
-        raise NetworkError(f"{url}: is no stream address; write ws://HOST:PORT/stream")
-    kind = http.client.HTTPSConnection if parts.scheme == "wss" else http.client.HTTPConnection
-    connection = kind(parts.hostname, parts.port, timeout=INFO_TIMEOUT_S)
-    try:
-        connection.request("GET", "/bundle")
-        response = connection.getresponse()
-        data = response.read(MAX_MANIFEST_BYTES + 1)
-    except (OSError, http.client.HTTPException) as error:
-        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise NetworkError(f"{url}: no server answers ({reason}); start cags-server or check the address") from error
-    finally:
-        connection.close()
-    if response.status != 200:
-        raise NetworkError(f"{url}: the server answers {response.status} {response.reason} for its bundle")
-    return Manifest.from_json(data)
 
 
 @dataclass(eq=False)
@@ -79,36 +53,49 @@ async def play(
     live: LiveSettings | None = None,
     on_frame: Callable[[dict[str, Any]], None] | None = None,
 ) -> Playback:
-    """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for what ends it early."""
-    transport = await websocket.connect(
-        url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES, token=settings.token
-    )
+    """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for what ends it early.
+
+    ``url`` may name several servers, separated by commas: the first that answers is used, and a dropped connection is
+    taken up by the same or the next one.
+    """
+    dial = Dial(url, settings.token)
+    transport = await dial.first()
     player = Player(
-        ClientSession(now_us=now_us()), settings, poses, now_us=now_us(), near=near, live=live, clock=time.perf_counter
+        ClientSession(now_us=now_us()),
+        settings,
+        poses,
+        now_us=now_us(),
+        near=near,
+        live=live,
+        clock=time.perf_counter,
+        rng=random.Random(),  # noqa: S311 - spreads attempts in time
     )
-    shell = _Shell(transport, player, sinks, on_frame)
+    shell = Shell(transport, player, sinks, on_frame, dial.again)
     try:
         await shell.run()
     finally:
-        await transport.close()
         shell.close()
     if shell.player.error is not None:
         raise shell.player.error
     return Playback(shell.player, shell.records)
 
 
-class _Shell:
+class Shell:
+    """Runs a player in an event loop, over one connection after another."""
+
     def __init__(
         self,
         transport: Transport,
         player: Player,
         sinks: Sequence[FrameSink],
         on_frame: Callable[[dict[str, Any]], None] | None,
+        connect: Callable[[int], Awaitable[Transport]],
     ) -> None:
+        """``connect`` opens another connection; it is given the number of the attempt."""
         self.records: list[dict[str, Any]] = []
         self.player = player
         self._on_frame = on_frame
-        self._transport, self._sinks = transport, sinks
+        self._transport, self._sinks, self._connect = transport, sinks, connect
         self._wake = asyncio.Event()
         self._decoder, self._drawer, self._writer = (ThreadPoolExecutor(1, name) for name in ("decode", "draw", "sink"))
         self._backlog = asyncio.Semaphore(SINK_BACKLOG)
@@ -117,14 +104,15 @@ class _Shell:
 
     async def run(self) -> None:
         """Until the player has finished, the connection is gone, or a sink fails."""
-        reader = asyncio.create_task(self._read())
+        self._reader = asyncio.create_task(self._read(self._transport))
         try:
             while not self.player.finished and self._failure is None:
                 await self._turn()
             await self._send()
         finally:
-            reader.cancel()
-            await asyncio.gather(reader, *self._tasks, return_exceptions=True)
+            self._reader.cancel()
+            await asyncio.gather(self._reader, *self._tasks, return_exceptions=True)
+            await self._transport.close()
         if self._failure is not None:
             raise self._failure
 
@@ -139,6 +127,8 @@ class _Shell:
         if timer is not None and timer <= now_us():
             self.player.handle_timer(now_us())
         await self._send()
+        if self.player.wants_connection(now_us()):
+            self._start(self._come_back())
         while (action := self.player.next_action(now_us())) is not None:
             self._start(self._decode(action) if isinstance(action, Decode) else self._present(action))
         timer = self.player.next_timer_us()
@@ -149,22 +139,42 @@ class _Shell:
             return
 
     async def _send(self) -> None:
+        transport = self._transport
         try:
             for data in self.player.data_to_send(now_us()):
-                await self._transport.send(data)
+                await transport.send(data)
         except NetworkError as error:
-            self.player.lost(str(error), now_us())
+            if not self.player.away:  # else a new one is being opened, or the reader will tell
+                self.player.lost(str(error), now_us())
 
-    async def _read(self) -> None:
+    async def _read(self, transport: Transport) -> None:
         try:
             while True:
-                data = await self._transport.recv()
+                data = await transport.recv()
                 self.player.receive(data, now_us())
                 self._wake.set()
         except NetworkError as error:
             self.player.lost(str(error), now_us())
         finally:
             self._wake.set()
+
+    async def _come_back(self) -> None:
+        """Open another connection in place of the lost one, of which nothing more is read."""
+        self._reader.cancel()
+        await asyncio.gather(self._reader, return_exceptions=True)
+        old = self._transport
+        try:
+            transport = await self._connect(self.player.attempts)
+        except NetworkError as error:
+            self.player.lost(str(error), now_us())
+            return
+        if self.player.finished:
+            await transport.close()
+            return
+        self._transport = transport
+        self.player.connected(now_us())
+        self._reader = asyncio.create_task(self._read(transport))
+        await old.close()
 
     def _start(self, work: Any) -> None:
         task = asyncio.create_task(work)

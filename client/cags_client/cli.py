@@ -23,6 +23,7 @@ PROG = "cags-client"
 
 EXAMPLES = """\
   cags-client --url ws://127.0.0.1:8765/stream
+  cags-client --url ws://a:8765/stream,ws://b:8765/stream          b takes over when a is gone
   cags-client --url ws://127.0.0.1:8765/stream --view              a page to look at and to steer
   cags-client --url ws://127.0.0.1:8765/stream --poses walk.csv --save clip.mp4
   cags-client --url ws://host:8765/stream --poses synthetic:turning:seed=3 --width 1600 --height 1200 \\
@@ -51,7 +52,11 @@ def _parser() -> argparse.ArgumentParser:
     from cags_client.settings import ClientSettings
 
     parser = command_parser(PROG, "Watch a stream headless: decode, draw, align, restore, save, score.", EXAMPLES)
-    parser.add_argument("--url", required=True, help="stream address, ws://HOST:PORT/stream")
+    parser.add_argument(
+        "--url",
+        required=True,
+        help="stream address, ws://HOST:PORT/stream; several servers of one scene: separated by commas",
+    )
     parser.add_argument(
         "--poses",
         default="synthetic:walking",
@@ -106,7 +111,8 @@ def _body(argv: Sequence[str]) -> int | None:
 
 
 def _watch(settings: ClientSettings, outputs: _Outputs) -> None:
-    from cags_client.app import close_sinks, fetch_info, run_playback
+    from cags_client.app import close_sinks, run_playback
+    from cags_client.dial import fetch_info
     from cags_client.report import summary
     from cags_client.truth import BundleTruth
     from cags_common.poses import Focus, open_poses
@@ -154,7 +160,7 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
     """Serve the live page until interrupted."""
     import asyncio
 
-    from cags_client.app import fetch_info
+    from cags_client.dial import fetch_info
     from cags_client.report import summary
     from cags_client.truth import BundleTruth
     from cags_client.view.shell import watch_live

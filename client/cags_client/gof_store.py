@@ -26,6 +26,7 @@ from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, Camera
 from cags_common.splats import SH_REST_OF_DEGREE, Ids, Splats
+from cags_protocol.messages import HeldTile
 
 ABSENT_LOGIT = np.float32(-30.0)
 """Opacity logit of a row without a splat: drawn opacity 1e-13, which every rasteriser culls."""
@@ -376,6 +377,17 @@ class GofStore:
             return float("nan")
         lods = np.array([tile.shown_lod for tile in self._by_index], np.float64)[: len(weights)]
         return float((weights[: len(lods)] * lods).sum() / weights.sum())
+
+    def held(self) -> list[HeldTile]:
+        """The tiles of which splats are shown, wait to be, or are kept for a replay."""
+        with self._decoding, self._lock:
+            return [HeldTile(*key, h.tile.state.lod + 1) for key, h in self._tiles.items() if h is not None]
+
+    def visible_lods(self, contribution: F32) -> dict[Key, int]:
+        """LoDs shown of each tile that has a splat with a ``contribution`` [capacity] to the picture."""
+        owners = self._owner[(contribution > 0) & (self._owner >= 0)]
+        seen = [self._by_index[index] for index in np.unique(owners)]
+        return {held.key: held.shown_lod + 1 for held in seen}
 
     @property
     def splats_held(self) -> int:

@@ -29,7 +29,7 @@ from cags_common.errors import DecodeError
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.messages import FrameEnd, HeldTile, ReferenceFrame, TileLayers
 
 FRESH_FRAMES = 1
 """References this many frames away count in full: servers may draw one for every other frame."""
@@ -79,6 +79,7 @@ class ClientPipeline:
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
         self._sh_degree = 0  # highest band with anything in it since the group's first frame
+        self._scene_store: GofStore | None = None
         self._adapter: SirtAdapter | None = None
         self._own: tuple[ReferencePicture, RenderedView] | None = None
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
@@ -119,11 +120,27 @@ class ClientPipeline:
         """Whether ``frame`` can be drawn whole without anything from the network."""
         return self._store.holds(frame)
 
+    def restart_references(self) -> None:
+        """The reference video goes on over another connection. The pictures that are there stay in use."""
+        self._references.restart()
+
+    def held(self) -> list[HeldTile]:
+        """The tiles that are decoded, for a server that takes the session over."""
+        return self._store.held()
+
     def reset(self, frame: int) -> None:
         """The viewer jumped to ``frame``: forget tiles and references."""
         self._store.reset(frame)
         self._references.reset()
         self._scene = None
+
+    def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
+        """LoDs shown of each tile (source frame, tile) that has a splat in the picture from ``camera``; draws it."""
+        if self._scene is None or self._scene_store is None:
+            return {}
+        view = self._scene.render(camera, replace(self._options(), contribution=True, depth=DepthKind.NONE))
+        assert view.contribution is not None
+        return self._scene_store.visible_lods(view.contribution)
 
     # ------------------------------------------------------------------------------------------------------ presenting
 
@@ -217,7 +234,7 @@ class ClientPipeline:
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
         if self._scene is None or committed.fresh:
-            self._scene = self._rasteriser.load(store.splats)
+            self._scene, self._scene_store = self._rasteriser.load(store.splats), store
             self._adapter = SirtAdapter(store.capacity) if self.settings.adapt == "sirt" else None
             self._sh_degree = held_sh_degree(store.splats.sh_rest)
         elif len(committed.rows):

@@ -5,26 +5,35 @@ A shell moves bytes (``receive``, ``data_to_send``), sleeps until ``next_timer_u
     while (action := player.next_action(now_us)) is not None:
         player.done(action, action.run(), now_us)      # inline, or in an executor
 
+A dropped connection does not end the play: the picture is held and re-projected while the shell, asked by
+``wants_connection``, opens another and says ``connected`` (or ``lost``, and is asked again after a while). The new
+session is told what the client holds, so that nothing of it is sent again, and where the play stands.
+
 ``Decode`` actions must run one after another; ``Present`` actions too, but beside the decoding. All times are the
 client's clock, which is the session's master clock.
 """
 
 from __future__ import annotations
 
+import random
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
+from cags_client.actions import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
 from cags_client.pipeline import ClientPipeline, PresentedFrame
+from cags_client.play_stats import PlayStats
+from cags_client.reconnect import Reconnect
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_common.bundle.manifest import Manifest
-from cags_common.errors import CagsError, DecodeError, NetworkError
+from cags_common.errors import CagsError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
 from cags_protocol import events as ev
-from cags_protocol.client import ClientSession
+from cags_protocol.client import ClientSession, ClientSessionSettings
+from cags_protocol.inventory import pack_inventory
 from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Control, Hello, PoseSample
+from cags_protocol.messages import Control, HeldTile, Hello, PoseSample, Refusal, Welcome
+from cags_protocol.session import SessionTimers
 
 CODEBOOKS_BLOB = "codebooks"
 DECODE_BATCH = 32
@@ -34,103 +43,22 @@ KEYFRAME_RETRY_US = 250_000
 """A lost reference video is asked for again after this long."""
 
 
+RESUMING = ClientSessionSettings(SessionTimers(handshake_us=3_000_000))
+"""A server that takes over must answer soon, for there may be another."""
+
+FATAL_REFUSALS = frozenset({"version", "token", "malformed", "unexpected", "quota"})
+"""Refusals that another attempt would only meet again; any other code may be gone a moment later."""
+
+FATAL_ENDS = frozenset({"malformed", "unexpected"})
+"""Ends of a session by a breach of the protocol: the same would follow again."""
+
+
 class PoseSource(Protocol):
     """Where the viewer's head is. A :class:`~cags_common.poses.PoseTrace` is one; a mouse may be another."""
 
     def pose_at(self, t_us: int) -> Pose:
         """T_world_camera at a time of the walk: 0 when play is asked for, ``start_delay_ms`` at the first frame."""
         ...
-
-
-DataEvent: TypeAlias = ev.TileReceived | ev.ReferenceReceived | ev.FrameEnded
-
-
-@dataclass(frozen=True)
-class DecodeResult:
-    """What a :class:`Decode` found."""
-
-    errors: tuple[DecodeError, ...]
-    needs_idr: bool
-    whole: int
-    """The latest frame whose end was decoded; -1 if none was."""
-
-
-@dataclass(frozen=True, eq=False)
-class Decode:
-    """Messages to decode; :meth:`run` returns what came of it.
-
-    Tiles go first, all at once: the end of a frame never overtakes what belongs to it.
-    """
-
-    events: tuple[DataEvent, ...]
-    pipeline: ClientPipeline
-
-    def run(self) -> DecodeResult:
-        """Decode into the pipeline. A damaged message is left out and reported; the others count."""
-        tiles = [(event.message, event.payload) for event in self.events if isinstance(event, ev.TileReceived)]
-        errors = self.pipeline.on_tiles(tiles)
-        needs_idr, whole = False, -1
-        for event in self.events:
-            try:
-                match event:
-                    case ev.ReferenceReceived(reference, payload):
-                        needs_idr = not self.pipeline.on_reference(reference, payload)
-                    case ev.FrameEnded(end, payload):
-                        self.pipeline.on_frame_end(end, payload)
-                        whole = max(whole, end.frame)
-            except DecodeError as error:
-                errors.append(error)
-                needs_idr |= isinstance(event, ev.ReferenceReceived)
-        try:
-            self.pipeline.flush()
-        except DecodeError as error:
-            errors.append(error)
-        return DecodeResult(tuple(errors), needs_idr, whole)
-
-
-@dataclass(frozen=True, eq=False)
-class Present:
-    """A frame to draw: due at ``due_us``, seen from ``pose`` (sampled then)."""
-
-    frame: int
-    due_us: int
-    pose: Pose
-    pipeline: ClientPipeline
-    traffic: Traffic
-
-    def run(self) -> PresentedFrame:
-        """Draw it."""
-        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose))
-
-
-@dataclass(frozen=True, slots=True)
-class Traffic:
-    """Payload bytes that arrived since the frame before."""
-
-    tiles_bytes: int = 0
-    reference_bytes: int = 0
-
-
-@dataclass(eq=False)
-class PlayStats:
-    """Counts over a whole play."""
-
-    frames: int = 0
-    """Frames presented."""
-    missed: int = 0
-    """Presented without all of their data."""
-    dropped: int = 0
-    """Not presented because the one after was due already."""
-    decode_errors: int = 0
-    keyframe_requests: int = 0
-    bytes_tiles: int = 0
-    bytes_reference: int = 0
-    bytes_other: int = 0
-    first_byte_us: int | None = None
-    last_byte_us: int = 0
-    started_us: int | None = None
-    """When the first frame was due."""
-    notices: list[str] = field(default_factory=list)
 
 
 class Player:
@@ -146,7 +74,9 @@ class Player:
         near: float = DEFAULT_NEAR,
         live: LiveSettings | None = None,
         clock: Callable[[], float] = lambda: 0.0,
+        rng: random.Random | None = None,
     ) -> None:
+        """``session`` is the first one; ``rng`` spreads the attempts to come back after a loss."""
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self.pipeline: ClientPipeline | None = None
@@ -156,21 +86,23 @@ class Player:
         self.finished = False
         self.stats = PlayStats()
         self._session, self._poses, self._clock = session, poses, clock
-        self._made_us = now_us
+        self._made_us, self._near = now_us, near
+        self._reconnect = Reconnect(round(settings.reconnect_s * 1e6), rng or random.Random(0))  # noqa: S311
+        self._lost_us = 0
+        self._why_away = NetworkError("the connection was lost")
+        self._welcome: Welcome | None = None
+        self._resume_at: Control | None = None
         self._codebooks: bytes | None = None
         self._decodes: deque[DataEvent] = deque()
-        self._decoding = self._presenting = False
+        self._decoding: tuple[DataEvent, ...] = ()
+        self._presenting = False
         self._next_frame = settings.start_frame
         self._due_us: int | None = None
         self._end_frame = settings.start_frame + 1
         self._next_pose_us = now_us
         self._asked_idr_us: int | None = None
         self._tiles_bytes = self._reference_bytes = 0
-        pose = poses.pose_at(0)
-        hello = Hello(
-            PROTOCOL_VERSION, settings.intrinsics, pose, near, settings.start_frame, settings.token, "cags-client"
-        )
-        session.hello(hello, now_us=now_us)
+        session.hello(self._hello(settings.start_frame, poses.pose_at(0)), now_us=now_us)
 
     # ---------------------------------------------------------------------------------------------------------- session
 
@@ -190,7 +122,7 @@ class Player:
         """When :meth:`handle_timer` and :meth:`next_action` want to be called at the latest; None: not by time."""
         if self.finished:
             return None
-        times = [self._session.next_timer_us(), self._next_pose_us]
+        times = [self._session.next_timer_us(), self._next_pose_us, self._reconnect.next_timer_us()]
         if not self._presenting:
             times.append(self._due_us)
         return min((t for t in times if t is not None), default=None)
@@ -199,15 +131,41 @@ class Player:
         """Do what is due: keep-alive, acknowledgements, poses."""
         if self.stats.started_us is None and now_us - self._made_us > self.settings.join_timeout * 1e6:
             self._fail(NetworkError(f"no first frame within {self.settings.join_timeout:g} s; is the link too slow?"))
+        if self._reconnect.expired(now_us):
+            self._fail(self._why_away)
         self._session.handle_timer(now_us=now_us)
         self._send_poses(now_us)
         self._pump(now_us)
 
     def lost(self, reason: str, now_us: int) -> None:
-        """The connection went away."""
+        """The connection went away, or the one that :meth:`wants_connection` asked for could not be opened."""
+        attempt = self._reconnect.trying
         self._session.connection_lost(reason, now_us=now_us)
-        if not self.finished:
-            self._fail(NetworkError(f"the connection was lost ({reason}); start the server again or check the network"))
+        self._pump(now_us)
+        if attempt and self._reconnect.trying:  # there was no session yet whose end would tell
+            self._reconnect.lost(now_us)
+
+    @property
+    def away(self) -> bool:
+        """Whether the connection is lost and not yet restored: nothing can be sent."""
+        return self._reconnect.away
+
+    @property
+    def attempts(self) -> int:
+        """Attempts to come back since the connection was lost, the one under way included."""
+        return self._reconnect.attempts
+
+    def wants_connection(self, now_us: int) -> bool:
+        """Whether a connection is to be opened now. Answer by :meth:`connected` or :meth:`lost`."""
+        return not self.finished and self._reconnect.begin(now_us)
+
+    def connected(self, now_us: int) -> None:
+        """There is a connection again: say Hello with what is held."""
+        self._session = ClientSession(RESUMING, now_us=now_us)
+        self._decodes.append(Restarted())
+        self._resume_at = self._state_of_play(now_us)
+        frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
+        self._session.hello(self._hello(frame, self._pose(now_us)), now_us=now_us)
 
     # ------------------------------------------------------------------------------------------------------------- work
 
@@ -232,7 +190,7 @@ class Player:
                 self._finish(now_us)
             return
         assert isinstance(result, DecodeResult)
-        self._decoding = False
+        self._decoding = ()
         self.stats.decode_errors += len(result.errors)
         if result.needs_idr:
             self._ask_idr(action.pipeline.last_reference_seq, now_us)
@@ -248,13 +206,11 @@ class Player:
     def _on_event(self, event: ev.ClientEvent, now_us: int) -> None:
         match event:
             case ev.Welcomed(welcome):
-                self.info = Manifest.from_json(welcome.info)
-                self._open(now_us)
+                self._on_welcome(welcome, now_us)
             case ev.BlobReceived(name, data):
                 self.stats.bytes_other += len(data)
                 if name == CODEBOOKS_BLOB:
-                    self._codebooks = data
-                    self._open(now_us)
+                    self._on_codebooks(data, now_us)
             case ev.TileReceived(_, payload):
                 self._tiles_bytes += len(payload)
                 self.stats.bytes_tiles += len(payload)
@@ -268,11 +224,77 @@ class Player:
             case ev.NoticeReceived(notice):
                 self.stats.notices.append(f"{notice.code}: {notice.message}")
             case ev.Refused(refusal):
-                where = f" ({refusal.field})" if refusal.field else ""
-                self._fail(NetworkError(f"the server refused{where}: {refusal.message}"))
+                self._why_away = _refused(refusal)
+                if refusal.code in FATAL_REFUSALS:
+                    self._fail(self._why_away)
             case ev.Closed(code, reason):
-                if not self.finished:
-                    self._fail(NetworkError(f"the session ended early ({code}: {reason})"))
+                self._on_closed(code, reason, now_us)
+
+    def _on_closed(self, code: str, reason: str, now_us: int) -> None:
+        if self.finished:
+            return
+        if code == "lost":
+            why = f"the connection was lost ({reason}); start the server again or check the network"
+            self._why_away = NetworkError(why)
+        elif code != "refused":
+            self._why_away = NetworkError(f"the session ended early ({code}: {reason})")
+        if code in FATAL_ENDS or self._welcome is None or not self._reconnect.possible:
+            self._fail(self._why_away)
+            return
+        if not self._reconnect.away:
+            self._lost_us = now_us
+        self._reconnect.lost(now_us)
+
+    def _on_welcome(self, welcome: Welcome, now_us: int) -> None:
+        if self.pipeline is not None and self._welcome is not None and welcome.info != self._welcome.info:
+            self._fail(NetworkError("the server streams another scene now; start the client again"))
+            return
+        if self._reconnect.away:
+            self._reconnect.restored()
+            self.stats.reconnects += 1
+            self.stats.away_us += now_us - self._lost_us
+        self._welcome = welcome
+        if self.pipeline is None:
+            self.info = Manifest.from_json(welcome.info)
+            self._open(now_us)
+        if self._resume_at is not None:
+            self._session.control(self._resume_at, now_us=now_us)
+            self._resume_at = None
+
+    def _on_codebooks(self, data: bytes, now_us: int) -> None:
+        if self.pipeline is not None and data != self._codebooks:
+            self._fail(NetworkError("the server streams another encoding of the scene now; start the client again"))
+        self._codebooks = data
+        self._open(now_us)
+
+    def _hello(self, frame: int, pose: Pose) -> Hello:
+        """With what is held, once there is a decoder for it."""
+        resume, held = "", b""
+        if self.pipeline is not None and self._welcome is not None:
+            resume, held = self._welcome.session, pack_inventory(self._held(self.pipeline))
+        token, agent = self.settings.token, "cags-client"
+        return Hello(
+            PROTOCOL_VERSION, self.settings.intrinsics, pose, self._near, frame, token, agent, resume, inventory=held
+        )
+
+    def _held(self, pipeline: ClientPipeline) -> list[HeldTile]:
+        """What the pipeline holds, and what waits to be decoded into it."""
+        lods = {(tile.frame, tile.tile): tile.lods for tile in pipeline.held()}
+        for event in (*self._decoding, *self._decodes):
+            if isinstance(event, ev.TileReceived):
+                key = event.message.frame, event.message.tile
+                if event.message.from_lod <= lods.get(key, 0):
+                    lods[key] = max(lods.get(key, 0), event.message.to_lod)
+        return [HeldTile(frame, tile, count) for (frame, tile), count in lods.items()]
+
+    def _state_of_play(self, now_us: int) -> Control | None:
+        """Where the play will stand once a server has taken the session over; None before it has begun."""
+        if self.stats.started_us is None:
+            return None
+        frame = min(self._next_frame, self._end_frame - 1)
+        while frame + 1 < self._end_frame and self._frame_due_us(frame) < now_us + self.settings.start_delay_ms * 1000:
+            frame += 1
+        return Control("play", frame, self._frame_due_us(frame))
 
     def _open(self, now_us: int) -> None:
         """Make the pipeline once manifest and codebooks are there."""
@@ -305,9 +327,9 @@ class Player:
         return self.stats.started_us + round((frame - self.settings.start_frame) * 1e6 / self.info.fps)
 
     def _decode(self, pipeline: ClientPipeline) -> Decode:
-        self._decoding = True
         count = min(len(self._decodes), DECODE_BATCH)
-        return Decode(tuple(self._decodes.popleft() for _ in range(count)), pipeline)
+        self._decoding = tuple(self._decodes.popleft() for _ in range(count))
+        return Decode(self._decoding, pipeline)
 
     def _present(self, now_us: int) -> Present:
         frame = self._next_frame
@@ -352,3 +374,8 @@ class Player:
     def _fail(self, error: CagsError) -> None:
         self.finished = True
         self.error = self.error or error
+
+
+def _refused(refusal: Refusal) -> NetworkError:
+    where = f" ({refusal.field})" if refusal.field else ""
+    return NetworkError(f"the server refused{where}: {refusal.message}")

@@ -63,6 +63,11 @@ class References:
             close = [p for f, p in self._pictures.items() if abs(frame - f) <= max_age]
         return min(close, key=lambda p: (abs(frame - p.frame), p.frame > frame), default=None)
 
+    def restart(self) -> None:
+        """Another server's video follows, numbered from 1; the pictures stay."""
+        self._decoder.reset()
+        self._last_seq = self.last_decoded = 0
+
     def reset(self) -> None:
         """Forget every picture (the viewer jumped); the decoder goes on."""
         with self._lock:

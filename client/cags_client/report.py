@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from cags_client.actions import Present
 from cags_client.pipeline import PresentedFrame
-from cags_client.player import PlayStats, Present
+from cags_client.play_stats import PlayStats
 from cags_client.score import averages
 from cags_common.effects import Effect, tally
 from cags_common.geometry import angle_between
@@ -57,6 +58,8 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         "frames_dropped": stats.dropped,
         "decode_errors": stats.decode_errors,
         "keyframe_requests": stats.keyframe_requests,
+        "reconnects": stats.reconnects,
+        "away_ms": stats.away_us / 1e3,
         "bytes_tiles": stats.bytes_tiles,
         "bytes_reference": stats.bytes_reference,
         "goodput_mbps": received * 8 / seconds / 1e6 if seconds > 0 else 0.0,

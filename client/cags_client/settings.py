@@ -36,6 +36,9 @@ class ClientSettings:
         250, "time from asking to play, when the walk begins, to the first frame", low=0, high=10_000
     )
     join_timeout: float = setting(30.0, "seconds to wait for the first frame's data", low=0.1, high=3600)
+    reconnect_s: float = setting(
+        10.0, "seconds to try to take a dropped connection up again; 0: it ends the play", low=0.0, high=86_400
+    )
     pose_rate: float = setting(60.0, "poses sent a second", low=1, high=1000)
     drop_late: bool = setting(True, "skip frames that would be shown after the next one is due")
     token: str = setting("", "token of a server that asks for one")

@@ -16,6 +16,7 @@ from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import TileCodec
 from cags_common.errors import DecodeError
 from cags_common.splats import Ids
+from cags_protocol.messages import HeldTile
 
 
 class TileStore:
@@ -95,6 +96,12 @@ class TileStore:
         """Whether ``frame`` can be shown whole without anything from the network."""
         store = self._gofs.get(self._manifest.gof_of(frame))
         return store is not None and store.holds(frame)
+
+    def held(self) -> list[HeldTile]:
+        """Every tile that would not have to be sent again."""
+        with self._lock:
+            stores = list(self._gofs.values())
+        return [tile for store in stores for tile in store.held()]
 
     def reset(self, frame: int) -> None:
         """Forget everything: the viewer jumped to ``frame``."""

@@ -143,7 +143,8 @@ class Connection:
             self.session.refuse("malformed", "inventory", str(error), now_us=now_us)
             return
         streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, now_us=now_us)
-        streamer.resume(inventory)
+        if resumed:
+            streamer.resume(inventory)
         self.streamer = streamer
         self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
         # Any server of this bundle can take a session over: its name says of which bundle the client holds tiles.

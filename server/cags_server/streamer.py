@@ -78,7 +78,7 @@ class Streamer:
         self._tiles = TileSender(library, opening=settings.opening_tiles)
         start = min(hello.start_frame, library.manifest.frames - 1)
         self._timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
-        self._controlled = False
+        self._controlled = self._resumed = False
         self._generation = 0
         self._next_tick = 0
         self._job_running = False
@@ -99,16 +99,24 @@ class Streamer:
         return Welcome(session, manifest.fps, manifest.frames, resumed, manifest.public_json())
 
     def opening(self, now_us: int) -> list[ev.Outgoing]:
-        """What every client gets first: codebooks, then the base layers of the start frame, the ones in view first."""
-        out = [
-            ev.Outgoing(blob, chunk, BLOB_PRIORITY)
-            for blob, chunk in blob_chunks("codebooks", self._library.reader.codebooks())
-        ]
+        """What a client gets first: codebooks, then the base layers of the start frame, the ones in view first.
+
+        One that resumes has the codebooks: it could not hold a tile without them.
+        """
+        out = (
+            []
+            if self._resumed
+            else [
+                ev.Outgoing(blob, chunk, BLOB_PRIORITY)
+                for blob, chunk in blob_chunks("codebooks", self._library.reader.codebooks())
+            ]
+        )
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
         return self._counted(out + self._tiles.beginning(self._timeline.frame, camera), now_us)
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
-        """The client still holds these tiles from an earlier session: they are not sent again."""
+        """The client still holds these tiles, and the codebooks, from an earlier session: they are not sent again."""
+        self._resumed = True
         self._tiles.resume(inventory)
 
     # -------------------------------------------------------------------------------------------------------- events

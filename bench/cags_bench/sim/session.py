@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from cags_bench.sim.usage import Usage
 from cags_bench.sim.world import Direction, World
+from cags_client.actions import Decode, Present
 from cags_client.pipeline import PresentedFrame
-from cags_client.player import Player, Present
+from cags_client.player import Player
 from cags_client.report import frame_stats, summary
 from cags_client.score import score
 from cags_client.settings import ClientSettings
@@ -32,6 +35,14 @@ Watcher = Callable[[PresentedFrame, dict[str, Any]], None]
 
 
 @dataclass(frozen=True)
+class Cut:
+    """The connection breaks at ``at_us``; attempts to open another fail until ``until_us``."""
+
+    at_us: int
+    until_us: int
+
+
+@dataclass(frozen=True)
 class Scenario:
     """What is streamed, over what, to whom. Everything that decides the result."""
 
@@ -44,6 +55,10 @@ class Scenario:
     delay_us: int = 20_000
     queue_bytes: int | None = None
     scored: bool = True
+    score_every: int = 1
+    """Only every so many-th frame is compared with the truth."""
+    cuts: tuple[Cut, ...] = ()
+    """When the connection breaks, in order."""
 
     def __post_init__(self) -> None:
         if self.estimator not in ESTIMATORS:
@@ -74,17 +89,16 @@ def simulate(scenario: Scenario, watch: Watcher | None = None) -> SessionResult:
 class _Simulation:
     def __init__(self, scenario: Scenario, trace: Trace, reader: BundleReader) -> None:
         self.scenario, self.trace, self.reader = scenario, trace, reader
-        library = SceneLibrary(reader, raster.create(scenario.server.rasteriser))
-        self.server = Connection(
-            library, scenario.server, name="simulated", now_us=0, estimator=make_estimator(scenario.estimator, trace)
-        )
+        self.library = SceneLibrary(reader, raster.create(scenario.server.rasteriser))
+        self.cuts = deque(scenario.cuts)
+        self.unreachable_until_us = 0
+        self.usage = Usage()
+        self.dropped_bytes = 0  # of connections that were cut
+        self.server = self._connection(0)
         self.player = Player(
             ClientSession(now_us=0), self._client_settings(), self._poses(), now_us=0, near=reader.manifest.near
         )
-        link = LinkSettings(delay_us=scenario.delay_us, queue_bytes=scenario.queue_bytes)
-        self.down = Direction(Link(trace, link), self.player.receive)
-        self.up = Direction(Link(None, LinkSettings(delay_us=scenario.delay_us)), self.server.receive)
-        self.world = World(self.server, self.player, self.down, self.up, self._work)
+        self.world = World(self.server, self.player, *self._directions(), self._work, alarm=self._next_cut_us)
         self.truth = BundleTruth(str(scenario.bundle), scenario.client) if scenario.scored else None
         self.frames: list[dict[str, Any]] = []
         self._watch: Watcher | None = None
@@ -99,10 +113,44 @@ class _Simulation:
             raise self.player.error
         return SessionResult(self.frames, self._summary())
 
+    def _connection(self, now_us: int) -> Connection:
+        estimator = make_estimator(self.scenario.estimator, self.trace)
+        return Connection(self.library, self.scenario.server, name="simulated", now_us=now_us, estimator=estimator)
+
+    def _directions(self) -> tuple[Direction, Direction]:
+        """Towards the client and back; nothing of an earlier connection is on its way."""
+        delay_us = self.scenario.delay_us
+        down = LinkSettings(delay_us=delay_us, queue_bytes=self.scenario.queue_bytes)
+        return (
+            Direction(Link(self.trace, down), self.player.receive),
+            Direction(Link(None, LinkSettings(delay_us=delay_us)), self.server.receive),
+        )
+
+    def _next_cut_us(self) -> int | None:
+        return self.cuts[0].at_us if self.cuts else None
+
+    def _connections(self, now_us: int) -> bool:
+        """Break the connection when it is time; open another when the player wants one."""
+        busy = False
+        if self.cuts and self.cuts[0].at_us <= now_us:
+            self.unreachable_until_us = self.cuts.popleft().until_us
+            self.server.connection_lost("cut", now_us)
+            self.dropped_bytes += self.server.stats.bytes_dropped
+            self.player.lost("cut", now_us)
+            self.world.down, self.world.up = self._directions()
+            busy = True
+        if self.player.wants_connection(now_us):
+            if now_us < self.unreachable_until_us:
+                self.player.lost("unreachable", now_us)
+            else:
+                self.server = self.world.server = self._connection(now_us)
+                self.world.down, self.world.up = self._directions()
+                self.player.connected(now_us)
+            busy = True
+        return busy
+
     def _client_settings(self) -> ClientSettings:
         """Virtual time has no late frames: work takes none of it."""
-        from dataclasses import replace
-
         return replace(self.scenario.client, drop_late=False)
 
     def _poses(self) -> Any:
@@ -115,12 +163,14 @@ class _Simulation:
         return open_poses(self.scenario.poses, focus, window_us=window_us)
 
     def _work(self, now_us: int) -> bool:
-        busy = False
+        busy = self._connections(now_us)
         while (job := self.server.next_job(now_us)) is not None:
             self.server.job_done(job.run(), now_us)
             busy = True
         while (action := self.player.next_action(now_us)) is not None:
             result = action.run()
+            if isinstance(action, Decode):
+                self.usage.arrived(action.events)
             if isinstance(action, Present):
                 assert isinstance(result, PresentedFrame)
                 self._record(action, result, now_us)
@@ -131,7 +181,9 @@ class _Simulation:
     def _record(self, action: Present, presented: PresentedFrame, now_us: int) -> None:
         record = frame_stats(presented, action, now_us)
         record = {key: value for key, value in record.items() if not key.startswith("ms_")}
-        if self.truth is not None:
+        if self.scenario.scored:
+            self.usage.shown(presented, action.pipeline)
+        if self.truth is not None and presented.frame % self.scenario.score_every == 0:
             record |= score(presented, *self.truth(presented.frame, presented.camera))
         self.frames.append(record)
         if self._watch is not None:
@@ -140,6 +192,10 @@ class _Simulation:
     def _summary(self) -> dict[str, Any]:
         out = summary(self.frames, self.player.stats)
         started_us = self.player.stats.started_us or 0
+        if self.scenario.scored:
+            dropped_bytes = self.dropped_bytes + self.server.stats.bytes_dropped
+            out["wasted_bytes"] = self.usage.wasted_bytes(dropped_bytes)
+            out["wasted_share"] = out["wasted_bytes"] / max(self.usage.arrived_bytes + dropped_bytes, 1)
         out["first_picture_ms"] = started_us / 1e3
         out["link_effects"] = sorted(self.down.link.effects)
         out["capacity_mbps"] = self.trace.mean_bps(0, max(self.world.now_us, 1)) / 1e6

@@ -79,10 +79,22 @@ class Direction:
 class World:
     """Runs a server peer and a client peer until the client has finished."""
 
-    def __init__(self, server: Peer, client: Peer, down: Direction, up: Direction, work: Callable[[int], bool]) -> None:
-        """``work(now_us)`` runs whatever jobs the peers have ready and returns whether there was any."""
+    def __init__(
+        self,
+        server: Peer,
+        client: Peer,
+        down: Direction,
+        up: Direction,
+        work: Callable[[int], bool],
+        *,
+        alarm: Callable[[], int | None] = lambda: None,
+    ) -> None:
+        """``work(now_us)`` runs whatever jobs the peers have ready and returns whether there was any.
+
+        It may exchange peers and directions for others; ``alarm()`` says when it wants to be called at the latest.
+        """
         self.server, self.client, self.down, self.up = server, client, down, up
-        self._work = work
+        self._work, self._alarm = work, alarm
         self.now_us = 0
 
     def run(self, finished: Callable[[], bool], limit_us: int) -> None:
@@ -123,4 +135,5 @@ class World:
 
     def _next_us(self) -> int | None:
         times = [self.server.next_timer_us(), self.client.next_timer_us(), self.down.next_us(), self.up.next_us()]
+        times.append(self._alarm())
         return min((time for time in times if time is not None), default=None)

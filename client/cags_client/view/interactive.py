@@ -8,10 +8,12 @@ skipped, however slow the link is. A loop within one group of frames goes on wit
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+from cags_client.actions import Decode, DecodeResult, Present, Traffic
 from cags_client.pipeline import PresentedFrame
-from cags_client.player import Decode, DecodeResult, Player, Present, Traffic
+from cags_client.player import Player
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
 from cags_protocol.messages import Control
@@ -181,6 +183,15 @@ class InteractivePlayer(Player):
             self._tell("play", self.frame, now_us + self.settings.start_delay_ms * 1000, now_us)
         else:
             self._due_us = now_us
+
+    def _state_of_play(self, now_us: int) -> Control | None:
+        """See :meth:`Player._state_of_play`; a frame that is held, or waited for, stays."""
+        if self.stats.started_us is None:
+            return None
+        if self._awaited is not None or not self.playing:
+            return Control("pause", self.frame if self._awaited is None else self._awaited[0], now_us, self.rate)
+        control = super()._state_of_play(now_us)
+        return None if control is None else replace(control, rate=self.rate)
 
     def _frame_due_us(self, frame: int) -> int:
         assert self.info is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -11,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from cags_client.app import Playback, _Shell, now_us
+from cags_client.app import Playback, Shell, now_us
+from cags_client.dial import Dial
 from cags_client.present.base import FrameSink
 from cags_client.restore import RESTORERS
 from cags_client.settings import ClientSettings, LiveSettings
@@ -23,9 +25,7 @@ from cags_client.view.settings import ViewSettings
 from cags_client.view.sink import ViewSink, scene_info
 from cags_common.bundle.manifest import Manifest
 from cags_common.geometry import F32, Camera
-from cags_common.transport import websocket
 from cags_protocol.client import ClientSession
-from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 
 KEPT_RECORDS = 9000
 """Frames whose figures a live view keeps for the report: the last five minutes."""
@@ -146,9 +146,8 @@ async def watch_live(
     view = LiveView(view_settings, walk)
     on_ready(await view.start())
     try:
-        transport = await websocket.connect(
-            url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES, token=settings.token
-        )
+        dial = Dial(url, settings.token)
+        transport = await dial.first()
         live = LiveSettings(settings)
         live.depth_shown = True  # the page can show it at any time
         player = InteractivePlayer(
@@ -159,6 +158,7 @@ async def watch_live(
             near=info.near,
             live=live,
             clock=time.perf_counter,
+            rng=random.Random(),  # noqa: S311 - spreads attempts in time
         )
 
         def kept(record: dict[str, Any]) -> None:
@@ -166,7 +166,7 @@ async def watch_live(
             if on_frame is not None:
                 on_frame(record)
 
-        shell = _Shell(transport, player, [ViewSink(view), *sinks], kept)
+        shell = Shell(transport, player, [ViewSink(view), *sinks], kept, dial.again)
         view.attach(scene_info(info), PlayerControls(player, live, truth, shell._wake.set))
 
         def leave() -> None:
@@ -177,7 +177,6 @@ async def watch_live(
             try:
                 await shell.run()
             finally:
-                await transport.close()
                 shell.close()
     finally:
         await view.stop()

@@ -1,0 +1,63 @@
+"""What became of the bytes that arrived: shown in some picture, or sent for nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cags_client.actions import DataEvent
+from cags_client.pipeline import ClientPipeline, PresentedFrame
+from cags_protocol import events as ev
+
+LayerKey = tuple[int, int, int]
+"""Source frame, tile and LoD."""
+
+
+class Usage:
+    """Account of payload bytes by layer and by reference picture.
+
+    A layer is used once a picture is presented in which a splat of its tile is visible, at that LoD or a higher one; a
+    reference picture once a frame was restored from it. What came twice counts as wasted the second time.
+    """
+
+    def __init__(self) -> None:
+        self._layers: dict[LayerKey, int] = {}
+        self._references: dict[int, int] = {}  # identity in order of arrival -> bytes
+        self._numbers: dict[int, int] = {}  # sequence number -> identity of the newest picture of that number
+        self._used_layers: dict[tuple[int, int], int] = {}  # source frame, tile -> LoDs seen
+        self._used_references: set[int] = set()
+        self._arrived_bytes = self._twice_bytes = 0
+
+    def arrived(self, events: Iterable[DataEvent]) -> None:
+        """Messages that are about to be decoded."""
+        for event in events:
+            match event:
+                case ev.TileReceived(message, payload):
+                    self._arrived_bytes += len(payload)
+                    for lod, size in enumerate(message.sizes, start=message.from_lod):
+                        key = message.frame, message.tile, lod
+                        self._twice_bytes += size if key in self._layers else 0
+                        self._layers[key] = size
+                case ev.ReferenceReceived(reference, payload):
+                    self._arrived_bytes += len(payload)
+                    self._numbers[reference.seq] = len(self._references)
+                    self._references[len(self._references)] = len(payload)
+
+    def shown(self, presented: PresentedFrame, pipeline: ClientPipeline) -> None:
+        """A picture was presented."""
+        for key, lods in pipeline.visible_lods(presented.camera).items():
+            self._used_layers[key] = max(lods, self._used_layers.get(key, 0))
+        if presented.reference is not None and presented.reference.seq in self._numbers:
+            self._used_references.add(self._numbers[presented.reference.seq])
+
+    def wasted_bytes(self, dropped_bytes: int) -> int:
+        """Payload bytes that served no picture, with the ``dropped_bytes`` of messages that never arrived whole."""
+        layers = sum(
+            size for (frame, tile, lod), size in self._layers.items() if lod >= self._used_layers.get((frame, tile), 0)
+        )
+        references = sum(size for key, size in self._references.items() if key not in self._used_references)
+        return layers + references + self._twice_bytes + dropped_bytes
+
+    @property
+    def arrived_bytes(self) -> int:
+        """Payload bytes of tiles and references that arrived."""
+        return self._arrived_bytes

@@ -1,0 +1,95 @@
+"""Addresses of servers: finding one that answers, at the start and after a loss."""
+
+from __future__ import annotations
+
+import http.client
+from urllib.parse import urlsplit
+
+from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
+from cags_common.errors import NetworkError
+from cags_common.transport import Transport, websocket
+from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+
+INFO_TIMEOUT_S = 10.0
+FIRST_TIMEOUT_S, AGAIN_TIMEOUT_S = 10.0, 1.5
+"""An attempt's time: at the start, and after a loss, where another server may be quicker."""
+
+
+def addresses(url: str) -> tuple[str, ...]:
+    """The stream addresses in ``url``, which commas separate. Raises :class:`NetworkError` for what is none."""
+    found = tuple(part.strip() for part in url.split(","))
+    for address in found:
+        parts = urlsplit(address)
+        if parts.scheme not in ("ws", "wss") or not parts.hostname:
+            raise NetworkError(f"{address}: is no stream address; write ws://HOST:PORT/stream")
+    return found
+
+
+class Dial:
+    """Opens connections to one of several servers of the same scene."""
+
+    def __init__(self, url: str, token: str = "") -> None:
+        """``url``: one or more addresses, separated by commas."""
+        self._urls, self._token = addresses(url), token
+        self._current = 0
+
+    async def first(self) -> Transport:
+        """A connection to the first server that answers. Raises :class:`NetworkError`, the last one's."""
+        for index in range(len(self._urls)):
+            self._current = index
+            try:
+                return await self._open(FIRST_TIMEOUT_S)
+            except NetworkError:
+                if index + 1 == len(self._urls):
+                    raise
+        raise AssertionError("there is at least one address")
+
+    async def again(self, attempt: int) -> Transport:
+        """A connection for the ``attempt``-th try (from 1) after a loss: the same server first, then the next.
+
+        Raises :class:`NetworkError`.
+        """
+        if attempt > 1:
+            self._current = (self._current + 1) % len(self._urls)
+        return await self._open(AGAIN_TIMEOUT_S)
+
+    async def _open(self, timeout_s: float) -> Transport:
+        return await websocket.connect(
+            self._urls[self._current],
+            subprotocol=SUBPROTOCOL,
+            max_message_bytes=MAX_MESSAGE_BYTES,
+            timeout_s=timeout_s,
+            token=self._token,
+        )
+
+
+def fetch_info(url: str) -> Manifest:
+    """The public manifest of the first server of ``url`` that answers, by HTTP: walks are placed before a session.
+
+    Raises :class:`NetworkError` where there is no such server, :class:`BundleError` for another version's manifest.
+    """
+    last = NetworkError(f"{url}: no server answers")
+    for address in addresses(url):
+        try:
+            return _info(address)
+        except NetworkError as error:
+            last = error
+    raise last
+
+
+def _info(url: str) -> Manifest:
+    parts = urlsplit(url)
+    kind = http.client.HTTPSConnection if parts.scheme == "wss" else http.client.HTTPConnection
+    connection = kind(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S)
+    try:
+        connection.request("GET", "/bundle")
+        response = connection.getresponse()
+        data = response.read(MAX_MANIFEST_BYTES + 1)
+    except (OSError, http.client.HTTPException) as error:
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise NetworkError(f"{url}: no server answers ({reason}); start cags-server or check the address") from error
+    finally:
+        connection.close()
+    if response.status != 200:
+        raise NetworkError(f"{url}: the server answers {response.status} {response.reason} for its bundle")
+    return Manifest.from_json(data)

@@ -1,0 +1,68 @@
+"""When a dropped connection is opened again: at once first, then ever more seldom, until patience ends. No clock."""
+
+from __future__ import annotations
+
+import random
+
+FIRST_DELAY_US, MAX_DELAY_US, GROWTH = 50_000, 1_000_000, 1.5
+"""Wait after the first failed attempt, the longest wait, and what each failure multiplies it by."""
+
+JITTER = 0.25
+"""Share by which a wait is shortened at random, so that the clients of a fallen server do not come back in step."""
+
+
+class Reconnect:
+    """The attempts after one loss. Times are the client's clock."""
+
+    def __init__(self, patience_us: int, rng: random.Random) -> None:
+        """Attempts go on for ``patience_us`` after a loss; 0: there are none."""
+        self.attempts = 0
+        """Attempts since the connection was lost."""
+        self._patience_us, self._rng = patience_us, rng
+        self._lost_us: int | None = None
+        self._due_us: int | None = None  # None while connected and while an attempt is under way
+
+    @property
+    def possible(self) -> bool:
+        """Whether a lost connection is tried again at all."""
+        return self._patience_us > 0
+
+    @property
+    def away(self) -> bool:
+        """Whether there is no session."""
+        return self._lost_us is not None
+
+    @property
+    def trying(self) -> bool:
+        """Whether an attempt is under way."""
+        return self.away and self._due_us is None
+
+    def lost(self, now_us: int) -> None:
+        """The connection is gone, or the attempt under way has failed."""
+        if self._lost_us is None:
+            self._lost_us, self.attempts = now_us, 0
+        delay_us = 0.0 if self.attempts == 0 else FIRST_DELAY_US * GROWTH ** (self.attempts - 1)
+        self._due_us = now_us + round(min(delay_us, MAX_DELAY_US) * (1 - JITTER * self._rng.random()))
+
+    def begin(self, now_us: int) -> bool:
+        """Whether an attempt is to be made now; it is under way then."""
+        if self._due_us is None or now_us < self._due_us:
+            return False
+        self._due_us = None
+        self.attempts += 1
+        return True
+
+    def restored(self) -> None:
+        """The session goes on."""
+        self._lost_us = self._due_us = None
+
+    def expired(self, now_us: int) -> bool:
+        """Whether patience has ended."""
+        return self._lost_us is not None and now_us - self._lost_us >= self._patience_us
+
+    def next_timer_us(self) -> int | None:
+        """When an attempt is due or patience ends; None while connected."""
+        if self._lost_us is None:
+            return None
+        end_us = self._lost_us + self._patience_us
+        return end_us if self._due_us is None else min(self._due_us, end_us)
