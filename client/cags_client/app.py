@@ -131,6 +131,8 @@ class Shell:
             self._start(self._come_back())
         while (action := self.player.next_action(now_us())) is not None:
             self._start(self._decode(action) if isinstance(action, Decode) else self._present(action))
+        if self.player.finished:  # by a timer, or by what sending met: nothing would wake this up
+            return
         timer = self.player.next_timer_us()
         wait_s = None if timer is None else max((timer - now_us()) / 1e6, 0.0)
         try:

@@ -71,8 +71,7 @@ def test_a_server_that_goes_away_is_named_and_the_client_ends(bundle, tmp_path):
                 f"ws://127.0.0.1:{port}/stream",
                 "--json",
                 str(tmp_path / "r.jsonl"),
-                "--start-delay-ms",
-                "9000",
+                *("--start-delay-ms", "9000", "--reconnect-s", "0.5"),
                 *SIZE,
             ],
         )

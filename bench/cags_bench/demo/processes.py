@@ -75,8 +75,9 @@ class ProcessGroup:
                 process.stop()
 
     def start(self, module: str, arguments: Sequence[str]) -> Process:
-        """Start ``python -m module arguments``; its stderr goes to ``logs/module.log``."""
-        log = self.logs / f"{module}.log"
+        """Start ``python -m module arguments``; its stderr goes to ``logs/module.log`` (``module-2.log``, ..)."""
+        number = 1 + sum(process.name == module for process in self._running)
+        log = self.logs / (f"{module}.log" if number == 1 else f"{module}-{number}.log")
         with log.open("w", encoding="utf-8") as stderr:
             handle = subprocess.Popen(
                 [sys.executable, "-m", module, *arguments],

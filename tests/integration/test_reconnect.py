@@ -1,0 +1,98 @@
+"""Connections that break between real processes: the client takes the session up again and plays to the end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cags_bench.bundles import cached_bundle
+from cags_bench.demo.processes import Process, ProcessGroup
+from cags_encoder import EncodeSettings
+
+SIZE = ("--width", "96", "--height", "72", "--restore", "none")
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    settings = EncodeSettings(frames=180, train_splats=4096)
+    return cached_bundle("procedural:size=800,frames=60", str(tmp_path_factory.mktemp("bundles")), settings)
+
+
+def until(what: Callable[[], bool], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < deadline, "it did not come about"
+        time.sleep(0.02)
+
+
+def plays(server: Process) -> bool:
+    """Whether a client of the server has joined."""
+    return "joined" in server.log.read_text()
+
+
+def outcome(client: Process, report: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    assert client.handle.wait(60) == 0, client.last_words()
+    lines = [json.loads(line) for line in report.read_text().splitlines()]
+    return lines[:-1], lines[-1]
+
+
+def watch(group: ProcessGroup, url: str, report: Path) -> Process:
+    return group.start("cags_client", ["--url", url, *SIZE, "--json", str(report), "--start-delay-ms", "1500"])
+
+
+def test_a_link_that_is_killed_midway_is_replaced_and_the_play_goes_on(bundle: Path, tmp_path: Path) -> None:
+    report = tmp_path / "frames.jsonl"
+    with ProcessGroup(tmp_path) as group:
+        server = group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"])
+        to = f"127.0.0.1:{server.ready()['port']}"
+        shaper = group.start("cags_shaper", ["--listen", "127.0.0.1:0", "--to", to, "--json"])
+        port = shaper.ready()["port"]
+        client = watch(group, f"ws://127.0.0.1:{port}/stream", report)
+        until(lambda: plays(server))
+        time.sleep(3.0)
+        shaper.handle.send_signal(signal.SIGKILL)
+        shaper.handle.wait(10)
+        group.start("cags_shaper", ["--listen", f"127.0.0.1:{port}", "--to", to, "--json"]).ready()
+        frames, summary = outcome(client, report)
+    assert summary["reconnects"] == 1
+    assert frames[-1]["frame"] == 179
+    away = [f["frame"] for f in frames if f["missed"]]
+    assert not frames[-1]["missed"], f"whole again at the end; missed {away}"
+    assert all(f["lod_mean"] is not None for f in frames), "something is shown in every frame"
+
+
+def test_another_server_takes_over_when_one_is_killed(bundle: Path, tmp_path: Path) -> None:
+    report = tmp_path / "frames.jsonl"
+    with ProcessGroup(tmp_path) as group:
+        servers = [group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"]) for _ in range(2)]
+        urls = [f"ws://127.0.0.1:{server.ready()['port']}/stream" for server in servers]
+        client = watch(group, ",".join(urls), report)
+        until(lambda: plays(servers[0]))
+        time.sleep(3.0)
+        servers[0].handle.send_signal(signal.SIGKILL)
+        frames, summary = outcome(client, report)
+        assert plays(servers[1])
+    assert summary["reconnects"] == 1
+    assert summary["away_ms"] < 2_000
+    assert not frames[-1]["missed"]
+
+
+def test_a_server_that_shuts_down_in_order_hands_its_clients_over(bundle: Path, tmp_path: Path) -> None:
+    report = tmp_path / "frames.jsonl"
+    with ProcessGroup(tmp_path) as group:
+        servers = [group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"]) for _ in range(2)]
+        urls = [f"ws://127.0.0.1:{server.ready()['port']}/stream" for server in servers]
+        client = watch(group, ",".join(urls), report)
+        until(lambda: plays(servers[0]))
+        time.sleep(2.0)
+        servers[0].handle.send_signal(signal.SIGTERM)
+        frames, summary = outcome(client, report)
+        assert servers[0].handle.wait(20) == 0
+    assert summary["reconnects"] == 1
+    assert not frames[-1]["missed"]
