@@ -138,7 +138,8 @@ class ClientPipeline:
         """LoDs shown of each tile (source frame, tile) that has a splat in the picture from ``camera``; draws it."""
         if self._scene is None or self._scene_store is None:
             return {}
-        view = self._scene.render(camera, replace(self._options(), contribution=True, depth=DepthKind.NONE))
+        options = RenderOptions(contribution=True, depth=DepthKind.NONE, max_sh_degree=0, threads=self.settings.threads)
+        view = self._scene.render(camera, options)
         assert view.contribution is not None
         return self._scene_store.visible_lods(view.contribution)
 

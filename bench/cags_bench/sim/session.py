@@ -197,7 +197,7 @@ class _Simulation:
             out["wasted_bytes"] = self.usage.wasted_bytes(dropped_bytes)
             out["wasted_share"] = out["wasted_bytes"] / max(self.usage.arrived_bytes + dropped_bytes, 1)
         out["first_picture_ms"] = started_us / 1e3
-        out["link_effects"] = sorted(self.down.link.effects)
+        out["link_effects"] = sorted(self.world.down.link.effects)
         out["capacity_mbps"] = self.trace.mean_bps(0, max(self.world.now_us, 1)) / 1e6
         return out
 

@@ -189,9 +189,13 @@ class InteractivePlayer(Player):
         if self.stats.started_us is None:
             return None
         if self._awaited is not None or not self.playing:
-            return Control("pause", self.frame if self._awaited is None else self._awaited[0], now_us, self.rate)
-        control = super()._state_of_play(now_us)
-        return None if control is None else replace(control, rate=self.rate)
+            control = Control("pause", self.frame if self._awaited is None else self._awaited[0], now_us)
+        else:
+            going = super()._state_of_play(now_us)
+            assert going is not None
+            control = going
+        keeps = self.pipeline is not None and self.pipeline.keeps(control.frame)
+        return replace(control, rate=self.rate, loop=self._loop_told, keeps=keeps)
 
     def _frame_due_us(self, frame: int) -> int:
         assert self.info is not None
