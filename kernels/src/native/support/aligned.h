@@ -1,13 +1,30 @@
-// A grow-only array on a cache-line boundary.
+// A grow-only array on a cache-line boundary; large ones ask for large pages.
 #pragma once
 #include <cstddef>
 #include <cstdlib>
 #include <new>
 #include <utility>
 
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
 namespace cags {
 
 inline constexpr size_t kCacheLine = 64;
+inline constexpr size_t kLargePage = size_t{2} << 20;
+
+// Memory for `bytes`, or null; std::free gives it back. A frame jumps about in megabytes of records and entries: with pages
+// of 4 KiB every jump would miss the translation buffer as well as the cache.
+inline void* allocate_aligned(size_t bytes) {
+  const size_t unit = bytes >= 2 * kLargePage ? kLargePage : kCacheLine;
+  const size_t whole = (bytes + unit - 1) / unit * unit;
+  void* memory = std::aligned_alloc(unit, whole);
+#if defined(__linux__)
+  if (memory && unit == kLargePage) madvise(memory, whole, MADV_HUGEPAGE);  // a hint: refused, it only is slower
+#endif
+  return memory;
+}
 
 // Holds trivially copyable elements; growing forgets the old ones. Throws std::bad_alloc.
 template <typename T>
@@ -24,8 +41,7 @@ class AlignedArray {
       std::free(std::exchange(data_, nullptr));
       capacity_ = 0;
       const size_t wanted = count + count / 4;
-      const size_t bytes = (wanted * sizeof(T) + kCacheLine - 1) / kCacheLine * kCacheLine;
-      data_ = static_cast<T*>(std::aligned_alloc(kCacheLine, bytes));
+      data_ = static_cast<T*>(allocate_aligned(wanted * sizeof(T)));
       if (!data_) throw std::bad_alloc();
       capacity_ = wanted;
     }

@@ -1,8 +1,8 @@
 // Stage 5: front-to-back compositing of one block of 4x4 pixels, and its adjoint.
 //
-// A block's splats are taken in runs of up to 64, in three passes: the logarithms of their alphas, the alphas, and the sums
-// that hang together through the transmittance. One loop over all would chain some twenty operations behind each other, more
-// than a processor looks ahead; each of the three is bound by its throughput, and keeps all it needs in registers.
+// A block's splats are taken in runs of up to 64, in two passes: the alphas, and the sums that hang together through the
+// transmittance. One loop over both would chain some fifty cycles behind each other, more than a processor looks ahead. The
+// alphas are done for two splats at a time, operation by operation, so that independent work lies side by side.
 #pragma once
 #include "cags_kernels.h"
 #include "raster/layout.h"
@@ -26,9 +26,9 @@ struct alignas(64) BlockState {
   float transmittance[kBlockPixels], rgb[3][kBlockPixels], depth[kBlockPixels];
 };
 
-// The members of one word of a block's bit set: their positions in the batch, and their log2 alpha, then alpha, by pixel.
+// The members of one word of a block's bit set: their positions in the batch, and their alphas by pixel.
 struct alignas(64) Run {
-  float pixel[kWordBits][kBlockPixels];
+  float pixel[kWordBits][kBlockPixels];  // an even number of rows, see alphas
   uint8_t splat[kWordBits];
   int count;
 };
@@ -58,34 +58,37 @@ inline Grid grid_of(int block) {
   return out;
 }
 
-// First pass: takes the members of a word whose first bit is the batch's splat `first`, and the log2 of their alphas.
-[[gnu::noinline]] inline void powers(const Local* splats, uint64_t members, int first, int block, Run& run) {
-  const Grid grid = grid_of(block);
-  int n = 0;
-  for (; members; members &= members - 1, n++) {
-    const int index = first + __builtin_ctzll(members);
-    const Local& splat = splats[index];
-    run.splat[n] = uint8_t(index);
-    for (int j = 0; j < kVectors; j++) {
-      const Floats t = grid.y[j] * splat.l22 + splat.t0;
-      const Floats s = grid.y[j] * splat.l12 + (grid.x[j] * splat.l11 + splat.s0);
-      store(run.pixel[n] + j * kWidth, splat.log2_opacity - t * t - s * s);
-    }
+// log2 of a splat's alphas at a block's pixels.
+inline void powers(const Local& splat, const Grid& grid, Floats* out) {
+  for (int j = 0; j < kVectors; j++) {
+    const Floats t = grid.y[j] * splat.l22 + splat.t0;
+    const Floats s = grid.y[j] * splat.l12 + (grid.x[j] * splat.l11 + splat.s0);
+    out[j] = splat.log2_opacity - t * t - s * s;
   }
-  run.count = n;
 }
 
-// Second pass: alphas of their logarithms; zero under the cut.
+// First pass: the alphas of a word's members, zero under the cut. The word's first bit is the batch's splat `first`. The last
+// of an odd number is done twice; the run's rows have room for that.
 template <int kDegree>
-[[gnu::noinline]] void alphas(Run& run) {
-  float* pixel = run.pixel[0];
-  for (int i = 0; i < run.count * kBlockPixels; i += kWidth) {
-    const Floats power = load(pixel + i);
-    store(pixel + i, keep(power >= kLog2AlphaCut, lesser(exp2<kDegree>(power), all(kAlphaMax))));
+[[gnu::noinline]] void alphas(const Local* splats, uint64_t members, int first, int block, Run& run) {
+  const Grid grid = grid_of(block);
+  run.count = __builtin_popcountll(members);
+  for (int n = 0; members; n += 2) {
+    const int one = first + __builtin_ctzll(members);
+    members &= members - 1;
+    const int two = members ? first + __builtin_ctzll(members) : one;
+    members &= members - 1;
+    run.splat[n] = uint8_t(one), run.splat[n + 1] = uint8_t(two);
+    Floats power[2 * kVectors], alpha[2 * kVectors];
+    powers(splats[one], grid, power);
+    powers(splats[two], grid, power + kVectors);
+    exp2<kDegree>(power, alpha);
+    for (int j = 0; j < 2 * kVectors; j++)
+      store(run.pixel[n] + j * kWidth, keep(power[j] >= kLog2AlphaCut, lesser(alpha[j], all(kAlphaMax))));
   }
 }
 
-// Third pass: front to back, sums colours and depth into the block, and each splat's weight into input.sums when
+// Second pass: front to back, sums colours and depth into the block, and each splat's weight into input.sums when
 // kContribution. Returns whether the block is finished.
 template <int kDepth, bool kContribution>
 [[gnu::noinline]] bool accumulate(const BlendInput& input, const Run& run, BlockState& state) {
@@ -150,8 +153,7 @@ bool blend(const BlendInput& input, const uint64_t* members, int block, BlockSta
   bool done = false;
   for (int word = 0; word < input.words && !done; word++) {
     if (!members[word]) continue;
-    powers(input.splats, members[word], word * kWordBits, block, run);
-    alphas<kDegree>(run);
+    alphas<kDegree>(input.splats, members[word], word * kWordBits, block, run);
     done = accumulate<kDepth, kContribution>(input, run, state);
     visits += run.count;
   }
@@ -163,8 +165,7 @@ bool blend_back(const BlendInput& input, const uint64_t* members, int block, Blo
   bool done = false;
   for (int word = 0; word < input.words && !done; word++) {
     if (!members[word]) continue;
-    powers(input.splats, members[word], word * kWordBits, block, run);
-    alphas<kDegree>(run);
+    alphas<kDegree>(input.splats, members[word], word * kWordBits, block, run);
     done = accumulate_back(input, run, state);
     visits += run.count;
   }
