@@ -10,16 +10,24 @@ from typing import Any
 from cags_common.errors import ConfigError
 
 SUMMARY = """\
-Bytes, picture quality and times of the quantisers at their LoDs, beside SPZ, Draco alone and gzip of the floats, on
-the same splats and views. Quality is taken over covered pixels (alpha > 0.01 in either picture)."""
+Bytes, picture quality and times of the quantisers at their LoDs, beside SPZ, SOG, Draco alone and gzip of the floats,
+on the same splats and views. Quality is taken over covered pixels (alpha > 0.01 in either picture)."""
 
 EXAMPLES = """\
   cags-bench codec procedural:size=20000 --json
   cags-bench codec plant.splat angel.sog --quantisers layered paper-66 --views 8
-  cags-bench codec plant.splat --lpips lpips_alex.npz --json"""
+  cags-bench codec plant.splat --lpips lpips_alex.npz --json
+  npm install --prefix sog @playcanvas/splat-transform && cags-bench codec plant.splat --splat-transform sog --json"""
 
-SHARED = Path("../shared/scenes")
-_SHARED_SCENES = ("plant/plant.splat", "statues/angel.sog", "statues/st-peter.sog", "guitar/guitar.compressed.ply")
+SHARED = Path("../shared")
+_SHARED_SCENES = (
+    "scenes/plant/plant.splat",
+    "scenes/statues/angel.sog",
+    "scenes/statues/st-peter.sog",
+    "scenes/guitar/guitar.compressed.ply",
+    "scenes/playbot/1_0",
+)
+_SHARED_LPIPS = SHARED / "lpips/lpips_alex.npz"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,13 +39,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--views", type=int, default=8, metavar="N", help="views around each scene (default: 8)")
     parser.add_argument("--points", type=int, default=8, metavar="N", help="LoDs drawn of each ladder (default: 8)")
     parser.add_argument("--width", type=int, default=640, metavar="PX", help="width of the pictures (default: 640)")
-    parser.add_argument("--lpips", metavar="FILE", help="LPIPS weights (.npz); without them LPIPS is left out")
+    parser.add_argument(
+        "--lpips",
+        metavar="FILE",
+        default=str(_SHARED_LPIPS) if _SHARED_LPIPS.exists() else None,
+        help="LPIPS weights (.npz; default: those beside the checkout); without them LPIPS is left out",
+    )
+    parser.add_argument("--splat-transform", metavar="FOLDER", help="where npm installed @playcanvas/splat-transform")
+    parser.add_argument("--threads", type=int, default=2, metavar="N", help="threads of decoding (default: 2)")
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="timed runs after a warm-up (default: 5)")
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield one line a scene, codec and LoD, and the summary with the targets."""
-    for name in ("views", "points", "repeats"):
+    for name in ("views", "points", "repeats", "threads"):
         if not 1 <= getattr(arguments, name) <= 1000:
             raise ConfigError(f"{name} = {getattr(arguments, name)} must lie in [1, 1000]")
     if not 64 <= arguments.width <= 4096:

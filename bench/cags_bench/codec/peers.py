@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import DracoPy
 import numpy as np
 
+from cags_bench.codec.readers import SplatTransform, gsply_read_ms
 from cags_common.attributes import split_attributes
 from cags_common.packing import gunzip_bounded, gzip_bytes
 from cags_common.splats import Splats
+from cags_encoder.formats.sog import parse_sog_bytes
 from cags_encoder.formats.spz import parse_spz, spz_bytes
 
 DRACO_POSITION_BITS = 14
@@ -24,16 +26,38 @@ class Peer:
     name: str
     encode: Callable[[Splats], bytes]
     decode: Callable[[bytes], Splats]
+    readers: Mapping[str, Callable[[bytes, int], float | None]] = field(default_factory=dict)
+    """The format's own readers: (file, timed runs) -> median milliseconds, None where one is not installed."""
 
 
-def peers(truth: Splats) -> list[Peer]:
-    """The formats compared with; ``truth`` gives the ranges and shapes that a real file would hold in its header."""
+def peers(truth: Splats, tool: SplatTransform | None) -> list[Peer]:
+    """The formats compared with; ``truth`` gives the ranges and shapes that a real file would hold in its header.
+
+    SOG needs its own program, ``tool``; its k-means alone decides how good the files are.
+    """
     draco = _DracoAlone(truth)
-    return [
-        Peer("spz", spz_bytes, lambda data: parse_spz(data, "spz")),
+    found = [
+        _spz(tool),
         Peer("draco", draco.encode, draco.decode),
         Peer("gzip-float32", _gzip, lambda data: _gunzip(data, truth)),
     ]
+    return found if tool is None else [*found, _sog(tool)]
+
+
+def _spz(tool: SplatTransform | None) -> Peer:
+    readers: dict[str, Callable[[bytes, int], float | None]] = {"gsply": gsply_read_ms}
+    if tool is not None:
+        readers["splat-transform"] = lambda data, repeats: tool.read_ms(data, ".spz", repeats)
+    return Peer("spz", spz_bytes, lambda data: parse_spz(data, "spz"), readers)
+
+
+def _sog(tool: SplatTransform) -> Peer:
+    return Peer(
+        "sog",
+        lambda splats: tool.convert(splats, ".sog"),
+        lambda data: parse_sog_bytes(data, "sog"),
+        {"splat-transform": lambda data, repeats: tool.read_ms(data, ".sog", repeats)},
+    )
 
 
 class _DracoAlone:

@@ -1,0 +1,76 @@
+"""What the codec is to show, beside what it showed."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from cags_bench.codec.bjontegaard import Curve, bd_psnr_db, bd_rate
+from cags_bench.jsonl import check
+
+Line = dict[str, Any]
+DEFAULT, ANCHOR = "layered", "paper-66"
+
+
+def checks(lines: Sequence[Line]) -> list[Line]:
+    """Every target that the measured ``lines`` have something to say about."""
+    ours = [line for line in lines if line["codec"] == DEFAULT]
+    scenes = list(dict.fromkeys(line["scene"] for line in ours))
+    tops = {scene: max((x for x in ours if x["scene"] == scene), key=lambda x: x["lod"]) for scene in scenes}
+    return [
+        *_rate_distortion(lines, scenes),
+        *(_top(scene, tops[scene]) for scene in scenes if tops[scene]["sh_degree"] == 0),
+        *(_time(scene, tops[scene]) for scene in scenes),
+        *(_changed(scene, tops[scene]) for scene in scenes),
+        *_beside(lines, ours),
+    ]
+
+
+def _rate_distortion(lines: Sequence[Line], scenes: list[str]) -> Iterator[Line]:
+    def curve(scene: str, codec: str) -> Curve:
+        return [(x["bytes"], x["psnr_db"]) for x in lines if (x["scene"], x["codec"]) == (scene, codec)]
+
+    pairs = [(curve(scene, DEFAULT), curve(scene, ANCHOR)) for scene in scenes if curve(scene, ANCHOR)]
+    if not pairs:
+        return
+    gains = [gain for pair in pairs if (gain := bd_psnr_db(*pair)) is not None]
+    rates = [rate for pair in pairs if (rate := bd_rate(*pair)) is not None]
+    gain, rate = statistics.fmean(gains) if gains else None, statistics.fmean(rates) if rates else None
+    enough = (gain is not None and gain >= 4) or (rate is not None and rate <= -0.35)
+    target = f">= 4 dB over {ANCHOR} at equal bytes, or <= -0.35 of its bytes at equal PSNR, mean of the scenes"
+    yield check("bd_psnr_db, bd_rate", target, [gain, rate], enough)
+    yield check("bd_psnr_db_worst", f"never worse than {ANCHOR}", min(gains, default=None), min(gains, default=-1) >= 0)
+
+
+def _top(scene: str, line: Line) -> Line:
+    size, quality = line["bytes_a_splat"], line["psnr_db"]
+    target = ">= 43 dB at <= 11 bytes a splat (SH degree 0)"
+    return check(f"top_lod {scene}", target, [size, quality], size <= 11 and quality >= 43)
+
+
+def _time(scene: str, line: Line) -> Line:
+    scaled = line["decode_ms"] * 150_000 / line["splats"]
+    return check(f"decode_ms_150k {scene}", "< 20 ms for 150,000 splats", scaled, scaled < 20)
+
+
+def _changed(scene: str, line: Line) -> Line:
+    scaled = line["changed_decode_ms"] * 4_000 / line["changed_splats"]
+    return check(f"changed_decode_ms {scene}", "< 2 ms for 4,000 changed splats", scaled, scaled < 2)
+
+
+def _beside(lines: Sequence[Line], ours: list[Line]) -> Iterator[Line]:
+    """Decoding beside other formats' own readers, at the lowest LoD of ours that looks as good, or else the top."""
+    for peer in lines:
+        known = [taken for taken in peer.get("reader_ms", {}).values() if taken is not None]
+        ladder = sorted((x for x in ours if x["scene"] == peer["scene"]), key=lambda x: x["lod"])
+        if not known or not ladder:
+            continue
+        as_good = [x for x in ladder if x["psnr_db"] >= peer["psnr_db"]]
+        line = as_good[0] if as_good else ladder[-1]
+        yield check(
+            f"decode_beside {peer['codec']} {peer['scene']}",
+            "no slower than its fastest own reader at equal quality [ms, ms, dB, dB]",
+            [line["decode_ms"], min(known), line["psnr_db"], peer["psnr_db"]],
+            bool(as_good) and line["decode_ms"] <= min(known),
+        )

@@ -1,0 +1,147 @@
+"""One quantiser on one scene: bytes, pictures and times of its LoDs, and of a frame of changed splats."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from cags_bench.codec.views import Judge
+from cags_client.opening import TileOpener
+from cags_common.bundle import Manifest
+from cags_common.codecs import tile_codec
+from cags_common.errors import DecodeError
+from cags_common.morton import tile_ranges
+from cags_common.raster import create
+from cags_common.splats import Splats
+from cags_common.tiles import KEY_TILE_SPLATS, position_bytes
+from cags_encoder import EncodeSettings
+from cags_encoder.measuring import cameras_around, measured
+from cags_encoder.pipeline import near_plane
+from cags_encoder.scenes import FrameSource
+from cags_encoder.svq_codec import SvqCodec
+
+Line = dict[str, Any]
+Tile = tuple[bytes, ...]
+"""Payloads LoD by LoD."""
+
+TRAIN_SPLATS = 65_536
+CHANGED_SPLATS = 4_000
+"""Of the later frame whose decoding is timed."""
+
+
+@dataclass(frozen=True)
+class LadderSettings:
+    """How a ladder is taken."""
+
+    points: int
+    """LoDs that are drawn."""
+    repeats: int
+    """Timed runs after a warm-up."""
+    threads: int
+    """Of decoding."""
+
+
+def ladder(
+    source: FrameSource, splats: Splats, quantiser: str, judge: Judge, settings: LadderSettings
+) -> Iterator[Line]:
+    """A line a LoD. ``splats`` are in Morton order."""
+    start = time.perf_counter()
+    codec = train(source, splats, quantiser)
+    train_s = time.perf_counter() - start
+    tiles, books = encode(codec, splats), codec.codebooks()
+    changed = encode_changed(codec, splats)
+    opener = TileOpener(tile_codec(_manifest(codec), books), settings.threads)
+    always = {
+        "train_s": train_s,
+        "encode_ms": median_ms(partial(encode, codec, splats), 1),
+        "changed_splats": min(CHANGED_SPLATS, len(splats)),
+        "changed_bytes": sum(map(len, changed)),
+        "changed_decode_ms": median_ms(partial(decode, opener, [changed], len(codec.lod_order)), 5 * settings.repeats),
+    }
+    for lod in np.unique(np.linspace(0, len(codec.lod_order), settings.points).astype(int)):
+        shown = partial(decode, opener, tiles, int(lod))
+        yield {
+            "codec": quantiser,
+            "lod": int(lod),
+            **sizes(tiles, int(lod), len(books), len(splats)),
+            **asdict(judge(shown())),
+            **always,
+            "decode_ms": median_ms(shown, settings.repeats),
+        }
+
+
+def train(source: FrameSource, splats: Splats, quantiser: str) -> SvqCodec:
+    """Codebooks of a sample and, with a rasteriser, the measured LoD order."""
+    rows = np.sort(np.random.default_rng(0).permutation(len(splats))[:TRAIN_SPLATS])
+    codec = SvqCodec.train(splats.take(rows), EncodeSettings(quantiser=quantiser))
+    rasteriser = create("auto")
+    if rasteriser.name == "reference":
+        return codec
+    focus = source.focus
+    cameras = cameras_around(focus.centre, focus.radius, source.up, near_plane(focus))
+    return measured(codec, splats, cameras, rasteriser, lambda at, end: None)
+
+
+def encode(codec: SvqCodec, splats: Splats) -> list[Tile]:
+    """All splats as a key frame."""
+    coded = codec.quantise(codec.prepare(splats))
+    return [
+        codec.encode_tile(np.arange(first, end, dtype=np.int32), coded.take(slice(first, end)), id_range=True).payloads
+        for first, end in tile_ranges(len(splats), KEY_TILE_SPLATS)
+    ]
+
+
+def encode_changed(codec: SvqCodec, splats: Splats) -> Tile:
+    """A later frame's tile: splats here and there, as a moving thing would leave them, with their ids."""
+    count = min(CHANGED_SPLATS, len(splats))
+    ids = np.sort(np.random.default_rng(0).permutation(len(splats))[:count]).astype(np.int32)
+    return codec.encode_tile(ids, codec.quantise(codec.prepare(splats.take(ids))), id_range=False).payloads
+
+
+def decode(opener: TileOpener, tiles: list[Tile], lod: int) -> Splats:
+    """What a client shows of ``tiles`` up to ``lod``."""
+    states = []
+    for opened, payloads in zip(opener.open([memoryview(tile[0]) for tile in tiles]), tiles, strict=True):
+        if isinstance(opened, DecodeError):
+            raise opened
+        for level in range(1, lod + 1):
+            opened.state.add_layer(level, payloads[level])
+        states.append(opened.state)
+    return Splats.concatenate(opener.dequantise(states))
+
+
+def sizes(tiles: list[Tile], lod: int, codebooks: int, splats: int) -> Line:
+    """Bytes up to ``lod``, in all and by part."""
+    positions = sum(position_bytes(payloads[0]) for payloads in tiles)
+    base = sum(len(payloads[0]) for payloads in tiles)
+    total = sum(len(payload) for payloads in tiles for payload in payloads[: lod + 1])
+    return {
+        "splats": splats,
+        "bytes": total + codebooks,
+        "bytes_a_splat": total / splats,
+        "bytes_positions": positions,
+        "bytes_base": base - positions,
+        "bytes_layers": total - base,
+        "bytes_codebooks": codebooks,
+    }
+
+
+def median_ms(work: Callable[[], object], repeats: int) -> float:
+    """Median of ``repeats`` runs after one that warms up."""
+    work()
+    taken = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        taken.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(taken)
+
+
+def _manifest(codec: SvqCodec) -> Manifest:
+    return Manifest("", 30.0, 1, (0,), (0,), 0, ((0, 0, 0), (0, 0, 0)), codec.lod_order, ())
