@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +26,8 @@ EXAMPLES = """\
   cags-client --url ws://127.0.0.1:8765/stream
   cags-client --url ws://a:8765/stream,ws://b:8765/stream          b takes over when a is gone
   cags-client --url ws://127.0.0.1:8765/stream --view              a page to look at and to steer
-  cags-client --url ws://127.0.0.1:8765/stream --poses walk.csv --save clip.mp4
+  cags-client --url ws://127.0.0.1:8765/stream --poses walk.csv --record clip.mp4
+  cags-client --url ws://127.0.0.1:8765/stream --headless --duration 5 --json -
   cags-client --url ws://host:8765/stream --poses synthetic:turning:seed=3 --width 1600 --height 1200 \\
       --truth scene.bundle --json report.jsonl --stages pictures --duration 5
 """
@@ -41,6 +43,7 @@ class _Outputs:
     stages: str | None
     stages_every: int
     view: bool
+    headless: bool
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -63,7 +66,10 @@ def _parser() -> argparse.ArgumentParser:
         help="head motion: a CSV trace (time_s,px,py,pz,qw,qx,qy,qz), or synthetic:"
         "{still,looking,turning,walking,jitter}[:seed=N] (default: synthetic:walking)",
     )
-    parser.add_argument("--save", metavar="DIR|FILE.mp4", help="write shown frames: a folder of PNG files or a clip")
+    parser.add_argument(
+        "--save", "--record", metavar="DIR|FILE.mp4", help="write shown frames: a folder of PNG files or a clip"
+    )
+    parser.add_argument("--headless", action="store_true", help="no live table, even in a terminal")
     parser.add_argument("--json", metavar="FILE|-", help="write a JSON line a frame and a summary line")
     parser.add_argument("--truth", metavar="BUNDLE", help="score every frame against the source frames of this bundle")
     parser.add_argument("--stages", metavar="DIR", help="write the intermediate pictures of some frames")
@@ -98,7 +104,7 @@ def _body(argv: Sequence[str]) -> int | None:
     from cags_client.settings import ClientSettings
 
     settings = load_settings(ClientSettings, arguments)
-    names = ("url", "poses", "save", "json", "truth", "stages", "stages_every", "view")
+    names = ("url", "poses", "save", "json", "truth", "stages", "stages_every", "view", "headless")
     outputs = _Outputs(**{name: getattr(arguments, name) for name in names})
     if outputs.stages_every < 1:
         raise ConfigError(f"stages_every = {outputs.stages_every} must be at least 1")
@@ -125,21 +131,33 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> None:
     focus = Focus(info.focus_centre, info.focus_radius, info.up)
     poses = open_poses(outputs.poses, focus, window_us=_window_us(settings, info))
     sinks, spool = _open_sinks(outputs, info)
-    progress = _Progress(info.frames - settings.start_frame)
     completed = False
     try:
-        playback = run_playback(
-            outputs.url, settings, poses, sinks, near=info.near, on_frame=lambda record: progress.step("playing")
-        )
+        with _shown_live(info, outputs) as on_frame:
+            playback = run_playback(outputs.url, settings, poses, sinks, near=info.near, on_frame=on_frame)
         completed = True
     finally:
         close_sinks(sinks, completed=completed)
-        progress.end()
     records = playback.frames
     if spool is not None and truth is not None:
         _score(records, spool, truth, outputs)
     last = summary(records, playback.player.stats)
     _report(outputs.json, [*records, last])
+
+
+@contextmanager
+def _shown_live(info: Manifest, outputs: _Outputs) -> Iterator[Callable[[dict[str, Any]], None] | None]:
+    """Takes the records of frames for a live table, where somebody looks."""
+    from cags_common.terminal import live_table, watched
+
+    if not watched(headless=outputs.headless):
+        yield None
+        return
+    from cags_client.board import Board
+
+    board = Board(f"{info.name}  {outputs.url}", info.frames)
+    with live_table(board.table):
+        yield board.add
 
 
 def _view_settings(arguments: argparse.Namespace) -> ViewSettings:
@@ -171,18 +189,20 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
     info = fetch_info(outputs.url)
     focus = Focus(info.focus_centre, info.focus_radius, info.up)
     walk = open_poses(outputs.poses, focus, window_us=_window_us(settings, info))
-    playback = asyncio.run(
-        watch_live(
-            outputs.url,
-            settings,
-            view,
-            info,
-            walk=walk,
-            sinks=(),
-            truth=truth,
-            on_ready=_tell_page(outputs.json == "-"),
+    with _shown_live(info, outputs) as on_frame:
+        playback = asyncio.run(
+            watch_live(
+                outputs.url,
+                settings,
+                view,
+                info,
+                walk=walk,
+                sinks=(),
+                truth=truth,
+                on_ready=_tell_page(outputs.json == "-"),
+                on_frame=on_frame,
+            )
         )
-    )
     if outputs.json:
         _report(outputs.json, [*playback.frames, summary(playback.frames, playback.player.stats)])
 

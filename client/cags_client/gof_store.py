@@ -293,6 +293,12 @@ class GofStore:
             self._kept_splats = self._late_bytes = 0
             self._rewound = True
 
+    @property
+    def newest(self) -> int:
+        """The newest frame that has come whole; -1 before any."""
+        with self._lock:
+            return max(self._ended, default=-1)
+
     def holds(self, frame: int) -> bool:
         """Whether ``frame`` can be shown whole at once."""
         with self._lock:

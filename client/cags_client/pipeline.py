@@ -56,6 +56,8 @@ class PresentedFrame:
     stages_ms: dict[str, float]
     effects: EffectPlan
     """What was done for this frame, and by that what was left out."""
+    buffer_ms: float = 0.0
+    """Media that has come whole and is not yet due: how long the link may fail unseen."""
 
 
 class ClientPipeline:
@@ -176,6 +178,7 @@ class ClientPipeline:
             reference=reference,
             lod_mean=store.lod_mean(camera, own.contribution if own is not None else None),
             missed=committed.missed,
+            buffer_ms=self._store.ahead(frame) * 1e3 / self.info.fps,
             stages_ms=watch.stages_ms,
             effects=plan,
         )

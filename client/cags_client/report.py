@@ -29,6 +29,7 @@ def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> di
         "latency_ms": (shown_us - action.due_us) / 1e3,
         "lod_mean": presented.lod_mean,
         "missed": presented.missed,
+        "buffer_ms": presented.buffer_ms,
         "bytes_tiles": action.traffic.tiles_bytes,
         "bytes_reference": action.traffic.reference_bytes,
         "reference_frame": reference.frame if reference else None,

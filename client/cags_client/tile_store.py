@@ -97,6 +97,12 @@ class TileStore:
         store = self._gofs.get(self._manifest.gof_of(frame))
         return store is not None and store.holds(frame)
 
+    def ahead(self, frame: int) -> int:
+        """Frames after ``frame`` up to the newest that has come whole."""
+        with self._lock:
+            stores = list(self._gofs.values())
+        return max(max((store.newest for store in stores), default=-1) - frame, 0)
+
     def held(self) -> list[HeldTile]:
         """Every tile that would not have to be sent again."""
         with self._lock:

@@ -24,6 +24,7 @@ from cags_server.connection import Connection
 from cags_server.library import SceneLibrary
 from cags_server.metrics import Totals, exposition
 from cags_server.quota import Quotas
+from cags_server.records import StreamStats
 from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
 
@@ -53,6 +54,10 @@ class App:
         app.router.add_get("/bundle", self._bundle)
         app.router.add_get("/stream", self._stream)
         return app
+
+    def sessions(self) -> list[tuple[str, StreamStats]]:
+        """Name and figures of every client that has been let in."""
+        return [(name, c.stats) for name, (_, c) in list(self._clients.items()) if c.streamer is not None]
 
     async def drain(self) -> None:
         """Let no one in any more, and say goodbye to everybody who is."""
@@ -149,8 +154,8 @@ class App:
             write_session(Path(self._settings.session_logs), name, connection.stats, ending)
 
 
-async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int], None]) -> None:
-    """Serve until SIGTERM or SIGINT. ``on_ready`` is told the host and the actual port.
+async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int, App], None]) -> None:
+    """Serve until SIGTERM or SIGINT. ``on_ready`` is told the host, the actual port and what serves there.
 
     Raises :class:`NetworkError` where the address cannot be listened on.
     """
@@ -168,7 +173,7 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
                 "stop the program that uses it or give another --port"
             ) from error
         stop = _stop_on_signals()
-        on_ready(settings.host, int(runner.addresses[0][1]))
+        on_ready(settings.host, int(runner.addresses[0][1]), app)
         await stop.wait()
         await app.drain()
     finally:

@@ -6,6 +6,7 @@ import json
 import logging
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 
 from cags_common.cli import command_parser, run_command
 from cags_common.settings import add_settings, load_settings
@@ -30,6 +31,7 @@ def _serve(argv: Sequence[str]) -> None:
     parser = command_parser("cags-server", "Serve a bundle over HTTP and WebSocket.", EXAMPLES)
     add_settings(parser, ServeSettings)
     parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
+    parser.add_argument("--headless", action="store_true", help="no live table, even in a terminal")
     arguments = parser.parse_args(argv)
     settings = load_settings(ServeSettings, arguments)
     _start_logging(settings)
@@ -38,23 +40,28 @@ def _serve(argv: Sequence[str]) -> None:
 
     from cags_common import raster
     from cags_common.bundle import BundleReader
+    from cags_common.terminal import live_table, watched
     from cags_server.admission import tls_context
-    from cags_server.app import serve
+    from cags_server.app import App, serve
+    from cags_server.board import sessions_table
     from cags_server.library import SceneLibrary
     from cags_server.streamer import check_choices
 
     check_choices(settings)
     tls_context(settings.tls_cert, settings.tls_key)
 
-    def ready(host: str, port: int) -> None:
+    def ready(host: str, port: int, app: App) -> None:
         line = json.dumps({"ready": True, "host": host, "port": port})
-        print(line if arguments.json else f"serving {settings.bundle} on ws://{host}:{port}/stream", flush=True)
+        address = f"ws://{host}:{port}/stream"
+        print(line if arguments.json else f"serving {settings.bundle} on {address}", flush=True)
+        if watched(headless=arguments.headless or arguments.json):
+            shown.enter_context(live_table(lambda: sessions_table(address, app.sessions())))
 
     if settings.host not in ("127.0.0.1", "::1", "localhost") and not settings.token:
         logging.getLogger(__name__).warning(
             "listening on %s without --token: anyone who reaches it may watch", settings.host
         )
-    with BundleReader.open(settings.bundle) as reader:
+    with ExitStack() as shown, BundleReader.open(settings.bundle) as reader:
         library = SceneLibrary(reader, raster.create(settings.rasteriser))
         asyncio.run(serve(library, settings, ready))
 

@@ -55,4 +55,4 @@ async def test_a_port_in_use_is_named() -> None:
         port = taken.getsockname()[1]
         settings = ServeSettings(bundle="in memory", port=port)
         with pytest.raises(NetworkError, match=rf"cannot listen on 127\.0\.0\.1:{port} \(address already in use\)"):
-            await serve(library(), settings, lambda host, port: None)
+            await serve(library(), settings, lambda host, port, app: None)

@@ -307,3 +307,13 @@ def test_many_at_once_on_two_threads_end_as_one_by_one_and_only_the_damaged_are_
     assert xs(one, 0) == xs(two, 0) == [1, 1, 1, 2, 2, 4, *[-1] * (CAPACITY - 6)]
     for (name, a), (_, b) in zip(one.commit(0)[0].splats.arrays(), two.commit(0)[0].splats.arrays(), strict=True):
         assert np.array_equal(a, b), name
+
+
+def test_what_has_come_whole_ahead_of_the_display_is_told(store: TileStore) -> None:
+    assert store.ahead(0) == 0
+    for frame in (0, 1, 4):  # of two groups
+        store.add(frame, 0, 0, [base([0], 1)])
+        store.end(frame, removed())
+    store.commit(0)
+    assert store.ahead(0) == 4
+    assert store.ahead(5) == 0

@@ -8,8 +8,11 @@ import pytest
 from cags_client.pipeline import PresentedFrame
 from cags_client.view import LiveView, ShownFrame, ViewSettings
 from cags_client.view.sink import ViewSink
+from cags_common.effects import EffectPlan
 from cags_common.geometry import Camera
 from support.live_page import INTRINSICS, StillWalk
+
+NOTHING = EffectPlan(frozenset())
 
 
 class Watched(LiveView):
@@ -27,7 +30,9 @@ def presented(frame: int) -> PresentedFrame:
     picture = np.zeros((480, 640, 3), np.float32)
     depth = np.full((480, 640), np.inf, np.float32)
     camera = Camera(INTRINSICS, StillWalk().pose_at(0))
-    return PresentedFrame(frame, camera, picture, picture, None, depth, depth, None, 2.5, False, {"raster": 9.0})
+    return PresentedFrame(
+        frame, camera, picture, picture, None, depth, depth, None, 2.5, False, {"raster": 9.0}, NOTHING
+    )
 
 
 @pytest.fixture
