@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,11 +21,11 @@ def default_cache() -> Path:
     return Path(root) / "cags-stream" / "bundles"
 
 
-def cached_bundle(scene: str, cache: str, settings: EncodeSettings) -> Path:
+def cached_bundle(scene: str, cache: str, settings: EncodeSettings, *, progress: bool = True) -> Path:
     """Folder of the bundle of ``scene``, encoded now unless the same scene and settings were encoded before.
 
     ``cache`` names the folder of bundles; empty: :func:`default_cache`. A scene of fewer than ``settings.frames``
-    frames is encoded over and over until there are as many.
+    frames is encoded over and over until there are as many. ``progress``: show a bar meanwhile.
     """
     from cags_encoder import content_key, encode
     from cags_encoder.progress import progress_bar
@@ -34,7 +35,7 @@ def cached_bundle(scene: str, cache: str, settings: EncodeSettings) -> Path:
     bundle = folder / content_key(scene, settings)
     if not (bundle / "manifest.json").exists():
         folder.mkdir(parents=True, exist_ok=True)
-        with progress_bar() as tell:
+        with progress_bar() if progress else nullcontext() as tell:
             encode(looped(open_scene(scene), settings.frames), settings, str(bundle), tell)
     return bundle
 

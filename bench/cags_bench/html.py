@@ -22,6 +22,8 @@ td:first-child, th:first-child { text-align: left }
 img { max-width: 100% }
 .default { font-weight: 600 }
 .note { color: #666 }
+.strip { display: flex; flex-wrap: wrap; gap: .5rem }
+figure { margin: 0; flex: 1 1 14rem }
 @media (prefers-color-scheme: dark) {
   body { color: #ddd; background: #181818 }
   td, th { border-color: #444 }

@@ -10,7 +10,7 @@ import numpy as np
 
 from cags_client.pipeline import PresentedFrame
 from cags_common.geometry import F32
-from cags_common.metrics import covered_mask, psnr, ssim
+from cags_common.metrics import covered_mask, flicker, psnr, ssim
 
 
 def score(presented: PresentedFrame, truth_rgb: F32, truth_alpha: F32) -> dict[str, float]:
@@ -36,6 +36,22 @@ def score_pictures(
             out[f"psnr_covered_{name}_db"] = psnr(picture, truth, covered)
             out[f"ssim_{name}"] = ssim(picture, truth)
     return out
+
+
+class FlickerScore:
+    """Temporal stability of a session's distorted and restored pictures; frames must come in order."""
+
+    def __init__(self) -> None:
+        self._before: tuple[int, F32, F32, F32] | None = None
+
+    def __call__(self, presented: PresentedFrame, truth_rgb: F32) -> dict[str, float]:
+        """``flicker_*`` (see :func:`cags_common.metrics.flicker`) of a frame that follows the one before; else none."""
+        now = presented.frame, presented.distorted, presented.rgb, truth_rgb
+        before, self._before = self._before, now
+        if before is None or before[0] + 1 != now[0]:
+            return {}
+        pictures = ("distorted", now[1], before[1]), ("restored", now[2], before[2])
+        return {f"flicker_{name}": flicker(new, old, truth_rgb, before[3]) for name, new, old in pictures}
 
 
 def averages(records: Iterable[dict[str, Any]]) -> dict[str, float]:

@@ -1,5 +1,7 @@
 """Image quality as the 3D Gaussian splatting papers measure it: PSNR and SSIM over display-referred RGB in [0, 1].
 
+:func:`flicker` adds what single pictures cannot show: how steady a video's error is.
+
 PSNR is capped at :data:`MAX_PSNR_DB`, so that averages over frames and JSON records stay finite where two pictures
 are equal. ``covered`` variants look at the pixels that the scene covers alone: void background is equal in every
 picture and would flatter all of them.
@@ -78,6 +80,21 @@ def ssim(picture: F32, truth: F32, mask: NDArray[np.bool_] | None = None) -> flo
     if mask is not None:
         values = values[mask]
     return float(np.mean(values, dtype=np.float64)) if values.size else 1.0
+
+
+def flicker(picture: F32, before: F32, truth: F32, truth_before: F32) -> float:
+    """How much the error of a video changes from one frame to the next, RMS in steps of 1/255; 0 for a steady error.
+
+    All are [H, W, 3]: a frame, the one before, and what they should have been. The motion of the scene and of the
+    camera is in both differences and cancels; what is left is what the eye sees flicker: corrections that come and go,
+    layers that pop in, noise of the reference.
+    """
+    _check(picture, truth)
+    _check(before, truth_before)
+    _check(picture, before)
+    error = np.clip(picture, 0.0, 1.0) - np.clip(truth, 0.0, 1.0)
+    error -= np.clip(before, 0.0, 1.0) - np.clip(truth_before, 0.0, 1.0)
+    return 255.0 * math.sqrt(float(np.mean(np.square(error), dtype=np.float64)))
 
 
 def _check(picture: F32, truth: F32) -> None:

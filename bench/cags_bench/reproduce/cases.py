@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.bundles import cached_bundle
+from cags_bench.bundles import cached_bundle, default_cache
 from cags_bench.jsonl import JsonObject
-from cags_bench.reproduce.cache import ResultCache
+from cags_bench.reproduce.cache import ResultCache, code_digest, content_of
 from cags_bench.reproduce.methods import METHODS
+from cags_bench.reproduce.pictures import Snapshot
 from cags_bench.sim.session import Scenario, simulate
 from cags_bench.traces import scaled_trace
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
-from cags_encoder import EncodeSettings
+from cags_encoder import EncodeSettings, content_key
 from cags_server.settings import ServerSettings
 
 PAPER_SPLATS = 170_000
 """Splats of the paper's first frames: 2.0 MB at 66 bits and about 28 bits of position each."""
+
+SERIES = ("frame", "psnr_restored_db", "psnr_distorted_db", "ssim_restored", "lod_mean", "bytes_tiles")
+"""What is kept of every frame."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,28 @@ class StreamCase:
     trace: str
     mbps: float | None = None
     """A steady rate; None: the rates of ``trace``."""
+    lpips: str = ""
+    """Weights file of LPIPS; empty: not measured."""
+
+    @property
+    def encoding(self) -> EncodeSettings:
+        """How the method wants the scene encoded."""
+        return replace(EncodeSettings(frames=self.frames), **METHODS[self.method].encode)
+
+    def key(self, device: str) -> JsonObject:
+        """What the result depends on, files by their content."""
+        return {
+            "case": asdict(self)
+            | {"scene": _content_key(self.scene, self.encoding)}
+            | {name: content_of(getattr(self, name)) for name in ("poses", "trace", "lpips")},
+            "method": asdict(METHODS[self.method]),
+            "device": device,
+        }
+
+
+@functools.cache
+def _content_key(scene: str, settings: EncodeSettings) -> str:
+    return content_key(scene, settings)
 
 
 @dataclass
@@ -42,28 +69,45 @@ class Runner:
 
     results: ResultCache
     bundles: str = ""
+    """Folder of encoded bundles; empty: a folder of this very code's in the user's cache."""
     device: str = "auto"
+    threads: int = 2
+    """Of one case; the results do not depend on it."""
+    progress: bool = True
+    """Whether encoding shows a bar."""
+
+    def done(self, case: StreamCase) -> bool:
+        """Whether the result of ``case`` is there."""
+        return self.results.holds(case.key(self.device))
 
     def run(self, case: StreamCase) -> JsonObject:
-        """Summary and the per-frame series of one case."""
-        return self.results.get({"case": asdict(case), "device": self.device}, lambda: self._simulate(case))
+        """Summary, per-frame series and a picture of one case."""
+        return self.results.get(case.key(self.device), lambda: self._simulate(case))
 
     def bundle(self, case: StreamCase) -> Path:
         """The scene, encoded as the method wants it."""
-        settings = replace(EncodeSettings(frames=case.frames), **METHODS[case.method].encode)
-        return cached_bundle(case.scene, self.bundles, settings)
+        folder = self.bundles or str(default_cache() / f"code-{code_digest()}")
+        return cached_bundle(case.scene, folder, case.encoding, progress=self.progress)
 
     def _simulate(self, case: StreamCase) -> JsonObject:
         method = METHODS[case.method]
         bundle = self.bundle(case)
-        server = replace(ServerSettings(rasteriser=self.device), **method.server)
-        client = replace(ClientSettings(width=case.width, height=case.height, raster=self.device), **method.client)
-        result = simulate(
-            Scenario(bundle, self.link(case, bundle), case.poses, server=server, client=client, estimator="oracle")
+        server = ServerSettings(rasteriser=self.device, render_threads=self.threads)
+        client = ClientSettings(width=case.width, height=case.height, raster=self.device, threads=self.threads)
+        scenario = Scenario(
+            bundle,
+            self.link(case, bundle),
+            case.poses,
+            server=replace(server, **method.server),
+            client=replace(client, **method.client),
+            estimator="oracle",
+            lpips=case.lpips,
         )
-        keys = ("frame", "psnr_restored_db", "ssim_restored", "lod_mean", "bytes_tiles", "bytes_reference")
-        frames = [{key: line.get(key) for key in keys} for line in result.frames]
-        return {"summary": result.summary, "frames": frames}
+        snapshot = Snapshot(scenario, frame=2 * case.frames // 3)
+        result = simulate(scenario, snapshot.watch)
+        frames = [{key: line.get(key) for key in SERIES} for line in result.frames]
+        summary = result.summary | {"top_lod": _top_lod(bundle)}
+        return {"summary": summary, "frames": frames, "pictures": snapshot.pictures}
 
     def link(self, case: StreamCase, bundle: Path) -> str:
         """The trace, scaled so that the scene gets the bits a splat and second that the paper's scenes get."""
@@ -77,6 +121,14 @@ def _splats(bundle: Path) -> int:
     reader = BundleReader.open(str(bundle))
     try:
         return sum(tile.splats for tile in reader.frame(0).tiles)
+    finally:
+        reader.close()
+
+
+def _top_lod(bundle: Path) -> int:
+    reader = BundleReader.open(str(bundle))
+    try:
+        return reader.manifest.lods - 1
     finally:
         reader.close()
 

@@ -35,6 +35,8 @@ class ReproduceSettings:
     device: str = setting(
         "auto", "renderer: auto, reference, cpu or cuda", choices=("auto", "reference", "cpu", "cuda")
     )
+    workers: int = setting(0, "sessions simulated at the same time; 0: as many as there are cores", low=0, high=256)
+    lpips: str = setting("", "weights of LPIPS (.npz), to measure it too; empty: leave it out")
     out: str = setting("reproduction", "folder for index.html, and a .jsonl and .csv file a table")
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from cags_bench import html
 from cags_bench.jsonl import dump, provenance
 from cags_bench.reproduce.plan import Plan
-from cags_bench.reproduce.section import Plot, Section
+from cags_bench.reproduce.section import Plot, Section, Strip
 
 
 def write_section(out: Path, section: Section) -> None:
@@ -41,6 +41,7 @@ def _section(section: Section) -> str:
         f"<p class=note>{html.escape(section.paper)}</p>",
     ]
     parts += [_plot(plot) for plot in section.plots]
+    parts += [_strip(strip) for strip in section.strips]
     if section.rows:
         parts.append(html.table(section.columns, section.rows))
     if section.checks:
@@ -51,12 +52,23 @@ def _section(section: Section) -> str:
     return "\n".join(parts)
 
 
+def _strip(strip: Strip) -> str:
+    shown = "".join(
+        f"<figure><img alt='{html.escape(p.label)}' src='data:image/jpeg;base64,{p.jpeg}'>"
+        f"<figcaption>{html.escape(p.label)}</figcaption></figure>"
+        for p in strip.pictures
+    )
+    return f"<h3>{html.escape(strip.title)}</h3><div class=strip>{shown}</div>"
+
+
 def _plot(plot: Plot) -> str:
-    figure, axes = html.new_figure(7.5, 3.6)
-    for curve in plot.curves:
-        axes.plot(curve.x, curve.y, marker="." if len(curve.x) < 30 else None, label=curve.label)
+    figure, axes = html.new_figure(9, 3.6)
+    for number, curve in enumerate(plot.curves):
+        style, first = ("-", "--", ":")[number % 3], number == 0  # equal curves stay apart; the first one is ours
+        marker = "." if len(curve.x) < 30 else None
+        axes.plot(curve.x, curve.y, style, marker=marker, lw=2.4 if first else 1.4, label=curve.label)
     axes.set_title(plot.title, fontsize=10)
     axes.set_xlabel(plot.x_label)
     axes.set_ylabel(plot.y_label)
-    axes.legend(fontsize=7)
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.01, 0.5))
     return html.picture(figure, plot.title)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from cags_bench.jsonl import JsonObject
 from cags_bench.reproduce.cases import Runner, StreamCase
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES
+from cags_bench.reproduce.prepare import describe
 from cags_bench.reproduce.section import Section
 
 PAPER_RATES_MBPS = (30.0, 60.0, 90.0, 120.0, 150.0)
@@ -24,6 +26,7 @@ class Plan:
     width: int
     height: int
     quick: bool
+    lpips: str = ""
 
     @property
     def rates_mbps(self) -> tuple[float, ...]:
@@ -49,10 +52,16 @@ class Context:
     runner: Runner
     tell: Callable[[str], None]
 
+    def result(self, case: StreamCase) -> JsonObject:
+        """The result of ``case``."""
+        if not self.runner.done(case):
+            self.tell(describe(case))
+        return self.runner.run(case)
+
     def case(self, scene: str, method: str, mbps: float | None = None) -> StreamCase:
         """One streamed case of the plan."""
         p = self.plan
-        return StreamCase(scene, method, p.poses, p.frames, p.width, p.height, p.trace, mbps)
+        return StreamCase(scene, method, p.poses, p.frames, p.width, p.height, p.trace, mbps, p.lpips)
 
 
 @dataclass(frozen=True)
@@ -64,3 +73,5 @@ class Experiment:
     """``table`` or ``figure``."""
     title: str
     run: Callable[[Context], Section]
+    cases: Callable[[Context], Sequence[StreamCase]] = lambda _: ()
+    """The streamed cases that it will ask for: they are run ahead, side by side."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from cags_bench.reproduce.command import ReproduceSettings
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Context, Experiment, Plan
+from cags_bench.reproduce.prepare import prepare
 from cags_common.errors import ConfigError
 
 QUICK_LIMIT_MIN = 25.0
@@ -27,6 +29,8 @@ def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
     context = Context(plan, Runner(ResultCache(), settings.cache, settings.device), _tell)
     out, sections = Path(settings.out), []
     started = time.monotonic()
+    cases = [case for experiment in chosen for case in experiment.cases(context)]
+    prepare(context.runner, cases, settings.workers or os.cpu_count() or 1, _tell)
     for experiment in chosen:
         section = experiment.run(context)
         sections.append(section)
@@ -70,6 +74,7 @@ def _plan(settings: ReproduceSettings) -> Plan:
         width=settings.width or width,
         height=settings.height or height,
         quick=settings.quick,
+        lpips=settings.lpips,
     )
 
 

@@ -29,6 +29,23 @@ class Plot:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """One picture of a strip."""
+
+    label: str
+    jpeg: str
+    """Base64."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Pictures side by side."""
+
+    title: str
+    pictures: Sequence[Picture]
+
+
+@dataclass(frozen=True)
 class Section:
     """One table or figure."""
 
@@ -39,6 +56,7 @@ class Section:
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[Cell]] = ()
     plots: Sequence[Plot] = ()
+    strips: Sequence[Strip] = ()
     notes: Sequence[str] = ()
     checks: Sequence[dict[str, Any]] = ()
 

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cags_bench.sim.usage import Usage
 from cags_bench.sim.world import Direction, World
@@ -14,12 +14,13 @@ from cags_client.actions import Decode, Present
 from cags_client.pipeline import PresentedFrame
 from cags_client.player import Player
 from cags_client.report import frame_stats, summary
-from cags_client.score import score
+from cags_client.score import FlickerScore, score
 from cags_client.settings import ClientSettings
 from cags_client.truth import BundleTruth
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.errors import ConfigError
+from cags_common.geometry import F32
 from cags_common.poses import Focus, open_poses
 from cags_protocol.client import ClientSession
 from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator, OracleEstimator
@@ -29,7 +30,13 @@ from cags_server.settings import ServerSettings
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import Trace, open_trace
 
+if TYPE_CHECKING:
+    from cags_common.lpips import Lpips
+
 ESTIMATORS = ("oracle", "measured")
+
+LPIPS_EVERY = 15
+"""LPIPS takes a hundred times as long as the other figures together."""
 
 Watcher = Callable[[PresentedFrame, dict[str, Any]], None]
 
@@ -59,6 +66,8 @@ class Scenario:
     """Only every so many-th frame is compared with the truth."""
     cuts: tuple[Cut, ...] = ()
     """When the connection breaks, in order."""
+    lpips: str = ""
+    """Weights file of LPIPS; with one, every :data:`LPIPS_EVERY`-th frame is judged by it too."""
 
     def __post_init__(self) -> None:
         if self.estimator not in ESTIMATORS:
@@ -101,6 +110,8 @@ class _Simulation:
         self.world = World(self.server, self.player, *self._directions(), self._work, alarm=self._next_cut_us)
         self.truth = BundleTruth(str(scenario.bundle), scenario.client) if scenario.scored else None
         self.frames: list[dict[str, Any]] = []
+        self._flicker = FlickerScore()
+        self._lpips = _lpips(scenario)
         self._watch: Watcher | None = None
 
     def run(self, watch: Watcher | None) -> SessionResult:
@@ -185,9 +196,17 @@ class _Simulation:
             self.usage.shown(presented, action.pipeline)
         if self.truth is not None and presented.frame % self.scenario.score_every == 0:
             record |= score(presented, *self.truth(presented.frame, presented.camera))
+        if self.truth is not None:
+            record |= self._scored(presented, *self.truth(presented.frame, presented.camera))
         self.frames.append(record)
         if self._watch is not None:
             self._watch(presented, record)
+
+    def _scored(self, presented: PresentedFrame, truth: F32, alpha: F32) -> dict[str, float]:
+        out = score(presented, truth, alpha) | self._flicker(presented, truth)
+        if self._lpips is not None and presented.frame % LPIPS_EVERY == 0:
+            out["lpips_restored"] = self._lpips.distance(presented.rgb.clip(0, 1), truth.clip(0, 1))
+        return out
 
     def _summary(self) -> dict[str, Any]:
         out = summary(self.frames, self.player.stats)
@@ -200,6 +219,14 @@ class _Simulation:
         out["link_effects"] = sorted(self.world.down.link.effects)
         out["capacity_mbps"] = self.trace.mean_bps(0, max(self.world.now_us, 1)) / 1e6
         return out
+
+
+def _lpips(scenario: Scenario) -> Lpips | None:
+    if not (scenario.lpips and scenario.scored):
+        return None
+    from cags_common.lpips import Lpips
+
+    return Lpips(scenario.lpips)
 
 
 def make_estimator(name: str, trace: Trace) -> BandwidthEstimator:

@@ -1,16 +1,20 @@
 """Reproductions: chosen by name, resumed by content, written as pages and data."""
 
 import json
+from dataclasses import replace
+from typing import ClassVar
 
 import pytest
 
-from cags_bench.jsonl import check
+from cags_bench.jsonl import check, dump
 from cags_bench.reproduce.cache import ResultCache
+from cags_bench.reproduce.cases import Runner, StreamCase
 from cags_bench.reproduce.command import ReproduceSettings
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
 from cags_bench.reproduce.page import write_page, write_section
-from cags_bench.reproduce.plan import Plan
+from cags_bench.reproduce.plan import Context, Plan
+from cags_bench.reproduce.prepare import prepare
 from cags_bench.reproduce.run import reproduce
 from cags_bench.reproduce.section import Curve, Plot, Section
 from cags_bench.traces import scaled_trace
@@ -45,7 +49,7 @@ def test_an_interrupted_result_is_not_kept(tmp_path):
     ("settings", "message"),
     [
         (ReproduceSettings(), "nothing is asked for"),
-        (ReproduceSettings(table="fixed"), r"table = 'fixed' is unknown; known: svq"),
+        (ReproduceSettings(table="fixed"), r"table = 'fixed' is unknown; known: svq, rivals"),
         (ReproduceSettings(figure="none"), "figure = 'none' is unknown; known: motivation"),
     ],
 )
@@ -109,3 +113,59 @@ def test_methods_are_configurations_that_the_program_accepts(name):
     restore.create(client.restore)
     create_rate_policy(server.abr)
     create_fov_policy(server.fov)
+
+
+def test_keys_follow_content_and_configuration(tmp_path):
+    case = StreamCase("procedural:size=500,frames=2", "cags", "synthetic:still", 2, 64, 48, "generated:steady-5")
+    key = case.key("cpu")
+    assert key == replace(case).key("cpu")
+    assert key != case.key("reference")
+    assert key != replace(case, method="no-prpa").key("cpu")
+    walk = tmp_path / "walk.csv"
+    walk.write_text("one")
+    before = replace(case, poses=str(walk)).key("cpu")
+    walk.write_text("two")
+    assert replace(case, poses=str(walk)).key("cpu") != before
+
+
+def test_prepared_cases_are_those_that_a_single_process_computes(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    one = StreamCase("procedural:size=500,frames=2", "cags", "synthetic:still", 2, 64, 48, "generated:steady-5", 60.0)
+    cases = [one, replace(one, method="reference-only"), one]
+    told: list[str] = []
+    side_by_side, alone = (Runner(ResultCache(tmp_path / name)) for name in ("pool", "alone"))
+    prepare(side_by_side, cases, 2, told.append)
+    assert len(told) == 3, "one encoding, two sessions"
+    assert all(side_by_side.done(case) for case in cases)
+    for case in cases[:2]:
+        assert dump(side_by_side.run(case)) == dump(alone.run(case))
+        assert set(alone.run(case)["pictures"]) == {"shown", "truth"}
+    prepare(side_by_side, cases, 2, told.append)
+    assert len(told) == 3, "nothing left to do"
+
+
+def test_streamed_experiments_ask_only_for_what_was_run_ahead():
+    class AskedError(Exception):
+        pass
+
+    class Strict:
+        results = ResultCache()
+        prepared: ClassVar[set[StreamCase]] = set()
+
+        def done(self, case: StreamCase) -> bool:
+            return True
+
+        def run(self, case: StreamCase) -> dict:
+            if case not in self.prepared:
+                raise AskedError(case)
+            summary = dict.fromkeys(("psnr_restored_db", "psnr_distorted_db", "ssim_restored", "goodput_mbps"), 1.0)
+            frame = {"frame": 0, "psnr_restored_db": 1.0}
+            more = {"top_lod": 2, "lod_mean": 1.0, "frames": 1, "frames_missed": 0}
+            return {"summary": summary | more, "frames": [frame], "pictures": {}}
+
+    plan = replace(PLAN, scenes=("procedural:size=500,frames=2",))
+    for name in ("fixed", "fluctuating", "rivals", "ablations", "generality", "precision"):
+        runner = Strict()
+        context = Context(plan, runner, print)
+        runner.prepared = set(EXPERIMENTS[name].cases(context))
+        assert EXPERIMENTS[name].run(context).rows

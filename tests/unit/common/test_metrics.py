@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cags_common.metrics import MAX_PSNR_DB, covered_mask, psnr, ssim, ssim_map
+from cags_common.metrics import MAX_PSNR_DB, covered_mask, flicker, psnr, ssim, ssim_map
 
 
 def picture(seed: int, size: tuple[int, int] = (40, 52)) -> np.ndarray:
@@ -69,3 +69,13 @@ def test_ssim_of_equal_pictures_is_one_and_of_an_empty_mask_too() -> None:
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (11, 3)])
 def test_ssim_of_tiny_pictures(size: tuple[int, int]) -> None:
     assert np.isfinite(ssim(picture(5, size), picture(6, size)))
+
+
+def test_flicker_sees_a_changing_error_and_neither_motion_nor_a_steady_one() -> None:
+    before, now = picture(1) / 2, picture(2) / 2
+    assert flicker(now, before, now, before) == 0
+    assert flicker(now + np.float32(0.1), before + np.float32(0.1), now, before) == pytest.approx(0, abs=1e-4)
+    assert flicker(now + np.float32(0.1), before, now, before) == pytest.approx(25.5, rel=1e-4)
+    assert flicker(now + np.float32(0.1), before - np.float32(0.1), now, before) > 40
+    with pytest.raises(ValueError, match="of one size"):
+        flicker(now, before[:-1], now, before[:-1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cags_bench.reproduce.experiments import coding, looking, streaming, timing
+from cags_bench.reproduce.experiments import coding, looking, rivals, streaming, timing
 from cags_bench.reproduce.plan import Experiment
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -15,12 +15,37 @@ EXPERIMENTS: dict[str, Experiment] = {
             coding.motivation,
         ),
         Experiment("svq", "table", "Scalable vector quantisation at its highest level", coding.svq),
-        Experiment("fixed", "figure", "Quality under fixed bandwidth", streaming.fixed),
-        Experiment("fluctuating", "figure", "Quality under fluctuating bandwidth", streaming.fluctuating),
-        Experiment("ablations", "figure", "Without alignment, without the adaptive field of view", streaming.ablations),
-        Experiment("generality", "figure", "Other representations of moving Gaussians", streaming.generality),
+        Experiment("fixed", "figure", "Quality under fixed bandwidth", streaming.fixed, cases=streaming.fixed_cases),
+        Experiment(
+            "fluctuating",
+            "figure",
+            "Quality under fluctuating bandwidth",
+            streaming.fluctuating,
+            cases=streaming.fluctuating_cases,
+        ),
+        Experiment("rivals", "table", "Ours against every baseline", rivals.rivals, cases=rivals.rival_cases),
+        Experiment(
+            "ablations",
+            "figure",
+            "Without alignment, without the adaptive field of view",
+            streaming.ablations,
+            cases=streaming.ablation_cases,
+        ),
+        Experiment(
+            "generality",
+            "figure",
+            "Other representations of moving Gaussians",
+            streaming.generality,
+            cases=streaming.generality_cases,
+        ),
         Experiment("components", "table", "Time of the system's components", timing.components),
-        Experiment("precision", "table", "Prediction and field-of-view precision", looking.precision),
+        Experiment(
+            "precision",
+            "table",
+            "Prediction and field-of-view precision",
+            looking.precision,
+            cases=looking.precision_cases,
+        ),
         Experiment("layers", "figure", "Quality against size of each attribute's layers", coding.layers),
         Experiment("ladder", "figure", "Quality against size along the LoD ladder", coding.ladder),
     )

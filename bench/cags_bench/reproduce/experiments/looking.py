@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cags_bench.reproduce.cases import StreamCase
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Section
 
@@ -13,12 +14,16 @@ PAPER_ROWS: tuple[tuple[Cell, ...], ...] = (
 )
 
 
+def precision_cases(context: Context) -> list[StreamCase]:
+    """Ours over the trace."""
+    return [context.case(scene, "cags") for scene in context.plan.scenes]
+
+
 def precision(context: Context) -> Section:
     """Errors of the poses that references were rendered for, and the share of the view that they covered."""
     rows: list[list[Cell]] = [list(row) for row in PAPER_ROWS]
     for scene in context.plan.scenes:
-        context.tell(f"precision, {scene}")
-        summary = context.runner.run(context.case(scene, "cags"))["summary"]
+        summary = context.result(context.case(scene, "cags"))["summary"]
         share = summary.get("aligned_share")
         rows.append(
             [

@@ -1,0 +1,63 @@
+"""Runs the cases of a reproduction ahead, on all cores: encodings, then sessions; each is kept when done."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+
+from cags_bench.reproduce.cases import Runner, StreamCase
+
+LIBRARY_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+Tell = Callable[[str], None]
+
+
+def prepare(runner: Runner, cases: Iterable[StreamCase], workers: int, tell: Tell) -> None:
+    """Compute every case that is not there yet. An interrupted run loses only the cases that were being computed."""
+    missing = [case for case in dict.fromkeys(cases) if not runner.done(case)]
+    if workers < 2 or len(missing) < 2:
+        return  # the experiments run them one by one
+    one_thread = Runner(runner.results, runner.bundles, runner.device, threads=1, progress=False)
+    with _single_threaded_libraries():
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, mp_context=context) as pool:
+            encodings = {(c.scene, c.encoding): c for c in missing}
+            _await(pool, one_thread.bundle, list(encodings.values()), "encoded", tell)
+            _await(pool, one_thread.run, missing, "streamed", tell)
+
+
+def _await(
+    pool: ProcessPoolExecutor, work: Callable[[StreamCase], object], cases: Sequence[StreamCase], done: str, tell: Tell
+) -> None:
+    futures: dict[Future[object], StreamCase] = {pool.submit(work, case): case for case in cases}
+    try:
+        for count, future in enumerate(as_completed(futures), start=1):
+            future.result()
+            tell(f"{done} {count}/{len(cases)}: {describe(futures[future])}")
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        raise
+
+
+def describe(case: StreamCase) -> str:
+    """A case in words."""
+    return f"{case.scene}, {case.method}" + ("" if case.mbps is None else f", {case.mbps:g} Mbps")
+
+
+@contextmanager
+def _single_threaded_libraries() -> Iterator[None]:
+    """Workers side by side must not each start a pool of threads as large as the machine."""
+    before = {name: os.environ.get(name) for name in LIBRARY_THREADS}
+    os.environ.update(dict.fromkeys(LIBRARY_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
