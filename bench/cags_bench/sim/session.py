@@ -195,8 +195,6 @@ class _Simulation:
         if self.scenario.scored:
             self.usage.shown(presented, action.pipeline)
         if self.truth is not None and presented.frame % self.scenario.score_every == 0:
-            record |= score(presented, *self.truth(presented.frame, presented.camera))
-        if self.truth is not None:
             record |= self._scored(presented, *self.truth(presented.frame, presented.camera))
         self.frames.append(record)
         if self._watch is not None:
