@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from cags_common.settings import check_settings, setting
 
-QUANTISERS = ("layered", "paper-66", "paper-76")
+QUANTISERS = ("layered", "layered-fine", "paper-66", "paper-76")
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,11 @@ class EncodeSettings:
         "'measured' on renders of the first frame (needs the kernels, else as 'paper'), 'paper' (scale, rotation, SH, "
         "opacity), or a file of 'attribute layer' lines",
     )
-    position_step: float = setting(
-        0.125, "step of positions, in radii of a tile's smaller splats (lower quartile)", low=1e-4, high=10
+    position_step: float | None = setting(
+        None,
+        "step of positions, in radii of a tile's smaller splats (lower quartile); 1/8 unless the quantiser has its own",
+        low=1e-4,
+        high=10,
     )
     position_bits: int | None = setting(
         None, "bits an axis of positions over each tile's own cube, instead of position_step", low=4, high=22

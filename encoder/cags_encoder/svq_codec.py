@@ -53,9 +53,11 @@ class SvqCodec:
     @staticmethod
     def train(samples: Splats, settings: EncodeSettings) -> SvqCodec:
         """Train codebooks on ``samples`` and choose the LoD order."""
-        quantiser = train(samples, quantiser_config(settings.quantiser), settings.seed)
+        config = quantiser_config(settings.quantiser)
+        quantiser = train(samples, config, settings.seed)
         order = order_of(settings.lod_order, quantiser.books)
-        return SvqCodec(quantiser, order, (), settings.position_bits, settings.position_step)
+        step = config.position_step if settings.position_step is None else settings.position_step
+        return SvqCodec(quantiser, order, (), settings.position_bits, step)
 
     def codebooks(self) -> bytes:
         """Serialised :class:`~cags_common.svq.CodebookSet`."""

@@ -10,7 +10,7 @@ from cags_bench.codec.bjontegaard import Curve, bd_psnr_db, bd_rate
 from cags_bench.jsonl import check
 
 Line = dict[str, Any]
-DEFAULT, ANCHOR = "layered", "paper-66"
+DEFAULT, FINE, ANCHOR = "layered", "layered-fine", "paper-66"
 
 
 def checks(lines: Sequence[Line]) -> list[Line]:
@@ -23,7 +23,7 @@ def checks(lines: Sequence[Line]) -> list[Line]:
         *(_top(scene, tops[scene]) for scene in scenes if tops[scene]["sh_degree"] == 0),
         *(_time(scene, tops[scene]) for scene in scenes),
         *(_changed(scene, tops[scene]) for scene in scenes),
-        *_beside(lines, ours),
+        *_beside(lines),
     ]
 
 
@@ -59,18 +59,23 @@ def _changed(scene: str, line: Line) -> Line:
     return check(f"changed_decode_ms {scene}", "< 2 ms for 4,000 changed splats", scaled, scaled < 2)
 
 
-def _beside(lines: Sequence[Line], ours: list[Line]) -> Iterator[Line]:
-    """Decoding beside other formats' own readers, at the lowest LoD of ours that looks as good, or else the top."""
+def _beside(lines: Sequence[Line]) -> Iterator[Line]:
+    """Bytes and decoding beside other formats and their own readers, at the smallest LoD of ours that looks as good, or
+    else the best.
+    """
     for peer in lines:
         known = [taken for taken in peer.get("reader_ms", {}).values() if taken is not None]
-        ladder = sorted((x for x in ours if x["scene"] == peer["scene"]), key=lambda x: x["lod"])
+        ladder = [x for x in lines if x["codec"] in (DEFAULT, FINE) and x["scene"] == peer["scene"]]
         if not known or not ladder:
             continue
         as_good = [x for x in ladder if x["psnr_db"] >= peer["psnr_db"]]
-        line = as_good[0] if as_good else ladder[-1]
+        line = min(as_good, key=lambda x: x["bytes"]) if as_good else max(ladder, key=lambda x: x["psnr_db"])
+        at = f"{peer['codec']} {peer['scene']}"
+        level = [line["psnr_db"], peer["psnr_db"]]
+        faster, smaller = line["decode_ms"] <= min(known), line["bytes"] <= peer["bytes"]
+        times, bytes_ = [line["decode_ms"], min(known), *level], [line["bytes"], peer["bytes"], *level]
+        target = "at equal quality no slower than its fastest own reader [ms, ms, dB, dB]"
+        yield check(f"decode_beside {at}", target, times, bool(as_good) and faster)
         yield check(
-            f"decode_beside {peer['codec']} {peer['scene']}",
-            "no slower than its fastest own reader at equal quality [ms, ms, dB, dB]",
-            [line["decode_ms"], min(known), line["psnr_db"], peer["psnr_db"]],
-            bool(as_good) and line["decode_ms"] <= min(known),
+            f"bytes_beside {at}", "at equal quality no larger [bytes, bytes, dB, dB]", bytes_, bool(as_good) and smaller
         )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cags_common.errors import ConfigError
+from cags_encoder.settings import QUANTISERS
 
 SUMMARY = """\
 Bytes, picture quality and times of the quantisers at their LoDs, beside SPZ, SOG, Draco alone and gzip of the floats,
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "scenes", nargs="*", metavar="SCENE", help="scenes; the shared captures beside the checkout, or procedural"
     )
-    parser.add_argument("--quantisers", nargs="+", default=["layered", "paper-66", "paper-76"], metavar="NAME")
+    parser.add_argument("--quantisers", nargs="+", default=QUANTISERS, metavar="NAME")
     parser.add_argument("--views", type=int, default=8, metavar="N", help="views around each scene (default: 8)")
     parser.add_argument("--points", type=int, default=8, metavar="N", help="LoDs drawn of each ladder (default: 8)")
     parser.add_argument("--width", type=int, default=640, metavar="PX", help="width of the pictures (default: 640)")

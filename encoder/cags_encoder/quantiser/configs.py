@@ -59,6 +59,8 @@ class QuantiserConfig:
     """Bits of the base layer."""
     layer_bits: int = 2
     """Bits of the largest enhancement layer."""
+    position_step: float = 0.125
+    """Step of positions, in radii of a tile's smaller splats."""
 
 
 def _paper(name: str, bits: tuple[int, ...]) -> QuantiserConfig:
@@ -68,9 +70,10 @@ def _paper(name: str, bits: tuple[int, ...]) -> QuantiserConfig:
     return QuantiserConfig(name, tuple(parts), as_printed=True)
 
 
-def layered(name: str, bits: dict[str, tuple[int, int]]) -> QuantiserConfig:
+def layered(name: str, bits: dict[str, tuple[int, int]], position_step: float = 0.125) -> QuantiserConfig:
     """A configuration of our own: attribute -> (tree bits, refinement bits)."""
-    return QuantiserConfig(name, tuple(AttributeQuantiser(a, tree, False, more) for a, (tree, more) in bits.items()))
+    parts = tuple(AttributeQuantiser(a, tree, False, more) for a, (tree, more) in bits.items())
+    return QuantiserConfig(name, parts, position_step=position_step)
 
 
 # One code a splat and attribute, as the paper's text counts bits; the authors' code spends an SH code a colour channel.
@@ -92,6 +95,19 @@ _CONFIGS = {
         ),
         _paper("paper-66", (10, 8, 10, 8, 9, 8, 7, 6)),
         _paper("paper-76", (12, 9, 12, 9, 10, 9, 8, 7)),
+        layered(  # as exact as SPZ files are
+            "layered-fine",
+            {
+                "scale": (10, 12),
+                "rotation": (10, 14),
+                "alpha": (8, 2),
+                "sh0": (10, 12),
+                "sh1": (8, 12),
+                "sh2": (8, 12),
+                "sh3": (8, 12),
+            },
+            position_step=1 / 64,
+        ),
     )
 }
 

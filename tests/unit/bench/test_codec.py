@@ -63,7 +63,7 @@ def test_verdicts_follow_from_the_lines() -> None:
     assert all(good.values())
     assert set(good) == {
         *("bd_psnr_db, bd_rate", "bd_psnr_db_worst", "top_lod s", "decode_ms_150k s", "changed_decode_ms s"),
-        "decode_beside spz s",
+        *("decode_beside spz s", "bytes_beside spz s"),
     }
     slow = [{**x, "decode_ms": 25.0, "changed_decode_ms": 2.5, "bytes_a_splat": 12} for x in ours]
     bad = verdicts(*slow, *[{**x, "codec": "paper-66", "psnr_db": x["psnr_db"] + 1} for x in ours])
@@ -73,6 +73,10 @@ def test_verdicts_follow_from_the_lines() -> None:
 def test_a_peer_that_looks_better_than_every_level_is_no_win() -> None:
     given = [line("layered", 4, 25), line("sog", 13, 48, reader_ms={"own": 80.0})]
     assert not verdicts(*given)["decode_beside sog s"]
+    assert not verdicts(*given)["bytes_beside sog s"]
+    finer = line("layered-fine", 12, 49)
+    assert verdicts(*given, finer)["decode_beside sog s"]
+    assert verdicts(*given, finer)["bytes_beside sog s"]
 
 
 def test_a_folder_without_the_package_is_named(tmp_path: Path) -> None:
