@@ -1,0 +1,101 @@
+"""Write a vector file of the current bundle format: ``python tests/vectors/bundle/make.py FILE``.
+
+A file that is committed is never written again: a change of the format adds a new one. Payloads are base64; decoded
+arrays are the bits of their float32 numbers, so that a decoder must agree exactly.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cags_common.attributes import ATTRIBUTE_DIMS
+from cags_common.bundle.manifest import VERSION, Manifest
+from cags_common.codecs import tile_codec
+from cags_common.lod import LodLayer
+from cags_common.svq import Codebook, CodebookSet
+from cags_common.tiles import PositionGrid, encode_base, encode_layer
+
+SPLATS = 21
+STAGES = {
+    "scale": ((4, 2), (2, 1)),
+    "rotation": ((4,), (3,)),
+    "alpha": ((4, 2), ()),
+    "sh0": ((3, 1), ()),
+    "sh1": ((1, 8), ()),
+}
+CLOUDS = {"a key frame's tile": True, "a later frame's tile": False}
+
+
+def books() -> CodebookSet:
+    """Two-stage and one-stage trees over simple fractions, exact as float16."""
+    random = np.random.default_rng(1)
+
+    def table(bits: int, attribute: str) -> np.ndarray:
+        return (random.integers(-64, 64, (1 << bits, ATTRIBUTE_DIMS[attribute])) / 64).astype(np.float32)
+
+    made = {}
+    for name, (first, second) in STAGES.items():
+        tables = tuple(table(int(bits), name) for stage in (first, second) for bits in np.cumsum(stage))
+        spreads = np.abs(table(sum(first), name)) if second else None
+        made[name] = Codebook(name, first + second, tables, len(first), spreads)
+    return CodebookSet(made)
+
+
+def manifest(codebooks: CodebookSet) -> Manifest:
+    """The fields that a tile codec reads, and legal ones for the rest."""
+    order = tuple(
+        LodLayer(book.attribute, layer) for layer in (1, 2, 3) for book in codebooks if layer <= book.enhancement_layers
+    )
+    return Manifest("vector", 30.0, 1, (0,), (99,), 1, ((0, 0, 0), (1, 1, 1)), order, ())
+
+
+def payloads(codebooks: CodebookSet, *, id_range: bool) -> list[bytes]:
+    """One tile's, LoD by LoD."""
+    random = np.random.default_rng(2)
+    means = random.normal(size=(SPLATS, 3)).astype(np.float32)
+    ids = np.arange(7, 7 + SPLATS, dtype=np.int32) * (1 if id_range else 3)
+    codes = {b.attribute: random.integers(0, 1 << sum(b.layer_bits), SPLATS).astype(np.uint32) for b in codebooks}
+    base = {book.attribute: book.layer(codes[book.attribute], 0) for book in codebooks}
+    out = [encode_base(ids, means, base, PositionGrid.over(means, 9), codebooks, id_range=id_range)]
+    for item in manifest(codebooks).lod_order:
+        book = codebooks[item.attribute]
+        out.append(encode_layer(book.layer(codes[item.attribute], item.layer), book.layer_bits[item.layer]))
+    return out
+
+
+def vector() -> dict[str, Any]:
+    """Everything of the file."""
+    codebooks = books()
+    info, data = manifest(codebooks), codebooks.to_bytes()
+    clouds = []
+    for name, id_range in CLOUDS.items():
+        tile = payloads(codebooks, id_range=id_range)
+        clouds.append({"name": name, "payloads": [_text(part) for part in tile], "decoded": _decoded(info, data, tile)})
+    return {"version": VERSION, "manifest": json.loads(info.to_json()), "codebooks": _text(data), "tiles": clouds}
+
+
+def _decoded(info: Manifest, codebooks: bytes, tile: list[bytes]) -> list[dict[str, str]]:
+    """Arrays at LoD 0 and at the highest."""
+    state = tile_codec(info, codebooks).open_tile(tile[0])
+    out = []
+    for first, end in pairwise((0, 1, len(tile))):
+        for lod in range(max(first, 1), end):
+            state.add_layer(lod, tile[lod])
+        arrays = {name: _text(array.astype("<f4").tobytes()) for name, array in state.dequantise().arrays()}
+        out.append({"ids": _text(state.ids.astype("<i4").tobytes()), **arrays})
+    return out
+
+
+def _text(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(json.dumps(vector(), indent=1) + "\n")
