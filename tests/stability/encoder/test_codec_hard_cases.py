@@ -1,8 +1,8 @@
 """The quantiser, tiles and dequantising on what real data holds and on what breaks codecs.
 
-Stated bounds. Positions: half a grid step an axis. Attributes with at most 16 distinct values: float16's rounding, 2**-10
-of the largest value. Others: a root-mean-square error of 4 % of the attribute's range for ``layered``, of 15 % for the
-paper's.
+Stated bounds. Positions: half a grid step an axis. Attributes with at most 16 distinct values: float16's rounding,
+2**-10 of the largest value. Others: a root-mean-square error of 4 % of the attribute's range for ``layered``, of 15 %
+for the paper's.
 """
 
 from __future__ import annotations
