@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+from cags_common.bundle.store import local_path
 from cags_encoder.settings import EncodeSettings
 
-ENCODER_VERSION = 5
+ENCODER_VERSION = 6
 """Raised whenever the same input gives other bytes."""
 
 
@@ -20,6 +22,15 @@ def content_key(scene_spec: str, settings: EncodeSettings) -> str:
         status = path.stat()
         digest.update(repr((path.name, status.st_size, status.st_mtime_ns)).encode())
     return digest.hexdigest()[:16]
+
+
+def resume_folder(out_url: str, key: str) -> Path:
+    """Where a run that writes ``out_url`` keeps its records: beside a local bundle, else in the user's cache."""
+    local = local_path(out_url)
+    if local is not None:
+        return local.parent / f".{local.name}.encoding"
+    root = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
+    return Path(root) / "cags-stream" / "encoding" / key
 
 
 def _files(scene_spec: str) -> Iterator[Path]:

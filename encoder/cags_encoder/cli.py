@@ -1,4 +1,4 @@
-"""``cags-encode``: a scene to a bundle."""
+"""``cags-encode``: a scene to a bundle, and looking into bundles."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from cags_common.cli import command_parser, run_command
+from cags_common.errors import ConfigError
 from cags_common.settings import add_settings, load_settings
-from cags_encoder.settings import EncodeSettings
-
-if TYPE_CHECKING:
-    from cags_common.bundle import Manifest
+from cags_encoder.settings import CommandSettings
 
 PROG = "cags-encode"
 
@@ -21,7 +20,11 @@ EXAMPLES = """\
   cags-encode procedural:size=60000,frames=60 room.cags    the embedded dynamic room
   cags-encode captures/plant.splat plant.cags              a static capture
   cags-encode frames/ clip.cags --fps 30 --frames 90       a folder of numbered files
-  cags-encode clip.ply s3://bucket/clip --json             any fsspec URL; a summary for programs"""
+  cags-encode clip.ply s3://bucket/clip --json             any fsspec URL; a summary for programs
+  cags-encode frames/ clip.cags --scheduler tcp://10.0.0.5:8786    on the workers of a dask cluster
+  cags-encode --inspect clip.cags --plot clip.png          frames, levels, codebooks, quality
+  cags-encode --verify s3://bucket/clip                    every CRC, everything decoded
+  cags-encode --export clip.cags 12:5 frame12.ply          frame 12 at LoD 5, for other viewers"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -31,58 +34,107 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(PROG, "Encode a sequence of Gaussian frames into a bundle for streaming.", EXAMPLES)
-    parser.add_argument("scene", metavar="SCENE", help="file, folder of numbered files, or procedural[:size=..,..]")
-    parser.add_argument("out", metavar="OUT", help="folder or fsspec URL; an older bundle there is replaced")
+    parser.add_argument(
+        "scene", metavar="SCENE", nargs="?", help="file, folder of numbered files, or procedural[:size=..,..]"
+    )
+    parser.add_argument("out", metavar="OUT", nargs="?", help="folder or fsspec URL; an older bundle there is replaced")
     parser.add_argument("--json", action="store_true", help="print one JSON object about the bundle to stdout")
-    add_settings(parser, EncodeSettings)
+    looking = parser.add_mutually_exclusive_group()
+    looking.add_argument("--inspect", metavar="BUNDLE", help="say what a bundle holds, instead of encoding")
+    looking.add_argument("--verify", metavar="BUNDLE", help="check every CRC and decode everything; exit 1 if broken")
+    looking.add_argument(
+        "--export",
+        nargs=3,
+        metavar=("BUNDLE", "FRAME[:LOD]", "FILE"),
+        help="write one frame as .ply, .compressed.ply, .spz, .sog or .splat",
+    )
+    parser.add_argument("--plot", metavar="FILE", help="with --inspect: draw it as .png, .svg or .pdf")
+    add_settings(parser, CommandSettings)
     return parser
 
 
 def _run(argv: Sequence[str]) -> None:
     arguments = _parser().parse_args(argv)
-    settings = load_settings(EncodeSettings, arguments)
+    looks = arguments.inspect or arguments.verify or arguments.export
+    if arguments.plot and not arguments.inspect:
+        raise ConfigError("--plot draws what --inspect BUNDLE finds; give that too")
+    if looks and (arguments.scene or arguments.out):
+        raise ConfigError(f"{arguments.scene!r}: --inspect, --verify and --export take no scene to encode")
+    if arguments.inspect:
+        _inspect(arguments.inspect, arguments.plot, as_json=arguments.json)
+    elif arguments.verify:
+        _verify(arguments.verify, as_json=arguments.json)
+    elif arguments.export:
+        _export(*arguments.export, as_json=arguments.json)
+    else:
+        _encode(arguments)
+
+
+def _encode(arguments: argparse.Namespace) -> None:
+    if not arguments.scene or not arguments.out:
+        raise ConfigError("SCENE and OUT are needed; cags-encode --help shows examples")
+    settings = load_settings(CommandSettings, arguments)
     # Heavy imports wait until the arguments are known to be good: --help answers at once.
-    from cags_encoder.pipeline import encode
+    from cags_common.bundle import BundleReader
+    from cags_encoder.bundles.describe import summarise
+    from cags_encoder.cache import content_key, resume_folder
+    from cags_encoder.executors import open_workers
+    from cags_encoder.pipeline import Resume, encode
     from cags_encoder.progress import progress_bar
     from cags_encoder.scenes import open_scene
 
-    source = open_scene(arguments.scene)
-    with progress_bar() as progress:
-        manifest = encode(source, settings, arguments.out, progress)
-    summary = _summary(arguments.out, manifest)
-    if arguments.json:
-        json.dump(summary, sys.stdout)
-        print()
-    else:
-        print(
-            f"{arguments.out}: {summary['frames']} frames, {summary['lods']} LoDs, "
-            f"{summary['bytes_tiles'] / 1e6:.2f} MB of tiles, first frame {summary['bytes_first_frame'] / 1e6:.2f} MB "
-            f"({summary['bytes_a_splat']:.2f} bytes a splat)"
-        )
+    source, out = open_scene(arguments.scene), arguments.out
+    key = content_key(arguments.scene, settings.encoding)
+    resume = Resume(resume_folder(out, key), key) if settings.resume else None
+    with open_workers(settings.workers, settings.scheduler) as workers, progress_bar() as progress:
+        encode(source, settings.encoding, out, progress, workers=workers, resume=resume)
+    with BundleReader.open(out) as reader:
+        found = summarise(reader, out)
+    pruned = found["pruning"]
+    text = (
+        f"{out}: {found['frames']} frames, {found['lods']} LoDs, {found['bytes_tiles'] / 1e6:.2f} MB of tiles, "
+        f"first frame {found['bytes_first_frame'] / 1e6:.2f} MB ({found['bytes_a_splat']:.2f} bytes a splat)"
+    )
+    if pruned:
+        text += f"; pruned to {pruned['splats_after']} splats, {pruned['psnr_db']:.2f} dB against all"
+    _say(found, text, as_json=arguments.json)
 
 
-def _summary(url: str, manifest: Manifest) -> dict[str, Any]:
+def _inspect(url: str, picture: str | None, *, as_json: bool) -> None:
     from cags_common.bundle import BundleReader
+    from cags_encoder.bundles.describe import describe, lines
+    from cags_encoder.bundles.plot import plot
 
     with BundleReader.open(url) as reader:
-        entries = [reader.frame(index) for index in range(manifest.frames)]
-        splats = sum(tile.splats for tile in entries[0].tiles)
-        return {
-            "out": url,
-            "name": manifest.name,
-            "frames": manifest.frames,
-            "fps": manifest.fps,
-            "groups": len(manifest.gof_starts),
-            "lods": manifest.lods,
-            "codec": manifest.codec,
-            "quantiser": manifest.quantiser,
-            "sh_degree": manifest.sh_degree,
-            "splats_first_frame": splats,
-            "splats_sent": sum(tile.splats for entry in entries for tile in entry.tiles),
-            "bytes_codebooks": len(reader.codebooks()),
-            "bytes_tiles": sum(entry.size_bytes for entry in entries),
-            "bytes_first_frame": entries[0].size_bytes,
-            "bytes_first_frame_base": sum(tile.lod_bytes[0] for tile in entries[0].tiles),
-            "bytes_a_splat": entries[0].size_bytes / max(splats, 1),
-            "bytes_source": sum(files.source.size_bytes for files in manifest.gofs),
-        }
+        found = describe(reader, url)
+    if picture:
+        plot(found, Path(picture))
+    _say(found, "\n".join(lines(found)), as_json=as_json)
+
+
+def _verify(url: str, *, as_json: bool) -> None:
+    from cags_common.bundle import BundleReader
+    from cags_encoder.bundles.verify import verify
+    from cags_encoder.progress import progress_bar
+
+    with BundleReader.open(url) as reader, progress_bar() as progress:
+        payloads = verify(reader, url, lambda done, total: progress("verify", done, total))
+        frames = reader.manifest.frames
+    found = {"bundle": url, "whole": True, "frames": frames, "payloads": payloads}
+    _say(found, f"{url}: whole: {frames} frames, {payloads} payloads decode and have their CRC", as_json=as_json)
+
+
+def _export(url: str, place: str, file: str, *, as_json: bool) -> None:
+    from cags_encoder.bundles.export import export
+
+    splats, name = export(url, place, Path(file))
+    found = {"bundle": url, "place": place, "file": file, "format": name, "splats": splats}
+    _say(found, f"{file}: {splats} splats as {name}", as_json=as_json)
+
+
+def _say(found: dict[str, Any], text: str, *, as_json: bool) -> None:
+    if as_json:
+        json.dump(found, sys.stdout)
+        print()
+    else:
+        print(text)

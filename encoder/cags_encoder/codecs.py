@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 from numpy.typing import NDArray
@@ -20,14 +19,6 @@ class CodedSplats(Protocol):
     def take(self, rows: NDArray[Any]) -> Self:
         """The splats at ``rows``."""
         ...
-
-
-@dataclass(frozen=True, eq=False)
-class EncodedTile:
-    """One tile: a payload for each LoD, and what a decoder that has them all makes of it, in the order of the ids."""
-
-    payloads: tuple[bytes, ...]
-    decoded: Splats  # [n]
 
 
 class ClipCodec(Protocol):
@@ -59,8 +50,12 @@ class ClipCodec(Protocol):
         """What a decoder with every LoD shows [n], but for the rounding of positions."""
         ...
 
-    def encode_tile(self, ids: Ids, coded: Any, *, id_range: bool) -> EncodedTile:
-        """Encode a tile of splats [n] with ascending ``ids``, consecutive ones with ``id_range`` (key frames)."""
+    def shown(self, coded: Any) -> Splats:
+        """What a decoder with every LoD shows of one tile [n], positions rounded as in that tile: bit by bit."""
+        ...
+
+    def encode_tile(self, ids: Ids, coded: Any, *, id_range: bool) -> tuple[bytes, ...]:
+        """A tile of splats [n] with ascending ``ids``, consecutive ones with ``id_range``: a payload for each LoD."""
         ...
 
 

@@ -10,53 +10,78 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cags_common.attributes import join_attributes
-from cags_common.geometry import F32, Camera, Intrinsics, Pose, Vec3
+from cags_common.bundle.quality import LayerQuality, LevelQuality, LodQuality
+from cags_common.geometry import F32, Camera
 from cags_common.lod import LodLayer, depths_at
-from cags_common.metrics import covered_mask
-from cags_common.morton import tile_ranges
+from cags_common.metrics import covered_mask, ssim_map
+from cags_common.morton import morton_order, tile_ranges
 from cags_common.raster import DepthKind, Rasteriser, RenderedView, RenderOptions
 from cags_common.splats import Splats
 from cags_common.tiles import KEY_TILE_SPLATS, encode_layer
 from cags_encoder.svq_codec import SvqCodec
 
-WIDTH_PX, HEIGHT_PX, FOV_RAD = 400, 300, math.radians(55)
 VIEWS = 3
-_DISTANCES = (1.4, 2.2)
-"""Radii from the centre that views alternate between: inside the range where scenes have sensible views."""
 
 _OPTIONS = RenderOptions(depth=DepthKind.NONE)
 
 
-def measured(
+@dataclass(frozen=True)
+class LodMeasurement:
+    """What measuring found."""
+
+    order: tuple[LodLayer, ...]
+    gains_db: tuple[float, ...]
+    """PSNR gained by each level of :attr:`order`."""
+    quality: LodQuality
+
+    def applied(self, codec: SvqCodec) -> SvqCodec:
+        """``codec`` with this order."""
+        return replace(codec, lod_order=self.order, lod_gains_db=self.gains_db)
+
+
+def measure(
     codec: SvqCodec,
     splats: Splats,
     cameras: Sequence[Camera],
     rasteriser: Rasteriser,
     tell: Callable[[int, int], None],
-) -> SvqCodec:
-    """The codec with its LoD order and gains measured on ``splats`` [n] seen by ``cameras``."""
+) -> LodMeasurement:
+    """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and what each level is worth."""
     trial = _Trial(codec, splats, cameras, rasteriser)
     layers = [(b.attribute, layer) for b in codec.quantiser.books for layer in range(b.enhancement_layers)]
     steps, done = 2 * len(layers) + 2, 0
 
-    def error(depths: Mapping[str, int]) -> float:
+    def look(depths: Mapping[str, int]) -> _Seen:
         nonlocal done
         done += 1
         tell(done, steps)
-        return trial.error(depths)
+        return trial.look(depths)
 
     full = {book.attribute: book.enhancement_layers for book in codec.quantiser.books}
-    floor = error(full)
-    cut = {(name, layer): error({**full, name: layer}) for name, layer in layers}
-    order = cheapest_first(cut, floor, full, trial.layer_bytes())
-    errors = [error(depths_at(order, lod)) for lod in range(len(order) + 1)]
-    gains = 10 * np.log10(np.array(errors[:-1]) / np.array(errors[1:]))
-    return replace(codec, lod_order=order, lod_gains_db=tuple(round(float(gain), 4) for gain in gains))
+    best, sizes = look(full), trial.layer_bytes()
+    cut = {(name, layer): look({**full, name: layer}) for name, layer in layers}
+    order = cheapest_first({at: seen.error for at, seen in cut.items()}, best.error, full, sizes)
+    levels = [look(depths_at(order, lod)) for lod in range(len(order) + 1)]
+    errors = np.array([seen.error for seen in levels])
+    gains = tuple(round(float(gain), 4) for gain in 10 * np.log10(errors[:-1] / errors[1:]))
+    alone = [
+        LayerQuality(
+            name, layer, sizes.get((name, layer), 0), *(best if layer == full[name] else cut[name, layer]).rounded()
+        )
+        for name in full
+        for layer in range(full[name] + 1)
+    ]
+    added = [trial.base_bytes(), *(sizes[item.attribute, item.layer] for item in order)]
+    ladder = [
+        LevelQuality(lod, int(total), *seen.rounded())
+        for lod, (total, seen) in enumerate(zip(np.cumsum(added), levels, strict=True))
+    ]
+    return LodMeasurement(order, gains, LodQuality(tuple(alone), tuple(ladder)))
 
 
 def cheapest_first(
@@ -87,43 +112,51 @@ def cheapest_first(
     return tuple(order)
 
 
-def cameras_around(centre: Vec3, radius: float, up: Vec3, near: float) -> list[Camera]:
-    """Views from around ``centre``, a little above it, looking at it."""
-    upward = np.asarray(up) / np.linalg.norm(up)
-    aside = np.cross(upward, np.eye(3)[np.argmin(np.abs(upward))])
-    aside /= np.linalg.norm(aside)
-    ahead = np.cross(upward, aside)
-    height_rad = FOV_RAD * HEIGHT_PX / WIDTH_PX
-    intrinsics = Intrinsics.of_fov(WIDTH_PX, HEIGHT_PX, FOV_RAD, height_rad)
-    out = []
-    for view in range(VIEWS):
-        turn = 2 * math.pi * (view + 0.3) / VIEWS
-        way = math.cos(turn) * aside + math.sin(turn) * ahead + 0.25 * upward
-        x, y, z = np.asarray(centre) + radius * _DISTANCES[view % 2] * way
-        out.append(Camera(intrinsics, Pose.looking_at((float(x), float(y), float(z)), centre, up), near))
-    return out
+@dataclass(frozen=True)
+class _Seen:
+    """How near a trial came to the truth."""
+
+    error: float
+    """Mean squared error over covered pixels of all views."""
+    ssim: float
+
+    def rounded(self) -> tuple[float, float]:
+        """PSNR in dB and SSIM."""
+        return round(-10 * math.log10(self.error), 3), round(self.ssim, 5)
 
 
 class _Trial:
     """The splats at any depths, drawn and compared with the true ones."""
 
     def __init__(self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
-        self._books, self._cameras, self._rasteriser = codec.quantiser.books, cameras, rasteriser
+        self._codec, self._books = codec, codec.quantiser.books
+        self._cameras, self._rasteriser = cameras, rasteriser
+        splats = splats.take(morton_order(splats.means))
         self._coded = codec.quantise(codec.prepare(splats))
         self._truth = self._draw(splats)
 
-    def error(self, depths: Mapping[str, int]) -> float:
-        """Mean squared error over covered pixels of all views, with ``depths[attribute]`` enhancement layers."""
+    def look(self, depths: Mapping[str, int]) -> _Seen:
+        """Compare with ``depths[attribute]`` enhancement layers, over the covered pixels of all views."""
         values = {}
         for book in self._books:
             layers = 1 + depths.get(book.attribute, 0)
             values[book.attribute] = book.lookup(book.prefix(self._coded.codes[book.attribute], layers), layers)
-        total, pixels = 1e-9, 1
+        total, likeness, pixels = 1e-9, 0.0, 1e-9
         for true, shown in zip(self._truth, self._draw(join_attributes(self._coded.means, values)), strict=True):
             mask = covered_mask(np.maximum(true.alpha, shown.alpha))
-            total += float(np.square(_shown(true) - _shown(shown))[mask].sum())
-            pixels += 3 * int(mask.sum())
-        return total / pixels
+            total += float(np.square(_shown(true) - _shown(shown))[mask].mean(axis=1).sum())
+            likeness += float(ssim_map(shown.rgb, true.rgb)[mask].mean(axis=1).sum())
+            pixels += int(mask.sum())
+        return _Seen(total / pixels, likeness / pixels)
+
+    def base_bytes(self) -> int:
+        """Bytes of LoD 0 of the frame's tiles."""
+        ids, total = np.arange(len(self._coded.means), dtype=np.int32), 0
+        bare = replace(self._codec, lod_order=())
+        for first, end in tile_ranges(len(ids), KEY_TILE_SPLATS):
+            part = self._coded.take(slice(first, end))
+            total += len(bare.encode_tile(ids[first:end], part, id_range=True)[0])
+        return total
 
     def layer_bytes(self) -> dict[tuple[str, int], int]:
         """Bytes of each enhancement layer of the frame's tiles."""

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
-from cags_common.bundle import BundleWriter, Manifest
-from cags_common.bundle.source import encode_source
-from cags_common.bundle.writer import GofWriter
-from cags_common.errors import SceneError
-from cags_common.geometry import DEFAULT_NEAR, F64, Vec3
+from cags_common.bundle import BundleWriter, Manifest, Pruning
+from cags_common.bundle.quality import LodQuality
+from cags_common.errors import ConfigError, SceneError
+from cags_common.geometry import Vec3
+from cags_common.lod import LodLayer
 from cags_common.raster import create
 from cags_common.splats import Splats
+from cags_encoder.clip import ClipEncoder
 from cags_encoder.codecs import ClipCodec, train_codec
-from cags_encoder.frames.differential import DifferentialFrame, GofEncoder
-from cags_encoder.frames.identity import IdentityTracker
-from cags_encoder.measuring import cameras_around, measured
-from cags_encoder.sampling import LOOKS, check_degree, training_splats
+from cags_encoder.executors import INLINE, Shared, Workers, ahead
+from cags_encoder.frames.tasks import read
+from cags_encoder.journal import Journal
+from cags_encoder.measuring import VIEWS, LodMeasurement, measure
+from cags_encoder.pruning import PrunedSource, pruning_cost
+from cags_encoder.sampling import looked_at, training_splats
 from cags_encoder.scenes import Focus, FrameSource, focus_of
 from cags_encoder.settings import EncodeSettings
 from cags_encoder.svq_codec import SvqCodec
+from cags_encoder.views import cameras_around, near_plane
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage's name, steps done and steps in all."""
@@ -48,28 +54,44 @@ class SplatSequence:
         """Unknown: rows are matched."""
 
 
+@dataclass(frozen=True)
+class Resume:
+    """Where a killed run goes on from: a folder for its records, and a key of its input and settings."""
+
+    folder: Path
+    key: str
+
+
 def encode(
     frames: FrameSource | Iterable[Splats],
     settings: EncodeSettings,
     out_url: str,
     progress: Progress | None = None,
+    *,
+    workers: Workers = INLINE,
+    resume: Resume | None = None,
 ) -> Manifest:
     """Encode ``frames`` into a bundle at ``out_url`` (a folder or an fsspec URL) and return its manifest.
 
-    The same frames and settings give the same bytes. Nothing is left behind on failure. Raises :class:`SceneError`,
-    :class:`ConfigError` or :class:`BundleError`.
+    The same frames and settings give the same bytes, whatever ``workers`` do the work (frames in memory travel to them
+    whole). With ``resume`` a run that was killed goes on, to the same bytes. Nothing is left behind on failure, but for
+    the records in ``resume.folder`` where running again may help. Raises :class:`SceneError`, :class:`ConfigError` or
+    :class:`BundleError`.
     """
     source = _as_source(frames)
-    count = len(source) if settings.frames is None else min(settings.frames, len(source))
     tell = progress or (lambda stage, done, total: None)
-    with BundleWriter(out_url) as writer:
-        codec = _train(source, count, settings, tell)
-        writer.codebooks(codec.codebooks())
-        run = _ClipEncoder(source, settings, codec, writer)
-        for index in range(count):
-            run.add(index)
-            tell("encode", index + 1, count)
-        return writer.commit(run.manifest(count))
+    with ExitStack() as stack:
+        writer = stack.enter_context(BundleWriter(out_url))
+        journal = stack.enter_context(Journal(resume.folder, resume.key)) if resume else None
+        try:
+            manifest = _Encoding(source, settings, workers, journal, tell).run(writer)
+        except (SceneError, ConfigError):  # the input must change first, and then nothing of this fits
+            if journal:
+                journal.discard()
+            raise
+        if journal:
+            journal.discard()
+        return manifest
 
 
 def _as_source(frames: FrameSource | Iterable[Splats]) -> FrameSource:
@@ -81,100 +103,100 @@ def _as_source(frames: FrameSource | Iterable[Splats]) -> FrameSource:
     return SplatSequence(held, focus=focus_of(held[0]))
 
 
-def _train(source: FrameSource, count: int, settings: EncodeSettings, tell: Progress) -> ClipCodec:
-    looks, done = min(LOOKS, count), 0
+class _Encoding:
+    """One run."""
 
-    def on_frame() -> None:
-        nonlocal done
-        done += 1
-        tell("sample", done, looks)
+    def __init__(
+        self, source: FrameSource, settings: EncodeSettings, workers: Workers, journal: Journal | None, tell: Progress
+    ) -> None:
+        self._settings, self._workers, self._journal, self._tell = settings, workers, journal, tell
+        self._count = len(source) if settings.frames is None else min(settings.frames, len(source))
+        self._pruning: Pruning | None = None
+        self._quality: LodQuality | None = None
+        self._source = self._pruned(source) if settings.prune else source
 
-    samples = training_splats(source, count, settings.train_splats, settings.seed, on_frame)
-    tell("codebooks", 0, 1)
-    codec = train_codec(samples, settings)
-    tell("codebooks", 1, 1)
-    if settings.lod_order == "measured" and isinstance(codec, SvqCodec):
-        return _measured(codec, source, tell)
-    return codec
+    def run(self, writer: BundleWriter) -> Manifest:
+        """Write the bundle."""
+        codec = self._codec()
+        writer.codebooks(codec.codebooks())
+        if self._quality is not None:
+            writer.quality(self._quality)
+        clip = ClipEncoder(self._source, self._settings, codec, writer, self._workers)
+        clip.run(self._count, self._journal, lambda done: self._tell("encode", done, self._count))
+        return writer.commit(self._manifest(codec, clip))
 
+    def _pruned(self, source: FrameSource) -> FrameSource:
+        share = self._settings.prune
+        pruned = PrunedSource(source, share, self._count)
+        self._pruning = pruning_cost(source, pruned, share, self._count, lambda at, end: self._tell("prune", at, end))
+        return pruned
 
-def _measured(codec: SvqCodec, source: FrameSource, tell: Progress) -> ClipCodec:
-    """The codec with its LoD order measured, where a rasteriser is there that is fast enough for dozens of renders."""
-    rasteriser = create("auto")
-    if rasteriser.name == "reference":
+    def _codec(self) -> ClipCodec:
+        """The codec, trained and its LoD order measured (or remembered from a run that was killed)."""
+        codec = train_codec(self._samples(), self._settings)
+        self._tell("codebooks", 1, 1)
+        if self._journal:
+            self._journal.codebooks(codec.codebooks())
+        if self._settings.lod_order == "measured" and isinstance(codec, SvqCodec):
+            found = self._measurement(codec)
+            if found is not None:
+                self._quality = found.quality
+                return found.applied(codec)
         return codec
-    focus = source.focus
-    cameras = cameras_around(focus.centre, focus.radius, source.up, near_plane(focus))
-    return measured(codec, source.frame(0), cameras, rasteriser, lambda done, total: tell("order", done, total))
 
+    def _samples(self) -> Splats:
+        looks = looked_at(self._count)
+        shared = Shared(self._source)
 
-def near_plane(focus: Focus) -> float:
-    """Near plane for a scene of this size."""
-    return min(DEFAULT_NEAR, float(focus.radius) / 10)
+        def frames() -> Iterator[tuple[int, Splats]]:
+            coming = ahead(self._workers, read, looks, lambda index: (shared, index))
+            for done, item in enumerate(coming, start=1):
+                yield item
+                self._tell("sample", done, len(looks))
 
+        settings = self._settings
+        samples = training_splats(self._source.name, len(looks), frames(), settings.train_splats, settings.seed)
+        self._tell("codebooks", 0, 1)
+        return samples
 
-class _ClipEncoder:
-    """Takes frames in order; starts a group where one is due or where nothing connects to the frame before."""
+    def _measurement(self, codec: SvqCodec) -> LodMeasurement | None:
+        """What measuring finds, where a rasteriser is there that is fast enough for dozens of renders."""
+        known = self._journal.note("order") if self._journal else None
+        if known is not None:
+            order = tuple(LodLayer(attribute, layer) for attribute, layer in known["order"])
+            return LodMeasurement(order, tuple(known["gains_db"]), LodQuality.from_json(known["quality"].encode()))
+        rasteriser = create("auto")
+        if rasteriser.name == "reference":
+            return None
+        cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
+        first = self._source.frame(0)
+        found = measure(codec, first, cameras, rasteriser, lambda done, total: self._tell("order", done, total))
+        if self._journal:
+            order_note = [[item.attribute, item.layer] for item in found.order]
+            quality = found.quality.to_json().decode()
+            self._journal.write_note("order", {"order": order_note, "gains_db": found.gains_db, "quality": quality})
+        return found
 
-    def __init__(self, source: FrameSource, settings: EncodeSettings, codec: ClipCodec, writer: BundleWriter) -> None:
-        self._source, self._settings, self._codec, self._writer = source, settings, codec, writer
-        self._tracker = IdentityTracker()
-        self._starts: list[int] = []
-        self._capacity: list[int] = []
-        self._gof: GofWriter | None = None
-        self._encoder = GofEncoder(codec, settings.change_threshold)
-        self._low: F64 = np.full(3, np.inf)
-        self._high: F64 = np.full(3, -np.inf)
-        self._degree: int | None = None
-
-    def add(self, index: int) -> DifferentialFrame:
-        """Encode frame ``index`` and append it to the bundle."""
-        where = f"{self._source.name}, frame {index}"
-        splats = self._source.frame(index)
-        self._degree = splats.sh_degree if self._degree is None else self._degree
-        check_degree(splats, self._degree, where)
-        identities, continuous = self._tracker.identify(splats, self._source.ids(index), where)
-        if not self._starts or not continuous or index - self._starts[-1] >= self._settings.gof_frames:
-            self._open_gof(index)
-        assert self._gof is not None
-        frame = self._encoder.encode(splats, identities)
-        self._gof.frame(frame.tiles, frame.removed, encode_source(frame.source))
-        self._low = np.minimum(self._low, splats.means.min(axis=0))
-        self._high = np.maximum(self._high, splats.means.max(axis=0))
-        return frame
-
-    def manifest(self, frames: int) -> Manifest:
-        """Close the last group and describe the clip."""
-        self._close_gof()
+    def _manifest(self, codec: ClipCodec, clip: ClipEncoder) -> Manifest:
         source, focus = self._source, self._source.focus
         return Manifest(
             name=source.name,
             fps=self._settings.fps or source.fps,
-            frames=frames,
-            gof_starts=tuple(self._starts),
-            capacity=tuple(self._capacity),
-            sh_degree=self._degree or 0,
-            bounds=(_vector(self._low), _vector(self._high)),
-            lod_order=self._codec.lod_order,
-            lod_gains_db=self._codec.lod_gains_db,
+            frames=self._count,
+            gof_starts=tuple(clip.placer.starts),
+            capacity=tuple(clip.capacity),
+            sh_degree=clip.placer.degree or 0,
+            bounds=(_vector(clip.placer.low), _vector(clip.placer.high)),
+            lod_order=codec.lod_order,
+            lod_gains_db=codec.lod_gains_db,
             codec=self._settings.codec,
             quantiser=self._settings.quantiser,
             up=_vector(np.asarray(source.up)),
             focus_centre=_vector(np.asarray(focus.centre)),
             focus_radius=float(focus.radius),
             near=near_plane(focus),
+            pruning=self._pruning,
         )
-
-    def _open_gof(self, index: int) -> None:
-        self._close_gof()
-        self._gof = self._writer.open_gof(index, len(self._codec.lod_order) + 1)
-        self._encoder = GofEncoder(self._codec, self._settings.change_threshold)
-        self._starts.append(index)
-
-    def _close_gof(self) -> None:
-        if self._gof is not None:
-            self._gof.close()
-            self._capacity.append(self._encoder.capacity)
 
 
 def _vector(values: np.ndarray) -> Vec3:

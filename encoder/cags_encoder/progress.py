@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from cags_encoder.pipeline import Progress as Tell
+Tell = Callable[[str, int, int], None]
+"""Called with the stage's name, steps done and steps in all."""
 
 _TITLES = {
+    "prune": "pruning",
     "sample": "looking at frames",
     "codebooks": "training codebooks",
     "order": "measuring levels",
     "encode": "encoding frames",
+    "verify": "verifying frames",
 }
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 
 import numpy as np
 
 from cags_common.errors import SceneError
 from cags_common.splats import Splats
-from cags_encoder.scenes import FrameSource
 
 LOOKS = 240
 """Frames looked at, evenly over the clip."""
@@ -17,22 +16,24 @@ FIRST_SHARE = 0.5
 """Share of the subset from the first frame, of which viewers see every splat."""
 
 
-def training_splats(source: FrameSource, frames: int, count: int, seed: int, on_frame: Callable[[], None]) -> Splats:
+def looked_at(frames: int) -> list[int]:
+    """The frames to draw from, of a clip of ``frames``, ascending from 0."""
+    return [int(index) for index in np.unique(np.linspace(0, frames - 1, min(LOOKS, frames)).astype(int))]
+
+
+def training_splats(name: str, looks: int, frames: Iterable[tuple[int, Splats]], count: int, seed: int) -> Splats:
     """At most ``count`` splats: from the first frame, and of later ones those that are not bit-identical to it.
 
-    Deterministic for a seed. ``on_frame`` is called after each frame looked at.
+    ``frames`` are those of :func:`looked_at`, ``looks`` in number, with their indices; ``name`` is the scene's, for
+    errors. Deterministic for a seed. Raises :class:`SceneError`.
     """
-    random = np.random.default_rng(seed)
-    looks = np.unique(np.linspace(0, frames - 1, min(LOOKS, frames)).astype(int))
-    first = source.frame(0)
-    on_frame()
+    random, coming = np.random.default_rng(seed), iter(frames)
+    first = next(coming)[1]
     seen, changed = _row_keys(first), []
-    for index in looks[1:]:
-        splats = source.frame(int(index))
-        check_degree(splats, first.sh_degree, f"{source.name}, frame {index}")
+    for index, splats in coming:
+        check_degree(splats, first.sh_degree, f"{name}, frame {index}")
         fresh = np.flatnonzero(~np.isin(_row_keys(splats), seen))
-        changed.append(_draw(splats.take(fresh), count // (len(looks) - 1), random))
-        on_frame()
+        changed.append(_draw(splats.take(fresh), count // (looks - 1), random))
     later = Splats.concatenate(changed) if changed else first.take(slice(0, 0))
     base = _draw(first, max(int(count * FIRST_SHARE), count - len(later)), random)
     return Splats.concatenate([base, _draw(later, count - len(base), random)])

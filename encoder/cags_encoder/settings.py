@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 
 from cags_common.settings import check_settings, setting
 
@@ -37,8 +37,30 @@ class EncodeSettings:
     change_threshold: float = setting(
         0.01, "visible effect (0..1 of a pixel's colour) by which a splat must be wrong to be sent again", low=0, high=1
     )
+    prune: float = setting(
+        0.0,
+        "share of the splats to leave out, those that contribute least to views from around the scene; what it costs "
+        "is measured and kept in the bundle",
+        low=0,
+        high=0.99,
+    )
     train_splats: int = setting(65_536, "splats that codebooks are trained on, drawn over the clip", low=256)
     seed: int = setting(0, "seed of the random subset and of k-means", low=0)
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+
+@dataclass(frozen=True)
+class CommandSettings(EncodeSettings):
+    """Those of the command: how it runs changes no byte of the bundle."""
+
+    workers: int | None = setting(None, "processes that encode frames; one a core when not given", low=1, high=1024)
+    scheduler: str | None = setting(None, "address of a dask scheduler, tcp://HOST:PORT, to run on its workers instead")
+    resume: bool = setting(True, "go on where a killed run of the same scene and settings ended")
+
+    @property
+    def encoding(self) -> EncodeSettings:
+        """What the bytes depend on."""
+        names = {f.name for f in fields(EncodeSettings)}
+        return EncodeSettings(**{name: value for name, value in asdict(self).items() if name in names})

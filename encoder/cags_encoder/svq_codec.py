@@ -15,7 +15,6 @@ from cags_common.lod import LodLayer
 from cags_common.packing import U32
 from cags_common.splats import Ids, Splats
 from cags_common.tiles import MAX_POSITION_BITS, PositionGrid, encode_base, encode_layer
-from cags_encoder.codecs import EncodedTile
 from cags_encoder.lod_order import order_of
 from cags_encoder.quantiser.configs import quantiser_config
 from cags_encoder.quantiser.training import Quantiser, train
@@ -76,18 +75,21 @@ class SvqCodec:
         """All layers looked up."""
         return join_attributes(coded.means, self.quantiser.decode(coded.codes))
 
-    def encode_tile(self, ids: Ids, coded: SvqSplats, *, id_range: bool) -> EncodedTile:
+    def shown(self, coded: SvqSplats) -> Splats:
+        """One tile with all layers looked up and its positions rounded."""
+        grid = self.grid(coded)
+        return self.decode(replace(coded, means=grid.dequantise(grid.quantise(coded.means))))
+
+    def encode_tile(self, ids: Ids, coded: SvqSplats, *, id_range: bool) -> tuple[bytes, ...]:
         """Positions and base layers by Draco, then one packed layer a LoD."""
         books = self.quantiser.books
-        grid = self.grid(coded)
         base = {name: books[name].layer(codes, 0) for name, codes in coded.codes.items()}
-        payloads = [encode_base(ids, coded.means, base, grid, books, id_range=id_range)]
+        payloads = [encode_base(ids, coded.means, base, self.grid(coded), books, id_range=id_range)]
         for item in self.lod_order:
             book = books[item.attribute]
             layer = book.layer(coded.codes[item.attribute], item.layer)
             payloads.append(encode_layer(layer, book.layer_bits[item.layer]))
-        rounded = grid.dequantise(grid.quantise(coded.means))
-        return EncodedTile(tuple(payloads), self.decode(replace(coded, means=rounded)))
+        return tuple(payloads)
 
     def grid(self, coded: SvqSplats) -> PositionGrid:
         """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size."""

@@ -21,10 +21,10 @@ from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_common.tiles import KEY_TILE_SPLATS, position_bytes
 from cags_encoder import EncodeSettings
-from cags_encoder.measuring import cameras_around, measured
-from cags_encoder.pipeline import near_plane
+from cags_encoder.measuring import VIEWS, measure
 from cags_encoder.scenes import FrameSource
 from cags_encoder.svq_codec import SvqCodec
+from cags_encoder.views import cameras_around
 
 Line = dict[str, Any]
 Tile = tuple[bytes, ...]
@@ -83,16 +83,15 @@ def train(source: FrameSource, splats: Splats, quantiser: str) -> SvqCodec:
     rasteriser = create("auto")
     if rasteriser.name == "reference":
         return codec
-    focus = source.focus
-    cameras = cameras_around(focus.centre, focus.radius, source.up, near_plane(focus))
-    return measured(codec, splats, cameras, rasteriser, lambda at, end: None)
+    cameras = cameras_around(source.focus, source.up, VIEWS)
+    return measure(codec, splats, cameras, rasteriser, lambda at, end: None).applied(codec)
 
 
 def encode(codec: SvqCodec, splats: Splats) -> list[Tile]:
     """All splats as a key frame."""
     coded = codec.quantise(codec.prepare(splats))
     return [
-        codec.encode_tile(np.arange(first, end, dtype=np.int32), coded.take(slice(first, end)), id_range=True).payloads
+        codec.encode_tile(np.arange(first, end, dtype=np.int32), coded.take(slice(first, end)), id_range=True)
         for first, end in tile_ranges(len(splats), KEY_TILE_SPLATS)
     ]
 
@@ -101,7 +100,7 @@ def encode_changed(codec: SvqCodec, splats: Splats) -> Tile:
     """A later frame's tile: splats here and there, as a moving thing would leave them, with their ids."""
     count = min(CHANGED_SPLATS, len(splats))
     ids = np.sort(np.random.default_rng(0).permutation(len(splats))[:count]).astype(np.int32)
-    return codec.encode_tile(ids, codec.quantise(codec.prepare(splats.take(ids))), id_range=False).payloads
+    return codec.encode_tile(ids, codec.quantise(codec.prepare(splats.take(ids))), id_range=False)
 
 
 def decode(opener: TileOpener, tiles: list[Tile], lod: int) -> Splats:

@@ -1,7 +1,7 @@
 """The bundle: one encoded scene on a store, written once and read by ranges (``docs/bundle.md``)."""
 
 from cags_common.bundle.index import FrameEntry, TileEntry
-from cags_common.bundle.manifest import Manifest
+from cags_common.bundle.manifest import Manifest, Pruning
 from cags_common.bundle.player import BundlePlayer, DecodedFrame
 from cags_common.bundle.reader import BundleReader
 from cags_common.bundle.source import SourceDelta, SourceFrame
@@ -16,6 +16,7 @@ __all__ = [
     "FrameEntry",
     "LodLayer",
     "Manifest",
+    "Pruning",
     "SourceDelta",
     "SourceFrame",
     "TileEntry",

@@ -47,6 +47,20 @@ class GofFiles:
 
 
 @dataclass(frozen=True, slots=True)
+class Pruning:
+    """Splats that the encoder left out because they hardly contribute to pictures, and what that costs."""
+
+    share: float
+    """Share of the splats that was to go."""
+    splats_before: int
+    """Splats a frame, mean over the frames that were judged."""
+    splats_after: int
+    psnr_db: float
+    """Of pictures without them against pictures with them, both unquantised, over covered pixels."""
+    ssim: float
+
+
+@dataclass(frozen=True, slots=True)
 class Manifest:
     """What a bundle holds. All lengths are in the scene's units (metres), world frame."""
 
@@ -75,6 +89,7 @@ class Manifest:
     near: float = DEFAULT_NEAR
     gofs: tuple[GofFiles, ...] = ()
     """One entry a group, or none in the public part."""
+    pruning: Pruning | None = None
     version: int = VERSION
 
     @property
@@ -97,6 +112,8 @@ class Manifest:
         """UTF-8 JSON; equal manifests give equal bytes."""
         table = {"format": FORMAT, **asdict(self)}
         table["lod_order"] = [[item.attribute, item.layer] for item in self.lod_order]
+        if self.pruning is None:
+            del table["pruning"]
         return json.dumps(table, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
 
     def public_json(self) -> bytes:
@@ -138,6 +155,7 @@ def _checked(fields: _Fields) -> Manifest:
         focus_centre=fields.vector("focus_centre"),
         focus_radius=fields.number("focus_radius", 0.0, 1e12),
         near=fields.number("near", 1e-9, 1e9),
+        pruning=_pruning(fields.inner("pruning")) if fields.has("pruning") else None,
         gofs=fields.many("gofs", lambda f: GofFiles(_file(f.inner("tiles")), _file(f.inner("source"))), MAX_FRAMES),
     )
     starts = manifest.gof_starts
@@ -157,6 +175,16 @@ def _bounds(fields: _Fields) -> tuple[Vec3, Vec3]:
     if len(corners) != 2:
         raise BundleError("manifest: bounds must be two corners")
     return corners[0], corners[1]
+
+
+def _pruning(fields: _Fields) -> Pruning:
+    return Pruning(
+        share=fields.number("share", 0.0, 1.0),
+        splats_before=fields.integer("splats_before", 1, MAX_SPLATS),
+        splats_after=fields.integer("splats_after", 1, MAX_SPLATS),
+        psnr_db=fields.number("psnr_db", -1e3, 1e3),
+        ssim=fields.number("ssim", -1.0, 1.0),
+    )
 
 
 def _lod_layer(field: _Fields) -> LodLayer:
@@ -187,6 +215,10 @@ class _Fields:
         if not isinstance(self._value, dict) or name not in self._value:
             raise BundleError(f"manifest: {path} is missing")
         return self._value[name], path
+
+    def has(self, name: str) -> bool:
+        """Whether an optional field is there; null means that it is not."""
+        return isinstance(self._value, dict) and self._value.get(name) is not None
 
     def inner(self, name: str) -> _Fields:
         return _Fields(*self._get(name))

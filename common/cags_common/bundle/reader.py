@@ -8,6 +8,7 @@ from types import TracebackType
 
 from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index, decode_tile_index
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, Manifest
+from cags_common.bundle.quality import MAX_QUALITY_BYTES, QUALITY_NAME, LodQuality
 from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, decode_source
 from cags_common.bundle.store import ByteStore, UrlStore
 from cags_common.codecs import tile_codec
@@ -62,6 +63,12 @@ class BundleReader:
     def codebooks(self) -> bytes:
         """Serialised codebooks, for :func:`~cags_common.codecs.tile_codec`."""
         return self._codebooks
+
+    def quality(self) -> LodQuality | None:
+        """What the encoder measured of the LoDs, None where it measured nothing. Raises :class:`BundleError`."""
+        if not self._store.has(QUALITY_NAME):
+            return None
+        return LodQuality.from_json(self._store.read_all(QUALITY_NAME, MAX_QUALITY_BYTES))
 
     def frame(self, frame: int) -> FrameEntry:
         """What ``frame`` holds. Raises :class:`BundleError` outside the bundle."""

@@ -20,6 +20,10 @@ class ByteStore(Protocol):
         """A whole file of at most ``limit_bytes``. Raises :class:`BundleError`."""
         ...
 
+    def has(self, name: str) -> bool:
+        """Whether there is such a file. Raises :class:`BundleError`."""
+        ...
+
 
 def filesystem(url: str) -> tuple[Any, str]:
     """The fsspec filesystem of ``url`` and the path in it. Raises :class:`BundleError` for an unknown scheme."""
@@ -61,6 +65,13 @@ class UrlStore:
         if len(data) > limit_bytes:
             raise BundleError(f"{self._url}/{name}: is larger than {limit_bytes} bytes")
         return data
+
+    def has(self, name: str) -> bool:
+        """Whether there is such a file."""
+        try:
+            return bool(self._fs.exists(f"{self._path}/{name}"))
+        except OSError as error:
+            raise BundleError(f"{self._url}/{name}: cannot be read ({error.strerror or error})") from error
 
     def _cat(self, name: str, start: int, end: int) -> bytes:
         try:

@@ -6,6 +6,7 @@ place and the manifest, without which nothing is a bundle, comes last.
 
 from __future__ import annotations
 
+import glob
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from cags_common.bundle.index import (
     encode_tile_index,
 )
 from cags_common.bundle.manifest import FileEntry, GofFiles, Manifest
+from cags_common.bundle.quality import QUALITY_NAME, LodQuality
 from cags_common.bundle.reader import CODEBOOKS_NAME, MANIFEST_NAME
 from cags_common.bundle.store import filesystem, local_path, remove_tree
 from cags_common.errors import BundleError
@@ -53,6 +55,7 @@ class BundleWriter:
             self._check_target(self._target)
             self._scratch = self._target.parent / f".{self._target.name}.partial-{os.getpid()}"
             remove_tree(self._scratch)
+            _remove_abandoned(self._target)
             place = str(self._scratch)
         else:
             place = self._url
@@ -79,6 +82,11 @@ class BundleWriter:
         """Write the serialised codebooks."""
         with self.open_file(CODEBOOKS_NAME) as file:
             file.write(data)
+
+    def quality(self, quality: LodQuality) -> None:
+        """Write what was measured of the LoDs."""
+        with self.open_file(QUALITY_NAME) as file:
+            file.write(quality.to_json())
 
     def commit(self, manifest: Manifest) -> Manifest:
         """Write the manifest with the groups' files filled in, and put the bundle in its place."""
@@ -132,6 +140,20 @@ class BundleWriter:
             remove_tree(self._scratch)
         elif self._fs.exists(self._path):
             self._fs.rm(self._path, recursive=True)
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Delete what killed processes of this machine left of the same bundle."""
+    for scratch in target.parent.glob(f".{glob.escape(target.name)}.partial-*"):
+        pid = scratch.name.rpartition("-")[2]
+        if not pid.isdecimal():
+            continue
+        try:
+            os.kill(int(pid), 0)
+        except ProcessLookupError:
+            remove_tree(scratch)
+        except (PermissionError, OverflowError):
+            continue  # somebody else's process, or no process id
 
 
 class GofWriter:

@@ -6,15 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cags_common.attributes import join_attributes
 from cags_common.baselines.cloud import encode_head
 from cags_common.baselines.density import KIND, MAX_LOG_GAIN, DensityLevels, encode_density
 from cags_common.geometry import F32
 from cags_common.lod import LodLayer
 from cags_common.splats import Ids
-from cags_common.tiles import PositionGrid
 from cags_encoder.baselines.scalar import ByteSplats, ScalarCodec
-from cags_encoder.codecs import EncodedTile
 
 SHARES = (0.09, 0.125, 0.18, 0.25, 0.35, 0.5, 0.71, 1.0)
 """Share of a tile's splats that is there at each level: half an octave apart."""
@@ -28,12 +25,12 @@ class DensityCodec(ScalarCodec):
 
     lod_order = tuple(LodLayer("density", level) for level in range(1, len(SHARES)))
 
-    def _tile(self, ids: Ids, coded: ByteSplats, grid: PositionGrid, *, id_range: bool) -> EncodedTile:
-        values = self._values(coded)
+    def encode_tile(self, ids: Ids, coded: ByteSplats, *, id_range: bool) -> tuple[bytes, ...]:
+        """Encode a tile of splats [n] with ascending ``ids``."""
+        grid = self.grid(coded)
         head = encode_head(KIND, ids, grid, id_range=id_range)
         cells = grid.quantise(coded.means)
-        payloads = encode_density(head, coded.columns, cells, grid.bits, levels_of(values))
-        return EncodedTile(tuple(payloads), join_attributes(grid.dequantise(cells), values))
+        return tuple(encode_density(head, coded.columns, cells, grid.bits, levels_of(self._values(coded))))
 
 
 def levels_of(values: Mapping[str, F32]) -> DensityLevels:

@@ -14,7 +14,6 @@ from cags_common.geometry import F32
 from cags_common.lod import LodLayer
 from cags_common.splats import Ids, Splats
 from cags_common.tiles import PositionGrid
-from cags_encoder.codecs import EncodedTile
 from cags_encoder.settings import EncodeSettings
 
 POSITION_BITS = 16
@@ -60,12 +59,18 @@ class ScalarCodec(ABC):
         """What is left after quantisation [n]."""
         return join_attributes(coded.means, self._values(coded))
 
-    def encode_tile(self, ids: Ids, coded: ByteSplats, *, id_range: bool) -> EncodedTile:
-        """Encode a tile of splats [n] with ascending ``ids``."""
-        return self._tile(ids, coded, PositionGrid.over(coded.means, self._position_bits), id_range=id_range)
+    def shown(self, coded: ByteSplats) -> Splats:
+        """One tile, its positions rounded."""
+        grid = self.grid(coded)
+        return join_attributes(grid.dequantise(grid.quantise(coded.means)), self._values(coded))
 
     @abstractmethod
-    def _tile(self, ids: Ids, coded: ByteSplats, grid: PositionGrid, *, id_range: bool) -> EncodedTile: ...
+    def encode_tile(self, ids: Ids, coded: ByteSplats, *, id_range: bool) -> tuple[bytes, ...]:
+        """Encode a tile of splats [n] with ascending ``ids``."""
+
+    def grid(self, coded: ByteSplats) -> PositionGrid:
+        """A tile's grid of positions."""
+        return PositionGrid.over(coded.means, self._position_bits)
 
     def _values(self, coded: ByteSplats) -> dict[str, F32]:
         return {name: self.book.dequantise(name, column) for name, column in zip(self.book, coded.columns, strict=True)}

@@ -3,6 +3,10 @@
 A splat is sent again when drawing the decoder's copy differs visibly more from the truth than a freshly quantised one
 would. Since the comparison is with the decoder's copy and never with the frame before, slow changes add up until they
 are sent: nothing drifts.
+
+Only two small steps depend on earlier frames: which ids a frame's splats get (:class:`Placer`), and which of the
+changed ones are worth sending (:class:`DecoderCopy`). What costs time lies between and after them and depends on one
+frame alone, so that frames are quantised and packed in parallel (:mod:`cags_encoder.frames.tasks`).
 """
 
 from __future__ import annotations
@@ -12,119 +16,53 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.bundle import SourceDelta, TilePayloads
+from cags_common.bundle import SourceDelta
+from cags_common.geometry import F64
 from cags_common.morton import morton_order
 from cags_common.splats import Ids, Splats
 from cags_common.tiles import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
-from cags_encoder.codecs import ClipCodec
+from cags_encoder.codecs import ClipCodec, CodedSplats
 from cags_encoder.frames.effect import visible_effect
 from cags_encoder.frames.rows import SplatTable
-from cags_encoder.frames.tiling import TiledFrame, encode_tiles
+from cags_encoder.frames.tiling import CutTile, cut_tiles
 
 
-@dataclass(frozen=True, eq=False)
-class DifferentialFrame:
-    """One frame as it is stored."""
+class Placer:
+    """Gives the splats of one group's frames their ids, in order. The first frame given is the key frame."""
 
-    tiles: tuple[TilePayloads, ...]
-    removed: Ids  # [r] ascending
-    source: SourceDelta
-    sent: int
-    """Splats in the tiles."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Tables:
-    """What is known by id."""
-
-    held: SplatTable
-    """What a decoder with every LoD holds."""
-    source: SplatTable
-    """The frame before, unquantised."""
-    considered: SplatTable
-    """The unquantised splat that was last compared with what the decoder holds."""
-
-    def bury(self, ids: Ids) -> None:
-        """Mark ``ids`` as gone."""
-        for table in (self.held, self.source, self.considered):
-            table.alive[ids] = False
-
-
-class GofEncoder:
-    """Encodes the frames of one group in order. The first frame given is the key frame."""
-
-    def __init__(self, codec: ClipCodec, change_threshold: float) -> None:
-        self._codec, self._threshold = codec, change_threshold
-        self._tables: _Tables | None = None
+    def __init__(self) -> None:
+        self._table: SplatTable | None = None
         self._identities: NDArray[np.int64] = np.zeros(0, np.int64)
         self._free: list[int] = []
 
     @property
     def capacity(self) -> int:
         """One more than the largest id so far."""
-        return self._tables.held.capacity if self._tables else 0
+        return self._table.capacity if self._table else 0
 
-    def encode(self, splats: Splats, identities: NDArray[np.int64]) -> DifferentialFrame:
-        """Encode the next frame [n], n >= 1, whose rows have persistent ``identities`` [n]."""
-        if self._tables is None:
-            return self._key_frame(splats, identities)
-        return self._later_frame(splats, identities, self._tables)
-
-    def _key_frame(self, splats: Splats, identities: NDArray[np.int64]) -> DifferentialFrame:
-        order = morton_order(splats.means)
-        splats, self._identities = splats.take(order), identities[order]
-        ids = np.arange(len(splats), dtype=np.int32)
-        coded = self._codec.quantise(self._codec.prepare(splats))
-        frame = encode_tiles(self._codec, ids, splats.means, coded, largest=KEY_TILE_SPLATS, id_range=True)
-        held = SplatTable(splats)
-        if frame.decoded is not None:
-            held.put(frame.ids, frame.decoded)
-        self._tables = _Tables(held, SplatTable(splats), SplatTable(splats))
-        nobody = np.zeros(0, np.int32)
-        return DifferentialFrame(frame.tiles, nobody, SourceDelta(ids, splats, nobody), len(ids))
-
-    def _later_frame(self, splats: Splats, identities: NDArray[np.int64], tables: _Tables) -> DifferentialFrame:
-        ids, removed = self._place(identities, tables.held)
+    def place(self, splats: Splats, identities: NDArray[np.int64]) -> SourceDelta:
+        """What the next frame [n], n >= 1, changes: its rows have persistent ``identities`` [n]."""
+        if self._table is None:
+            order = morton_order(splats.means)
+            splats, self._identities = splats.take(order), identities[order]
+            self._table = SplatTable(splats)
+            return SourceDelta(np.arange(len(splats), dtype=np.int32), splats, np.zeros(0, np.int32))
+        ids, removed = self._ids(identities, self._table.alive)
         order = np.argsort(ids, kind="stable")
         ids, splats = ids[order], splats.take(order)
-        fresh = ~tables.held.holds(ids)
-        differing = tables.source.differs(ids, splats) | fresh
-        tables.bury(removed)
+        differing = self._table.differs(ids, splats) | ~self._table.holds(ids)
+        self._table.alive[removed] = False
         delta = SourceDelta(ids[differing], splats.take(differing), removed)
-        tables.source.put(delta.ids, delta.splats)
-        # A splat whose source is what it was when it was last weighed needs no second look.
-        candidates = tables.considered.differs(ids, splats) | fresh
-        tables.considered.put(ids[candidates], splats.take(candidates))
-        frame = self._send(ids[candidates], splats.take(candidates), tables.held)
-        return DifferentialFrame(frame.tiles, removed, delta, len(frame.ids))
+        self._table.put(delta.ids, delta.splats)
+        return delta
 
-    def _send(self, ids: Ids, splats: Splats, held: SplatTable) -> TiledFrame:
-        """Tile those of the splats that are new or worth sending, and note what the decoder then holds."""
-        prepared = self._codec.prepare(splats)
-        coded = self._codec.quantise(prepared)
-        known = held.holds(ids)
-        worth = ~known
-        renewed = self._codec.decode(coded).take(known)
-        worth[known] = self._worth_sending(held.take(ids[known]), renewed, prepared.take(known))
-        rows = np.flatnonzero(worth)
-        chosen = ids[rows], prepared.means[rows], coded.take(rows)
-        frame = encode_tiles(self._codec, *chosen, largest=DELTA_TILE_SPLATS, id_range=False)
-        if frame.decoded is not None:
-            held.put(frame.ids, frame.decoded)
-        return frame
-
-    def _worth_sending(self, held: Splats, renewed: Splats, true: Splats) -> NDArray[np.bool_]:
-        """Whether ``renewed`` [n] are visibly nearer to the truth than what the decoder holds."""
-        worth: NDArray[np.bool_] = visible_effect(held, true) > visible_effect(renewed, true) + self._threshold
-        return worth
-
-    def _place(self, identities: NDArray[np.int64], held: SplatTable) -> tuple[Ids, Ids]:
+    def _ids(self, identities: NDArray[np.int64], alive: NDArray[np.bool_]) -> tuple[Ids, Ids]:
         """Ids of this frame's rows (known ones keep theirs, new ones take free or fresh ids), and the ids that went."""
         lookup = np.argsort(self._identities, kind="stable")
         at = np.searchsorted(self._identities, identities, sorter=lookup)
         at = lookup[np.minimum(at, len(lookup) - 1)]
         known = self._identities[at] == identities
-        gone = held.alive.copy()
+        gone = alive.copy()
         gone[at[known]] = False
         removed = np.flatnonzero(gone).astype(np.int32)
         ids = at.astype(np.int32)
@@ -143,3 +81,70 @@ class GofEncoder:
         first = len(self._identities)
         fresh = range(first, first + count - len(reused))
         return np.array([*reused, *fresh], np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class QuantisedDelta:
+    """A frame's changed splats [n], quantised afresh."""
+
+    prepared: Splats
+    """The truth, in the form that the codec gives back."""
+    coded: CodedSplats
+    effect: F64 | None
+    """Visible effect [n] that quantisation alone has; None in key frames, which send everything."""
+    source: bytes
+    """The unquantised changes, packed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sent:
+    """What a frame sends, and what a decoder then holds of it."""
+
+    ids: Ids  # [m] tile by tile
+    shown: Splats | None  # [m]; None for a frame that sends nothing
+    tiles: tuple[CutTile, ...]
+
+
+class DecoderCopy:
+    """What a decoder with every LoD holds in one group of frames."""
+
+    def __init__(self, codec: ClipCodec, change_threshold: float) -> None:
+        self._codec, self._threshold = codec, change_threshold
+        self._table: SplatTable | None = None
+
+    def send(self, delta: SourceDelta, quantised: QuantisedDelta) -> Sent:
+        """Choose and cut what the next frame sends, and take it over."""
+        if quantised.effect is None:
+            sent = self._cut(delta.ids, quantised, largest=KEY_TILE_SPLATS, id_range=True)
+        else:
+            rows = np.flatnonzero(self._worth_sending(delta.ids, quantised.prepared, quantised.effect))
+            chosen = QuantisedDelta(quantised.prepared.take(rows), quantised.coded.take(rows), None, b"")
+            sent = self._cut(delta.ids[rows], chosen, largest=DELTA_TILE_SPLATS, id_range=False)
+        self.take(sent.ids, sent.shown, delta.removed)
+        return sent
+
+    def take(self, ids: Ids, shown: Splats | None, removed: Ids) -> None:
+        """Hold ``shown`` [m] as ``ids`` and drop ``removed``."""
+        if self._table is None:
+            assert shown is not None  # a key frame holds at least one splat
+            self._table = SplatTable(shown.take(np.argsort(ids, kind="stable")))
+            return
+        self._table.alive[removed] = False
+        if shown is not None:
+            self._table.put(ids, shown)
+
+    def _worth_sending(self, ids: Ids, true: Splats, effect: F64) -> NDArray[np.bool_]:
+        """Whether each splat is new, or its fresh copy visibly nearer to the truth than what the decoder holds."""
+        assert self._table is not None
+        known = self._table.holds(ids)
+        worth = ~known
+        held = visible_effect(self._table.take(ids[known]), true.take(known))
+        worth[known] = held > effect[known] + self._threshold
+        return worth
+
+    def _cut(self, ids: Ids, quantised: QuantisedDelta, *, largest: int, id_range: bool) -> Sent:
+        tiles = cut_tiles(ids, quantised.prepared.means, quantised.coded, largest=largest, id_range=id_range)
+        if not tiles:
+            return Sent(ids, None, ())
+        shown = Splats.concatenate([self._codec.shown(tile.coded) for tile in tiles])
+        return Sent(np.concatenate([tile.ids for tile in tiles]), shown, tiles)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from cags_common.errors import SceneError
 from cags_common.geometry import F32, F64
-from cags_common.splats import SH_C0, Splats
+from cags_common.splats import SH_C0, Ids, Splats
 from cags_encoder.frames.rows import same_rows
 
 MIN_OVERLAP = 0.25
@@ -35,38 +35,39 @@ class IdentityTracker:
     """Gives every row of every frame a persistent identity. Frames must come in order."""
 
     def __init__(self) -> None:
-        self._previous: Splats | None = None
         self._ids: NDArray[np.int64] = np.zeros(0, np.int64)
         self._next = 0
 
-    def identify(self, splats: Splats, known: NDArray[np.int32] | None, source: str) -> tuple[NDArray[np.int64], bool]:
-        """Identities [n] of this frame's rows, and whether enough of the frame before was found again.
+    def identify(
+        self, count: int, known: Ids | None, rows: NDArray[np.int64] | None, source: str
+    ) -> tuple[NDArray[np.int64], bool]:
+        """Identities [n] of a frame's ``count`` rows, and whether enough of the frame before was found again.
 
-        ``known`` are identities that the source gives; ``source`` names the frame in errors. Raises :class:`SceneError`
-        for identities that repeat.
+        ``known`` are identities that the source gives; otherwise ``rows`` says which row of the frame before each row
+        continues (:func:`match_rows`), None in the first frame. ``source`` names the frame in errors. Raises
+        :class:`SceneError` for identities that repeat.
         """
         if known is not None:
             ids = known.astype(np.int64)
-            if len(np.unique(ids)) != len(splats) or ids.min(initial=0) < 0:
+            if len(np.unique(ids)) != count or ids.min(initial=0) < 0:
                 raise SceneError(f"{source}: its splat identities must be distinct and not negative, one a splat")
             found = int(np.isin(ids, self._ids, assume_unique=True).sum())
+        elif rows is None:
+            self._next = count
+            ids, found = np.arange(count), 0
         else:
-            ids, found = self._matched(splats)
-        self._previous, self._ids = splats, ids
-        return ids, found >= MIN_OVERLAP * len(ids)
+            ids, found = self._continued(rows)
+        self._ids = ids
+        return ids, found >= MIN_OVERLAP * count
 
-    def _matched(self, splats: Splats) -> tuple[NDArray[np.int64], int]:
+    def _continued(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
         """Identities, and how many rows were found again. Rows that were not take over those of lost rows.
 
         A splat that changes is sent whole, so that taking over an identity costs what a new one does, and nothing need
         be removed.
         """
-        if self._previous is None:
-            self._next = len(splats)
-            return np.arange(len(splats)), 0
-        rows = match_rows(self._previous, splats)
         found = rows >= 0
-        ids = np.full(len(splats), -1, np.int64)
+        ids = np.full(len(rows), -1, np.int64)
         ids[found] = self._ids[rows[found]]
         lost = np.delete(self._ids, rows[found])
         fresh = np.flatnonzero(~found)

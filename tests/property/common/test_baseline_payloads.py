@@ -21,8 +21,8 @@ CODECS = {"density": (DensityCodec, DensityTileCodec), "video": (VideoCodec, Vid
 def original(name: str) -> tuple[bytes, tuple[bytes, ...]]:
     splats = random_splats(50, 1)
     codec = CODECS[name][0](splats, EncodeSettings())
-    tile = codec.encode_tile(np.arange(0, 100, 2, dtype=np.int32), codec.quantise(splats), id_range=False)
-    return codec.codebooks(), tile.payloads
+    payloads = codec.encode_tile(np.arange(0, 100, 2, dtype=np.int32), codec.quantise(splats), id_range=False)
+    return codec.codebooks(), payloads
 
 
 def fuzz(name: str, cases: int, seed: int) -> int:

@@ -29,29 +29,30 @@ def test_a_new_count_is_matched_by_attributes() -> None:
 def test_no_identity_is_given_twice_and_lost_ones_are_taken_over() -> None:
     tracker = IdentityTracker()
     splats = cloud(200)
-    first, continuous = tracker.identify(splats, None, "x")
+    first, continuous = tracker.identify(200, None, None, "x")
     assert not continuous
     moved = with_changes(splats, means=np.concatenate([splats.means[:150], splats.means[150:] + 50]))
-    second, continuous = tracker.identify(moved.take(RANDOM.permutation(200)), None, "x")
+    moved = moved.take(RANDOM.permutation(200))
+    second, continuous = tracker.identify(200, None, match_rows(splats, moved), "x")
     assert continuous
     assert sorted(second) == sorted(first)
-    more = cloud(260, 0)
-    third, _ = tracker.identify(more, None, "x")
+    third, _ = tracker.identify(260, None, match_rows(moved, cloud(260, 0)), "x")
     assert len(np.unique(third)) == 260
 
 
 def test_frames_without_anything_in_common_are_not_continuous() -> None:
     tracker = IdentityTracker()
-    tracker.identify(cloud(100, 1), None, "x")
-    far = cloud(100, 2)
-    assert not tracker.identify(with_changes(far, means=far.means + 1000), None, "x")[1]
+    before, far = cloud(100, 1), cloud(100, 2)
+    tracker.identify(100, None, None, "x")
+    rows = match_rows(before, with_changes(far, means=far.means + 1000))
+    assert not tracker.identify(100, None, rows, "x")[1]
 
 
 def test_identities_that_the_source_knows_are_taken_and_checked() -> None:
     tracker = IdentityTracker()
     given = np.array([5, 9, 7], np.int32)
-    assert tracker.identify(cloud(3), given, "x")[0].tolist() == [5, 9, 7]
-    assert tracker.identify(cloud(2), given[:2], "x")[1]
+    assert tracker.identify(3, given, None, "x")[0].tolist() == [5, 9, 7]
+    assert tracker.identify(2, given[:2], None, "x")[1]
     for bad in ([1, 1], [-1, 2]):
         with pytest.raises(SceneError, match="frame 7: its splat identities"):
-            tracker.identify(cloud(2), np.array(bad, np.int32), "frame 7")
+            tracker.identify(2, np.array(bad, np.int32), None, "frame 7")

@@ -1,13 +1,14 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from cags_common.bundle.quality import LodQuality
 from cags_common.lod import LodLayer, check_order
 from cags_common.raster import create
 from cags_encoder import EncodeSettings
-from cags_encoder.measuring import cameras_around, cheapest_first, measured
+from cags_encoder.measuring import cheapest_first, measure
+from cags_encoder.scenes import Focus
 from cags_encoder.svq_codec import SvqCodec
+from cags_encoder.views import cameras_around
 from support.codec_scenes import cloud
 
 
@@ -26,7 +27,7 @@ def test_a_layer_that_only_prepares_the_next_is_weighed_with_it() -> None:
 
 
 def test_views_look_at_the_centre_from_all_sides() -> None:
-    cameras = cameras_around((1.0, 2.0, 3.0), 2.0, (0.0, -1.0, 0.0), 0.1)
+    cameras = cameras_around(Focus((1.0, 2.0, 3.0), 2.0), (0.0, -1.0, 0.0), 3)
     for camera in cameras:
         rotation, translation = camera.world_to_camera
         seen = rotation @ np.array([1.0, 2.0, 3.0]) + translation
@@ -34,17 +35,24 @@ def test_views_look_at_the_centre_from_all_sides() -> None:
     assert np.linalg.norm(np.mean([camera.pose.position for camera in cameras], axis=0) - [1, 2, 3]) < 2.0
 
 
-def test_a_measured_order_is_complete_and_its_gains_add_up(tmp_path: Path) -> None:
+def test_a_measured_order_is_complete_and_its_gains_add_up() -> None:
     splats = cloud(1500, 3)
     codec = SvqCodec.train(splats, EncodeSettings())
     rasteriser = create("auto")
     if rasteriser.name == "reference":
         pytest.skip("the native kernels are not installed; measuring needs dozens of renders")
     done: list[int] = []
-    better = measured(
-        codec, splats, cameras_around((0, 0, 0), 2, (0, 1, 0), 0.1), rasteriser, lambda at, _: done.append(at)
-    )
-    check_order(better.lod_order, {book.attribute: book.enhancement_layers for book in codec.quantiser.books})
+    cameras = cameras_around(Focus((0, 0, 0), 2.0), (0, 1, 0), 3)
+    found = measure(codec, splats, cameras, rasteriser, lambda at, _: done.append(at))
+    layers = {book.attribute: book.enhancement_layers for book in codec.quantiser.books}
+    better = found.applied(codec)
+    check_order(better.lod_order, layers)
     assert len(better.lod_gains_db) == len(better.lod_order)
     assert sum(better.lod_gains_db) > 15
     assert done == list(range(1, len(done) + 1))
+    ladder, alone = found.quality.ladder, found.quality.layers
+    assert [row.lod for row in ladder] == list(range(len(better.lod_order) + 1))
+    assert {(row.attribute, row.layer) for row in alone} == {(a, k) for a in layers for k in range(layers[a] + 1)}
+    assert ladder[-1].psnr_db == max(row.psnr_db for row in alone), "all layers of all attributes"
+    assert ladder[-1].ssim > ladder[0].ssim and ladder[-1].size_bytes > ladder[0].size_bytes > 0
+    assert LodQuality.from_json(found.quality.to_json()) == found.quality

@@ -1,5 +1,6 @@
 """The density and video codecs: what each level shows, what it costs, and that a bundle of them plays."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,6 @@ from cags_common.splats import Ids, Splats
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.baselines.density import SHARES, DensityCodec, levels_of
 from cags_encoder.baselines.video import CRFS, VideoCodec
-from cags_encoder.codecs import EncodedTile
 from cags_encoder.scenes import open_scene
 from support.splat_files import random_splats
 
@@ -37,9 +37,16 @@ def smooth_splats(count: int = 1200, degree: int = 1) -> Splats:
     return ordered.take(morton_order(ordered.means))
 
 
-def encoded(name: str, splats: Splats, ids: Ids, *, id_range: bool) -> tuple[EncodedTile, object]:
+@dataclass(frozen=True, eq=False)
+class Encoded:
+    payloads: tuple[bytes, ...]
+    decoded: Splats
+
+
+def encoded(name: str, splats: Splats, ids: Ids, *, id_range: bool) -> tuple[Encoded, object]:
     codec = CODECS[name][0](splats, SETTINGS)
-    tile = codec.encode_tile(ids, codec.quantise(codec.prepare(splats)), id_range=id_range)
+    coded = codec.quantise(codec.prepare(splats))
+    tile = Encoded(codec.encode_tile(ids, coded, id_range=id_range), codec.shown(coded))
     return tile, CODECS[name][1](None, codec.codebooks())  # type: ignore[arg-type]
 
 

@@ -1,0 +1,144 @@
+"""What a bundle holds, as one JSON object and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from cags_common.bundle import BundleReader, FrameEntry
+from cags_common.svq import CodebookSet
+
+Description = dict[str, Any]
+
+
+def summarise(reader: BundleReader, url: str) -> Description:
+    """The bundle in a few numbers. Raises :class:`BundleError`."""
+    manifest = reader.manifest
+    entries = [reader.frame(index) for index in range(manifest.frames)]
+    splats = sum(tile.splats for tile in entries[0].tiles)
+    return {
+        "out": url,
+        "name": manifest.name,
+        "frames": manifest.frames,
+        "fps": manifest.fps,
+        "groups": len(manifest.gof_starts),
+        "lods": manifest.lods,
+        "codec": manifest.codec,
+        "quantiser": manifest.quantiser,
+        "sh_degree": manifest.sh_degree,
+        "splats_first_frame": splats,
+        "splats_sent": sum(_splats(entry) for entry in entries),
+        "bytes_codebooks": len(reader.codebooks()),
+        "bytes_tiles": sum(entry.size_bytes for entry in entries),
+        "bytes_first_frame": entries[0].size_bytes,
+        "bytes_first_frame_base": sum(tile.lod_bytes[0] for tile in entries[0].tiles),
+        "bytes_a_splat": entries[0].size_bytes / max(splats, 1),
+        "bytes_source": sum(files.source.size_bytes for files in manifest.gofs),
+        "pruning": asdict(manifest.pruning) if manifest.pruning else None,
+    }
+
+
+def describe(reader: BundleReader, url: str) -> Description:
+    """:func:`summarise`, and every frame, LoD and codebook. Raises :class:`BundleError`."""
+    manifest, quality = reader.manifest, reader.quality()
+    entries = [reader.frame(index) for index in range(manifest.frames)]
+    layers = ["base", *(f"{item.attribute} {item.layer}" for item in manifest.lod_order)]
+    gains = [None, *manifest.lod_gains_db] if manifest.lod_gains_db else [None] * manifest.lods
+    first, every = _lod_bytes(entries[:1], manifest.lods), _lod_bytes(entries, manifest.lods)
+    return {
+        **summarise(reader, url),
+        "levels": [
+            {
+                "lod": lod,
+                "adds": layers[lod],
+                "first_frame_bytes": first[lod],
+                "bytes": every[lod],
+                "gain_db": gains[lod],
+            }
+            for lod in range(manifest.lods)
+        ],
+        "each_frame": [
+            {
+                "frame": entry.frame,
+                "key": entry.keyframe,
+                "tiles": len(entry.tiles),
+                "splats": _splats(entry),
+                "removed": entry.removed_count,
+                "bytes": entry.size_bytes,
+            }
+            for entry in entries
+        ],
+        "codebooks": _codebooks(reader),
+        "quality": asdict(quality) if quality else None,
+    }
+
+
+def lines(found: Description) -> Iterator[str]:
+    """:func:`describe` as text."""
+    yield (
+        f"{found['out']}: {found['name']!r}, {found['frames']} frames at {found['fps']:g} fps in "
+        f"{found['groups']} groups, SH degree {found['sh_degree']}, codec {found['codec']} {found['quantiser']}"
+    )
+    later = [frame for frame in found["each_frame"] if not frame["key"]]
+    yield (
+        f"first frame: {found['splats_first_frame']} splats, {found['bytes_first_frame']} bytes "
+        f"({found['bytes_a_splat']:.2f} a splat); codebooks {found['bytes_codebooks']}; tiles {found['bytes_tiles']}; "
+        f"source {found['bytes_source']}"
+    )
+    if later:
+        sent, size = (float(np.mean([frame[name] for frame in later])) for name in ("splats", "bytes"))
+        yield f"later frames: {sent:.0f} splats, {size:.0f} bytes each on average"
+    if found["pruning"]:
+        pruned = found["pruning"]
+        yield (
+            f"pruned: {pruned['splats_before']} to {pruned['splats_after']} splats, which costs pictures of "
+            f"{pruned['psnr_db']:.2f} dB, SSIM {pruned['ssim']:.4f}"
+        )
+    yield ""
+    yield from _level_lines(found)
+    yield ""
+    yield f"{'codebook':>14} {'dim':>4} {'bits':>5}  layers"
+    for book in found["codebooks"]:
+        yield f"{book['attribute']:>14} {book['dim']:>4} {sum(book['layer_bits']):>5}  {book['layer_bits']}"
+    if found["quality"]:
+        yield ""
+        yield from _layer_lines(found["quality"]["layers"])
+
+
+def _level_lines(found: Description) -> Iterator[str]:
+    yield f"{'LoD':>4} {'adds':>16} {'first frame':>12} {'all frames':>12} {'PSNR dB':>8} {'SSIM':>7}"
+    ladder = found["quality"]["ladder"] if found["quality"] else []
+    for level in found["levels"]:
+        seen = ladder[level["lod"]] if level["lod"] < len(ladder) else None
+        quality = f"{seen['psnr_db']:>8.2f} {seen['ssim']:>7.4f}" if seen else f"{'-':>8} {'-':>7}"
+        yield f"{level['lod']:>4} {level['adds']:>16} {level['first_frame_bytes']:>12} {level['bytes']:>12} {quality}"
+
+
+def _layer_lines(layers: list[Description]) -> Iterator[str]:
+    yield "one attribute cut, all others whole:"
+    yield f"{'attribute':>14} {'layers':>6} {'bytes':>9} {'PSNR dB':>8} {'SSIM':>7}"
+    for row in layers:
+        place = f"{row['attribute']:>14} {row['layer']:>6} {row['size_bytes']:>9}"
+        yield f"{place} {row['psnr_db']:>8.2f} {row['ssim']:>7.4f}"
+
+
+def _splats(entry: FrameEntry) -> int:
+    return sum(tile.splats for tile in entry.tiles)
+
+
+def _lod_bytes(entries: list[FrameEntry], lods: int) -> list[int]:
+    """Bytes that each level adds in ``entries``."""
+    sizes = np.array([tile.lod_bytes for entry in entries for tile in entry.tiles], np.int64).reshape(-1, lods)
+    return [int(size) for size in sizes.sum(axis=0)]
+
+
+def _codebooks(reader: BundleReader) -> list[Description]:
+    if reader.manifest.codec != "svq":
+        return []
+    return [
+        {"attribute": book.attribute, "dim": book.tables[0].shape[1], "layer_bits": list(book.layer_bits)}
+        for book in CodebookSet.from_bytes(reader.codebooks())
+    ]

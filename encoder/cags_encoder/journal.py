@@ -1,0 +1,147 @@
+"""What a run has finished, kept beside the bundle: a killed run that is started again goes on from there.
+
+One file a frame, written whole or not at all, holds what the frame sends and what a decoder then shows of it; the rest
+of the encoder's state follows from reading the frames again. The journal belongs to one input, one set of settings and
+one set of codebooks; whatever differs starts it afresh. Plain arrays and JSON: nothing in it is evaluated.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import shutil
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from cags_common.bundle import TilePayloads
+from cags_common.errors import BundleError
+from cags_common.splats import Ids, Splats
+
+_PARTS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "sh_rest")
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """One finished frame."""
+
+    tiles: tuple[TilePayloads, ...]
+    source: bytes
+    """Its unquantised changes, packed."""
+    ids: Ids  # [m] sent, tile by tile
+    shown: Splats | None  # [m] what a decoder with every LoD shows of them; None when nothing is sent
+
+
+class Journal:
+    """Records of finished frames in ``folder``; use as a context manager. One process at a time may have it open.
+
+    ``key`` stands for the input and the settings. Raises :class:`BundleError` where another process has it open or the
+    folder cannot be written.
+    """
+
+    def __init__(self, folder: Path, key: str) -> None:
+        self._folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock = (folder / "lock").open("w")
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BundleError(f"{folder}: another process encodes this bundle; wait for it or stop it") from error
+        except OSError as error:
+            raise BundleError(f"{folder}: cannot be written ({error.strerror or error})") from error
+        self._belongs_to("input", key)
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._lock.close()
+
+    def codebooks(self, data: bytes) -> None:
+        """Keep the records only if they were made with codebooks ``data``."""
+        self._belongs_to("codebooks", hashlib.sha256(data).hexdigest())
+
+    def note(self, name: str) -> Any:
+        """A JSON value kept by :meth:`write_note`, or None."""
+        try:
+            return json.loads((self._folder / f"{name}.json").read_bytes())
+        except (OSError, ValueError):
+            return None
+
+    def write_note(self, name: str, value: Any) -> None:
+        """Keep a JSON value."""
+        self._write(f"{name}.json", json.dumps(value).encode())
+
+    def frame(self, index: int) -> FrameRecord | None:
+        """The record of frame ``index``, or None where it is not finished (or its file is damaged)."""
+        try:
+            with np.load(self._folder / _name(index), allow_pickle=False) as arrays:
+                return _record(dict(arrays))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def add(self, index: int, record: FrameRecord) -> None:
+        """Keep the record of frame ``index``."""
+        partial = self._folder / "frame.part"
+        with partial.open("wb") as file:
+            np.savez(file, **_arrays(record))
+        partial.replace(self._folder / _name(index))
+
+    def discard(self) -> None:
+        """Delete everything: the bundle is complete, or the run is not worth going on with."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _belongs_to(self, what: str, key: str) -> None:
+        """Drop all records and notes unless they were made for ``key``."""
+        path = self._folder / f"{what}.key"
+        if path.is_file() and path.read_text() == key:
+            return
+        for old in self._folder.iterdir():
+            if old.suffix in (".npz", ".json"):
+                old.unlink()
+        self._write(path.name, key.encode())
+
+    def _write(self, name: str, data: bytes) -> None:
+        partial = self._folder / f"{name}.part"
+        partial.write_bytes(data)
+        partial.replace(self._folder / name)
+
+
+def _name(index: int) -> str:
+    return f"frame_{index:06d}.npz"
+
+
+def _arrays(record: FrameRecord) -> dict[str, Any]:
+    tiles = record.tiles
+    sizes = [[len(payload) for payload in tile.payloads] for tile in tiles]
+    arrays: dict[str, Any] = {
+        "source": np.frombuffer(record.source, np.uint8),
+        "ids": record.ids,
+        "splats": np.array([tile.splats for tile in tiles], np.int64),
+        "first_ids": np.array([-1 if tile.first_id is None else tile.first_id for tile in tiles], np.int64),
+        "bounds": np.array([tile.bounds for tile in tiles], np.float64).reshape(-1, 2, 3),
+        "sizes": np.array(sizes, np.int64).reshape(len(tiles), -1),
+        "payloads": np.frombuffer(b"".join(p for tile in tiles for p in tile.payloads), np.uint8),
+    }
+    return arrays if record.shown is None else {**arrays, **dict(record.shown.arrays())}
+
+
+def _record(arrays: dict[str, Any]) -> FrameRecord:
+    blob, at, tiles = arrays["payloads"].tobytes(), 0, []
+    for row, sizes in enumerate(arrays["sizes"]):
+        ends = at + np.cumsum(sizes)
+        payloads = tuple(blob[end - size : end] for size, end in zip(sizes.tolist(), ends.tolist(), strict=True))
+        low, high = arrays["bounds"][row].tolist()
+        first = int(arrays["first_ids"][row])
+        bounds = (low[0], low[1], low[2]), (high[0], high[1], high[2])
+        tiles.append(TilePayloads(int(arrays["splats"][row]), None if first < 0 else first, bounds, payloads))
+        at = int(ends[-1])
+    shown = Splats(*(arrays[name] for name in _PARTS)) if "means" in arrays else None
+    return FrameRecord(tuple(tiles), arrays["source"].tobytes(), arrays["ids"], shown)

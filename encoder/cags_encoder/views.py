@@ -1,0 +1,54 @@
+"""Views from where viewers stand, and what each splat contributes to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from cags_common.geometry import DEFAULT_NEAR, F64, Camera, Intrinsics, Pose, Vec3
+from cags_common.raster import DepthKind, Rasteriser, RenderOptions
+from cags_common.splats import Splats
+from cags_encoder.scenes import Focus
+
+WIDTH_PX, HEIGHT_PX, FOV_RAD = 400, 300, math.radians(55)
+DISTANCES = (1.4, 2.2)
+"""Radii from the centre that views alternate between: inside the range where scenes have sensible views."""
+
+HEIGHTS = (0.25, 0.25, 0.7)
+"""Height above the centre that views alternate between, against one aside."""
+
+
+def near_plane(focus: Focus) -> float:
+    """Near plane for a scene of this size."""
+    return min(DEFAULT_NEAR, float(focus.radius) / 10)
+
+
+def cameras_around(focus: Focus, up: Vec3, views: int, phase: float = 0.3) -> list[Camera]:
+    """``views`` from around the focus, above it, looking at it. ``phase`` turns all of them, in steps between two."""
+    upward = np.asarray(up) / np.linalg.norm(up)
+    aside = np.cross(upward, np.eye(3)[np.argmin(np.abs(upward))])
+    aside /= np.linalg.norm(aside)
+    ahead = np.cross(upward, aside)
+    height_rad = FOV_RAD * HEIGHT_PX / WIDTH_PX
+    intrinsics = Intrinsics.of_fov(WIDTH_PX, HEIGHT_PX, FOV_RAD, height_rad)
+    out = []
+    for view in range(views):
+        turn = 2 * math.pi * (view + phase) / views
+        way = math.cos(turn) * aside + math.sin(turn) * ahead + HEIGHTS[view % len(HEIGHTS)] * upward
+        x, y, z = np.asarray(focus.centre) + focus.radius * DISTANCES[view % 2] * way
+        pose = Pose.looking_at((float(x), float(y), float(z)), focus.centre, up)
+        out.append(Camera(intrinsics, pose, near_plane(focus)))
+    return out
+
+
+def contributions(splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> F64:
+    """What each splat [n] adds to pictures: its compositing weights summed over the pixels of all views."""
+    options = RenderOptions(depth=DepthKind.NONE, contribution=True)
+    scene, total = rasteriser.load(splats), np.zeros(len(splats))
+    for camera in cameras:
+        weights = scene.render(camera, options).contribution
+        assert weights is not None
+        total += weights
+    return total
