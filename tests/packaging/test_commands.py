@@ -39,6 +39,41 @@ def test_help_loads_nothing_heavy(command):
     assert done.stdout.strip().endswith("HEAVY []"), done.stdout[-200:]
 
 
+HELP_MODULES, START_MODULES = 320, 1250
+"""Modules at most: as many as load in 0.5 s and 1.5 s of processor time on an AMD EPYC (0.24 s and 1.2 s measured)."""
+
+STARTS = {
+    "cags-encode": ["/none", "out.cags"],
+    "cags-server": ["--bundle", "/none"],
+    "cags-client": ["--url", "ws://127.0.0.1:9/stream"],
+    "cags-shaper": ["--listen", "127.0.0.1:0", "--to", "127.0.0.1:9", "--trace", "/none"],
+    "cags-bench": ["stream", "--scene", "/none"],
+    "cags-demo": ["/none", "--cache", "cache"],
+    "cags-train": ["fov", "--poses", "/none", "--out", "weights.npz"],
+    "cags-doctor": ["--threads", "-1"],
+}
+"""Work that ends at the first look at what it was given: everything that a start needs has been loaded by then."""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_starting_loads_little_and_no_framework(command, tmp_path):
+    counted = {}
+    for kind, arguments in (("help", ["--help"]), ("start", STARTS[command])):
+        code = (
+            f"import sys; from {MODULES[command]} import main\ntry:\n    main({arguments!r})\n"
+            "except SystemExit:\n    pass\n"
+            "print('LOADED', len(sys.modules), bool({'torch', 'matplotlib', 'gsplat'} & set(sys.modules)))"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+        )
+        _, count, heavy = done.stdout.strip().splitlines()[-1].split()
+        assert heavy == "False", f"{command} {kind}: a framework was loaded before there was work for it"
+        counted[kind] = int(count)
+    assert counted["help"] <= HELP_MODULES
+    assert counted["start"] <= START_MODULES
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_unknown_flag_is_wrong_use(command):
     needed = {"cags-client": ["--url", "ws://127.0.0.1:1/stream"], "cags-encode": ["scene", "out"]}

@@ -15,7 +15,7 @@ EXAMPLES = """\
 
 SUBCOMMANDS = {
     "predictor": ("cags_training.predictor", "fit the autoregressive viewport predictor"),
-    "fov": ("cags_training.fov", "train the LSTM that chooses the reference's field of view"),
+    "fov": ("cags_training.fov_command", "train the LSTM that chooses the reference's field of view"),
     "restore": ("cags_training.restore.command", "train the networks that restore colours"),
 }
 """Name -> module with ``add_arguments(parser)`` and ``run(arguments) -> exit code``, and its help."""

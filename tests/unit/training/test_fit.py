@@ -66,7 +66,8 @@ def test_the_server_runs_what_torch_trained() -> None:
     torch = pytest.importorskip("torch")
     from cags_server.fov.base import FovObservation
     from cags_server.predict import PoseDistribution
-    from cags_training.fov import FovNetwork, FovTraining, Trainer, rollouts
+    from cags_training.fov import FovNetwork, Trainer, rollouts
+    from cags_training.fov_command import FovTraining
     from cags_training.fov_data import CLIENT, chunks, sequence_of
 
     sequences = [sequence_of(walk(1), PooledWeights.load(), 6)]
