@@ -20,6 +20,7 @@ from cags_common.raster.base import (
     RasterScene,
     RenderedView,
     RenderOptions,
+    Shortcuts,
 )
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "Rasteriser",
     "RenderOptions",
     "RenderedView",
+    "Shortcuts",
     "create",
 ]
 

@@ -57,6 +57,13 @@ class Footprint:
         """Opacity compensated for the whole dilation (Mip-Splatting's screen-space filter)."""
         return cls(0.0, DILATION_PX2)
 
+    def at_half_resolution(self) -> Footprint:
+        """The footprint of an image of half the pixels a side that is brought up again.
+
+        Half a pixel's box: without any, splats between two pixel centres flicker; the whole box blurs once too often.
+        """
+        return Footprint(self.dilation_px2 / 4, self.filter_px2 / 4 + BOX_VARIANCE_PX2 / 2)
+
     @classmethod
     def of(cls, client: Intrinsics, reference: Intrinsics) -> Footprint:
         """The client's picture, seen at the reference's resolution: its dilation, then the reference pixel's box.
@@ -88,6 +95,33 @@ class DepthKind(StrEnum):
     """z of the splat at which transmittance falls through one half."""
 
 
+MAX_COLOUR_ANGLE_RAD = 0.5
+"""Harmonics of degree 3 are another colour after that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shortcuts:
+    """What a frame may leave out beyond its level of exactness. ``cpu`` takes them; the others draw every frame whole.
+
+    docs/rasteriser.md says what each gives up and saves.
+    """
+
+    colour_angle_rad: float = 0.0
+    """A splat's colour is kept until its direction has turned by more than this. 0 evaluates every frame's colours.
+
+    With it a picture depends, within the angle, on the views that the scene drew before.
+    """
+    half_resolution: bool = False
+    """Draw half the pixels a side and bring them up: colours and alpha by cubic convolution, depth within one surface.
+
+    Contributions are still in pixels of the whole image. Not for :meth:`RasterScene.back_project`.
+    """
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.colour_angle_rad <= MAX_COLOUR_ANGLE_RAD:
+            raise ValueError(f"colour_angle_rad = {self.colour_angle_rad} must lie in [0, {MAX_COLOUR_ANGLE_RAD}]")
+
+
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
     """What to render, and how exactly."""
@@ -101,6 +135,7 @@ class RenderOptions:
     """Pixels of less alpha are void: their depth is +inf."""
     max_sh_degree: int = 3
     threads: int = 2
+    shortcuts: Shortcuts = Shortcuts()
 
     def __post_init__(self) -> None:
         if not 0 <= self.void_alpha <= 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 import cags_kernels
 from cags_common.errors import CagsError, ConfigError
-from cags_common.geometry import F32, Camera
+from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.checks import check_camera, check_residual, drawable, replacements
 from cags_common.splats import Splats
 
 if TYPE_CHECKING:
-    from cags_kernels.raster import RasterCamera, RasterOptions
+    from cags_kernels.raster import RasterCamera, RasterImage, RasterOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +75,29 @@ class CpuScene:
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view over black."""
         check_camera(camera)
+        draw = self._half if options.shortcuts.half_resolution else self._whole
         try:
-            image = self._native.render(_camera(camera), _options(options), contribution=options.contribution)
+            image = draw(camera, options)
         except cags_kernels.KernelError as error:
             raise CagsError(f"rendering {camera.width_px}x{camera.height_px} px failed: {error}") from error
         return RenderedView(image.rgb, image.alpha, image.depth, image.contribution)
 
+    def _whole(self, camera: Camera, options: RenderOptions) -> RasterImage:
+        return self._native.render(_camera(camera), _options(options), contribution=options.contribution)
+
+    def _half(self, camera: Camera, options: RenderOptions) -> RasterImage:
+        footprint = options.footprint.at_half_resolution()
+        half = self._whole(_halved(camera), replace(options, footprint=footprint))
+        if half.contribution is not None:
+            half.contribution[:] *= 4  # pixels of the whole image
+        width, height = camera.width_px, camera.height_px
+        return self._native.upsample(half, width, height, options.void_alpha, options.threads)
+
     def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
         """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
         check_camera(camera)
+        if options.shortcuts.half_resolution:
+            raise ValueError("half_resolution is for pictures; back-project at the residual's own resolution")
         image = check_residual(residual, camera)
         try:
             return BackProjection(*self._native.back_project(_camera(camera), image, _options(options)))
@@ -103,6 +117,13 @@ def _camera(camera: Camera) -> RasterCamera:
     return RasterCamera(rotation, position, i.fx_px, i.fy_px, i.cx_px, i.cy_px, camera.near, i.width_px, i.height_px)
 
 
+def _halved(camera: Camera) -> Camera:
+    """The same view on half the pixels a side; an odd last one is halved too, so that all pixels are of one size."""
+    i = camera.intrinsics
+    width, height = (i.width_px + 1) // 2, (i.height_px + 1) // 2
+    return replace(camera, intrinsics=Intrinsics(width, height, i.fx_px / 2, i.fy_px / 2, i.cx_px / 2, i.cy_px / 2))
+
+
 def _options(options: RenderOptions) -> RasterOptions:
     from cags_kernels.raster import RasterOptions
 
@@ -114,4 +135,5 @@ def _options(options: RenderOptions) -> RasterOptions:
         depth=_DEPTH[options.depth],
         max_sh_degree=options.max_sh_degree,
         threads=options.threads,
+        colour_angle=options.shortcuts.colour_angle_rad,
     )

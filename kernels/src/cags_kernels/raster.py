@@ -42,7 +42,7 @@ class _Camera(ctypes.Structure):
 
 
 class _Options(ctypes.Structure):
-    _fields_ = [(name, _float) for name in ("dilation", "filter", "void_alpha")] + [
+    _fields_ = [(name, _float) for name in ("dilation", "filter", "void_alpha", "colour_angle")] + [
         (name, _int32) for name in ("exactness", "depth", "max_sh_degree", "threads")
     ]
 
@@ -83,6 +83,8 @@ class RasterOptions:
     depth: int
     max_sh_degree: int
     threads: int
+    colour_angle: float = 0.0
+    """Radians that a splat's direction may turn before its harmonics are evaluated again; 0: every frame."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,22 @@ class NativeScene:
         figures = (getattr(statistics, name) for name, *_ in _Statistics._fields_)
         return RasterImage(rgb, alpha, depth, weights, RasterStatistics(*figures))
 
+    def upsample(self, half: RasterImage, width: int, height: int, void_alpha: float, threads: int) -> RasterImage:
+        """A view of twice the resolution: ``half`` is of (width + 1) // 2 by (height + 1) // 2 pixels."""
+        if half.alpha.shape != ((height + 1) // 2, (width + 1) // 2):
+            raise ValueError(f"alpha of shape {half.alpha.shape} is not half of {width}x{height} px")
+        shape = (height, width)
+        rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
+        depth = None if half.depth is None else self._buffers.empty(shape)
+        small = _Targets(*(_address(array) for array in (half.rgb, half.alpha, half.depth)), None)
+        whole = _Targets(*(_address(array) for array in (rgb, alpha, depth)), None)
+        upsample = self._library.cags_raster_upsample
+        check(
+            upsample(ctypes.byref(small), width, height, _float(void_alpha), threads, ctypes.byref(whole)),
+            "raster_upsample",
+        )
+        return RasterImage(rgb, alpha, depth, half.contribution, half.statistics)
+
     def back_project(self, camera: RasterCamera, residual: F32, options: RasterOptions) -> tuple[F32, F32]:
         """Carry ``residual`` [H, W, 3] onto the splats: sums of weight x residual [N, 3] and of weight [N]."""
         residual = np.ascontiguousarray(residual, dtype=np.float32)
@@ -184,7 +202,7 @@ def _arguments(camera: RasterCamera, options: RasterOptions) -> tuple[object, ob
         *(camera.fx, camera.fy, camera.cx, camera.cy, camera.near, camera.width, camera.height),
     )
     native_options = _Options(
-        *(options.dilation, options.filter, options.void_alpha),
+        *(options.dilation, options.filter, options.void_alpha, options.colour_angle),
         *(options.exactness, options.depth, options.max_sh_degree, options.threads),
     )
     return ctypes.byref(native_camera), ctypes.byref(native_options)

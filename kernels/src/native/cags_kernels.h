@@ -31,6 +31,7 @@ struct CagsCamera {
 struct CagsRasterOptions {
   float dilation, filter;  // squared pixels, see Footprint
   float void_alpha;
+  float colour_angle;    // radians that a splat's direction may turn before its harmonics are evaluated again; 0: always
   int32_t exactness, depth, max_sh_degree, threads;
 };
 
@@ -64,3 +65,8 @@ CAGS_API int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* ca
                                     const CagsRasterTargets* targets, CagsRasterStatistics* statistics);
 CAGS_API int32_t cags_raster_back_project(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,
                                           const float* residual, float* weighted_residual, float* weight);
+
+// Brings a view of ((width + 1) / 2) x ((height + 1) / 2) up to width x height; `contribution` is not looked at, depth may be
+// left out on both sides.
+CAGS_API int32_t cags_raster_upsample(const CagsRasterTargets* half, int32_t width, int32_t height, float void_alpha,
+                                      int32_t threads, const CagsRasterTargets* whole);

@@ -11,7 +11,7 @@ import pytest
 
 import cags_kernels
 from cags_common.geometry import Camera, Intrinsics, Pose
-from cags_common.raster import DepthKind, Exactness, Footprint, RenderOptions, create
+from cags_common.raster import DepthKind, Exactness, Footprint, RenderOptions, Shortcuts, create
 from cags_common.raster.cpu import BOUNDS
 from cags_common.splats import Splats
 from support.raster_scenes import F, assert_sound, camera, random_splats, splat, tilted_camera
@@ -230,6 +230,14 @@ def test_other_footprints_and_median_depth_and_back_projection_are_sound(name, f
     back = scene.back_project(cam, np.ones((cam.height_px, cam.width_px, 3), F), options)
     assert np.isfinite(back.weighted_residual).all()
     assert (back.weight >= 0).all()
+
+
+@pytest.mark.parametrize("exactness", Exactness)
+@pytest.mark.parametrize("name", CASES)
+def test_shortcuts_are_sound(name, exactness):
+    _, scene = rendered(name)
+    shortcuts = Shortcuts(colour_angle_rad=0.02, half_resolution=True)
+    assert_sound(scene.render(CASES[name][1], RenderOptions(exactness=exactness, shortcuts=shortcuts)))
 
 
 @pytest.mark.parametrize("exactness", Exactness)

@@ -1,6 +1,7 @@
 #include "cags_kernels.h"
 #include "raster/frame.h"
 #include "raster/stages.h"
+#include "support/float_mode.h"
 #include "support/thread_pool.h"
 
 #include <algorithm>
@@ -36,6 +37,8 @@ struct CagsRasterScene {
 namespace {
 
 constexpr int kMaxSide = 16384;  // pixels
+constexpr float kMaxColourAngle = 1.5f;  // radians: the sine must tell angles apart
+constexpr int kStripe = 16;      // rows that a thread brings up to the whole resolution at a time
 constexpr int64_t kMaxSplats = std::numeric_limits<int32_t>::max() / 64;
 
 template <typename Body>
@@ -58,7 +61,7 @@ bool valid(const CagsCamera& camera, const CagsRasterOptions& options) {
   return camera.width >= 1 && camera.width <= kMaxSide && camera.height >= 1 && camera.height <= kMaxSide && camera.fx > 0 &&
          camera.fy > 0 && camera.near_plane > 0 && options.threads >= 1 && options.exactness >= CAGS_FAST &&
          options.exactness <= CAGS_EXACT && options.depth >= CAGS_DEPTH_NONE && options.depth <= CAGS_DEPTH_MEDIAN &&
-         options.max_sh_degree >= 0 && options.dilation >= 0 && options.filter >= 0 && options.dilation + options.filter > 0;
+         options.max_sh_degree >= 0 && options.colour_angle >= 0 && options.colour_angle < kMaxColourAngle && options.dilation >= 0 && options.filter >= 0 && options.dilation + options.filter > 0;
 }
 
 int32_t run(CagsRasterScene* scene, const CagsCamera& camera, const CagsRasterOptions& options,
@@ -104,6 +107,25 @@ int32_t cags_raster_back_project(CagsRasterScene* scene, const CagsCamera* camer
                                  const float* residual, float* weighted_residual, float* weight) {
   if (!residual) return CAGS_INVALID;
   return run(scene, *camera, *options, {nullptr, nullptr, nullptr, residual}, {4, 3, weighted_residual, weight}, nullptr);
+}
+
+int32_t cags_raster_upsample(const CagsRasterTargets* half, int32_t width, int32_t height, float void_alpha, int32_t threads,
+                             const CagsRasterTargets* whole) {
+  const bool complete = half->rgb && half->alpha && whole->rgb && whole->alpha && !half->depth == !whole->depth;
+  if (!complete || width < 1 || width > kMaxSide || height < 1 || height > kMaxSide || threads < 1) return CAGS_INVALID;
+  return guarded([&] {
+    const cags::raster::UpsampleJob job{{half->rgb, half->alpha, half->depth, nullptr},
+                                        {whole->rgb, whole->alpha, whole->depth, nullptr}, width, height, void_alpha};
+    const int workers = std::min(threads, cags::kMaxThreads), stripes = (height + kStripe - 1) / kStripe;
+    const size_t pitch = size_t(width / 2 + 1 + 4) * 3;
+    std::vector<float> rows(pitch * workers);
+    cags::parallel_for(workers, stripes, [&](int stripe, int worker) {
+      cags::FlushDenormals mode;
+      for (int y = stripe * kStripe; y < std::min(height, (stripe + 1) * kStripe); y++)
+        cags::raster::active_stages().upsample(job, y, rows.data() + worker * pitch);
+    });
+    return CAGS_OK;
+  });
 }
 
 double cags_multiply_adds(int64_t rounds) { return cags::raster::active_stages().multiply_adds(rounds); }

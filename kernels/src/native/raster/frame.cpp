@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstring>
 #include <limits>
 
@@ -61,6 +62,8 @@ View make_view(const CagsCamera& camera, const CagsRasterOptions& options) {
   view.width = camera.width, view.height = camera.height;
   view.tiles_x = (camera.width + kTile - 1) / kTile, view.tiles_y = (camera.height + kTile - 1) / kTile;
   view.sh_degree = options.max_sh_degree, view.exactness = options.exactness, view.depth = options.depth;
+  const float sine = std::sin(options.colour_angle);
+  view.colour_turn = sine * sine;
   view.void_alpha = options.void_alpha, view.stop = stop_of(options.exactness);
   return view;
 }
@@ -103,6 +106,16 @@ void Frame::prepare(const SceneData& scene, const View& view) {
   data_.chunk_slot = chunk_slot_.reserve(data_.chunks + 1);
   data_.tile_cursor = tile_cursor_.reserve(size_t(data_.chunks) * tiles);
   data_.tile_start = tile_start_.reserve(tiles + 1);
+  prepare_colours(scene, view);
+}
+
+// The cache comes into being with the first view that wants one, and stays with the frame.
+void Frame::prepare_colours(const SceneData& scene, const View& view) {
+  data_.colours = nullptr;
+  if (view.colour_turn <= 0.0f || scene.sh_rest == 0) return;
+  const int blocks = scene.padded / kLanes;
+  data_.colours = colours_.reserve(blocks);
+  for (; cached_blocks_ < blocks; cached_blocks_++) data_.colours[cached_blocks_].revision = 0;
 }
 
 // Turns counts into places: where each tile's list starts, where each chunk writes in it, where each chunk's slots start.

@@ -26,6 +26,7 @@ class Frame {
 
  private:
   void prepare(const SceneData& scene, const View& view);
+  void prepare_colours(const SceneData& scene, const View& view);
   void place_entries(const View& view);
   void order_tiles(int tiles);
   void prepare_tiles(const View& view, const SplatSums& sums, int threads, size_t work_bytes);
@@ -33,6 +34,8 @@ class Frame {
 
   FrameData data_{};
   AlignedArray<Record> records_;
+  AlignedArray<CachedColours> colours_;
+  int cached_blocks_ = 0;
   AlignedArray<int32_t> splat_, chunk_records_, tile_order_;
   AlignedArray<uint32_t> tile_cursor_, tile_start_, chunk_slot_;
   AlignedArray<uint64_t> entries_;

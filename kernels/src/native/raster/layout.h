@@ -32,6 +32,7 @@ struct SceneData {
   const uint32_t* tie;          // hash of the splat's content: decides between equal depths
   const float* rest;            // [padded / kLanes][sh_rest * 3][kLanes]
   const uint8_t* degree;        // [padded / kLanes] highest SH degree with a coefficient other than zero
+  const uint32_t* revision;     // [padded / kLanes] changes with the block's splats; never 0
 };
 
 // Camera and options in the form that the stages use.
@@ -41,6 +42,7 @@ struct View {
   float dilation, variance;                         // squared pixels added before and after the filter
   int width, height, tiles_x, tiles_y;
   int sh_degree, exactness, depth;
+  float colour_turn;              // squared sine of the angle after which colours are evaluated again; 0: always
   float void_alpha, stop;                           // a block is finished when no pixel transmits more than `stop`
 };
 
@@ -57,12 +59,25 @@ struct alignas(64) Record {
 };
 static_assert(sizeof(Record) == 64);
 
+struct alignas(64) Colours {
+  float rgb[3][kLanes];
+};
+
+// The colours of a block of splats as they were last evaluated: from where, of which coefficients.
+struct alignas(64) CachedColours {
+  Colours colours;
+  double position[3];             // of the camera
+  uint32_t revision;              // of the block; 0: holds nothing
+  int32_t degree;
+};
+
 // A frame's working memory. Splats are projected in chunks; a chunk's records start at chunk * chunk_size.
 struct FrameData {
   int chunks, chunk_size;
   Record* records;                // [chunks * chunk_size]
   int32_t* splat;                 // [chunks * chunk_size] which splat a record is
   int32_t* chunk_records;         // [chunks]
+  CachedColours* colours;         // [padded / kLanes], null when colours are evaluated every time
   uint32_t* tile_cursor;          // [chunks][tiles] number of entries, later where the chunk's next one goes
   uint32_t* tile_start;           // [tiles + 1]
   uint32_t* chunk_slot;           // [chunks + 1] first slot of each chunk
@@ -74,6 +89,13 @@ struct FrameData {
 struct Targets {
   float *rgb, *alpha, *depth;
   const float* residual;          // [height, width, 3] for the adjoint
+};
+
+// A view at half the resolution and where the whole one goes; `width` and `height` are the whole one's.
+struct UpsampleJob {
+  Targets half, whole;
+  int width, height;
+  float void_alpha;
 };
 
 // Per-thread memory of the tile stage.

@@ -64,6 +64,7 @@ Scene::Scene(const CagsSplats& splats, int threads)
   std::fill(planes + size_t(kOpacity) * padded_ + count_, planes + size_t(kOpacity + 1) * padded_, kInvisible);
   std::fill_n(rest_.reserve(size_t(padded_) * sh_rest_ * 3), size_t(padded_) * sh_rest_ * 3, 0.0f);
   std::fill_n(tie_.reserve(padded_), padded_, 0u);
+  std::fill_n(revision_.reserve(padded_ / kLanes), padded_ / kLanes, 0u);
   degree_.reserve(padded_ / kLanes);
   parallel_for(threads, (padded_ + kLoadChunk - 1) / kLoadChunk, [&](int chunk, int) {
     const int begin = chunk * kLoadChunk, end = std::min(begin + kLoadChunk, padded_);
@@ -89,6 +90,7 @@ SceneData Scene::data() const {
   for (int i = 0; i < 9; i++) data.axes[i] = plane(kAxes + i);
   data.log2_opacity = plane(kOpacity);
   data.tie = tie_.data(), data.rest = rest_.data(), data.degree = degree_.data();
+  data.revision = revision_.data();
   return data;
 }
 
@@ -108,6 +110,8 @@ void Scene::store(int slot, const CagsSplats& splats, int64_t row) {
   ContentHash hash;
   hash.add(mean, 3), hash.add(quat, 4), hash.add(scale, 3), hash.add(logit, 1), hash.add(sh0, 3), hash.add(rest, coefficients);
   tie_[slot] = hash.value();
+  uint32_t& revision = revision_[slot / kLanes];
+  if (++revision == 0) revision = 1;
 }
 
 void Scene::refresh_degree(int block) {

@@ -24,7 +24,7 @@ class Scene {
   int count_, padded_, sh_rest_;
   AlignedArray<float> geometry_;   // mean, axes, log2_opacity, base: planes of padded_
   AlignedArray<float> rest_;
-  AlignedArray<uint32_t> tie_;
+  AlignedArray<uint32_t> tie_, revision_;
   AlignedArray<uint8_t> degree_;
 };
 

@@ -145,12 +145,12 @@ void project(const SceneData& scene, const View& view, const FrameData& frame, i
   int record = begin;
   uint32_t slot = 0;
   Projected p;
-  Colours colours;
+  Colours scratch;
   for (int i = begin; i < end; i += kLanes) {
     p.visible = 0;
     for (int lane = 0; lane < kLanes; lane += kWidth) p.visible |= project_lanes(scene, view, i + lane, lane, p);
     if (!p.visible) continue;
-    evaluate_colours(scene, view, i, p.toward, colours);
+    const Colours& colours = colours_of(scene, view, frame, i, p.toward, p.visible, scratch);
     for (uint32_t left = p.visible; left; left &= left - 1) {
       const int lane = __builtin_ctz(left);
       Record& out = frame.records[record];

@@ -3,9 +3,10 @@
 #include "raster/stages/peak.h"
 #include "raster/stages/project.h"
 #include "raster/stages/tile.h"
+#include "raster/stages/upsample.h"
 
 namespace cags::raster {
 
-extern const Stages CAGS_STAGES{project, scatter, composite, back_project, multiply_adds, sizeof(TileWork)};
+extern const Stages CAGS_STAGES{project, scatter, composite, back_project, upsample, multiply_adds, sizeof(TileWork)};
 
 }  // namespace cags::raster
