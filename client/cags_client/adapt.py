@@ -58,7 +58,7 @@ class SirtAdapter:
         Returns how many splats changed.
         """
         shown = np.clip(own.rgb, 0.0, 1.0)
-        fields = correction_fields(shown, reference.rgb, self._settings)
+        fields = correction_fields(shown, reference, self._settings)
         error = (shown * fields[..., :1] + fields[..., 1:]) / np.maximum(own.alpha, np.float32(LEAST_ALPHA))[..., None]
         if not np.abs(error).max() > 1e-4:
             return 0

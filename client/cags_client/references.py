@@ -8,6 +8,7 @@ from cags_client.align import ReferencePicture
 from cags_common.errors import DecodeError
 from cags_common.geometry import DEFAULT_NEAR, Camera
 from cags_common.video.h264 import H264Decoder
+from cags_common.video.noise import CodingNoise
 from cags_protocol.messages import ReferenceFrame
 
 KEPT = 24
@@ -49,7 +50,8 @@ class References:
                 f"reference {message.seq} is {rgb.shape[1]}x{rgb.shape[0]}, said {i.width_px}x{i.height_px}"
             )
         self.last_decoded = message.seq
-        picture = ReferencePicture(rgb, Camera(i, message.pose, self._near), message.frame, message.seq)
+        noise = CodingNoise.of_packed(message.noise)
+        picture = ReferencePicture(rgb, Camera(i, message.pose, self._near), message.frame, message.seq, noise)
         with self._lock:
             self._pictures.pop(message.frame, None)
             self._pictures[message.frame] = picture

@@ -23,6 +23,7 @@ _FRAME = Integer(2**31 - 1)
 _TILE = Integer(2**16 - 1)
 _LOD = Integer(limits.MAX_LODS)
 _SEQ = Integer(2**53)
+_NOISE = Integer(1_000_000)
 _BYTES = Integer(2**53)
 _CRC = Integer(2**32 - 1)
 _TEXT = Text(limits.MAX_TEXT_BYTES)
@@ -238,7 +239,8 @@ class TileLayers(Message):
 class ReferenceFrame(Message):
     """The reference picture of media frame ``frame``, rendered at ``pose`` (T_world_camera): one H.264 access unit.
 
-    ``seq`` counts reference pictures from 1 without gaps; an ``idr`` picture needs none before it.
+    ``seq`` counts reference pictures from 1 without gaps; an ``idr`` picture needs none before it. ``noise`` is
+    :meth:`cags_common.video.noise.CodingNoise.packed`, or empty where the server did not measure it.
     """
 
     TAG = "reference"
@@ -248,6 +250,7 @@ class ReferenceFrame(Message):
     pose: Pose = wire(POSE)  # noqa: RUF009 - the kinds are immutable
     intrinsics: Intrinsics = wire(INTRINSICS)  # noqa: RUF009 - the kinds are immutable
     idr: bool = wire(Flag(), False)
+    noise: tuple[int, ...] = wire(ListOf(_NOISE, 6), ())
 
 
 @dataclass(frozen=True, slots=True)

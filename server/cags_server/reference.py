@@ -10,6 +10,7 @@ import numpy as np
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RenderOptions
 from cags_common.video.h264 import is_idr
+from cags_common.video.noise import CodingNoise
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.predict.base import PoseDistribution
 from cags_server.reference_encoder import ReferenceEncoder
@@ -39,6 +40,7 @@ class FrameRender:
     intrinsics: Intrinsics
     access_unit: bytes
     idr: bool
+    noise: CodingNoise | None
     visible: tuple[VisibleTile, ...]
     contribution: F32  # [capacity] by splat id
     render_ns: int
@@ -72,12 +74,15 @@ class FrameJob:
         assert view.contribution is not None
         visible = self.library.visible_tiles(self.plan.frame, view.contribution, self.visible_px)
         rendered = clock()
-        unit = self.encoder.encode(np.clip(view.rgb, 0.0, 1.0), idr=self.plan.idr)
+        rgb = np.clip(view.rgb, 0.0, 1.0)
+        unit = self.encoder.encode(rgb, idr=self.plan.idr)
+        noise = self.encoder.noise(rgb, unit)
         return FrameRender(
             plan=self.plan,
             intrinsics=self.camera.intrinsics,
             access_unit=unit,
             idr=is_idr(unit),
+            noise=noise,
             visible=visible,
             contribution=view.contribution,
             render_ns=rendered - started,

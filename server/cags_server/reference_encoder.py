@@ -6,9 +6,10 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from cags_common.geometry import Intrinsics
+from cags_common.geometry import F32, Intrinsics
 from cags_common.video.colour import Chroma
-from cags_common.video.h264 import H264Encoder
+from cags_common.video.h264 import H264Decoder, H264Encoder
+from cags_common.video.noise import CodingNoise, coding_noise
 from cags_server.settings import ServerSettings
 
 RATE_STEP = 1.25
@@ -29,7 +30,7 @@ class ReferenceEncoder:
         self.width_px = client.width_px // 2 * 2 if full else settings.reference_width
         self.height_px = client.height_px // 2 * 2 if full else settings.reference_height
         self._bps = settings.reference_kbps * 1000 if settings.reference_kbps else None
-        self._encoder = self._opened()
+        self._encoder, self._decoder = self._opened(), H264Decoder()
 
     def follow(self, link_bps: float) -> None:
         """The link carries so much now. Only a video that takes a share of the link changes its rate."""
@@ -38,11 +39,21 @@ class ReferenceEncoder:
         wanted = max(int(link_bps * self._settings.reference_share), LEAST_BPS)
         if self._bps is None or not self._bps / RATE_STEP <= wanted <= self._bps * RATE_STEP:
             self._bps = wanted
-            self._encoder = self._opened()
+            self._encoder, self._decoder = self._opened(), H264Decoder()
 
     def encode(self, rgb: NDArray[Any], *, idr: bool = False) -> bytes:
         """See :meth:`cags_common.video.h264.H264Encoder.encode`."""
         return self._encoder.encode(rgb, idr=idr)
+
+    def noise(self, rgb: F32, unit: bytes) -> CodingNoise | None:
+        """What coding did to the picture that was encoded last; None where the client has nothing to compare it with.
+
+        Every picture must come by: the decoder follows the client's.
+        """
+        if self._settings.reference_full_size:
+            return None
+        decoded = self._decoder.decode(unit)
+        return None if decoded is None else coding_noise(rgb, decoded)
 
     def _opened(self) -> H264Encoder:
         s = self._settings

@@ -34,5 +34,6 @@ class ReferenceVideo:
         if render.idr:
             self._idr_seq = self._seq
         pose = render.plan.predicted.pose
-        message = ReferenceFrame(render.plan.frame, self._seq, pose, render.intrinsics, render.idr)
+        noise = render.noise.packed() if render.noise is not None else ()
+        message = ReferenceFrame(render.plan.frame, self._seq, pose, render.intrinsics, render.idr, noise)
         return ev.Outgoing(message, render.access_unit, 0, deadline_us)

@@ -36,7 +36,9 @@ from cags_common.metrics import covered_mask, psnr, ssim
 from cags_common.poses import Focus, synthetic_walk
 from cags_common.raster.base import Footprint, RasterScene, RenderOptions
 from cags_common.splats import Splats
+from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Decoder, H264Encoder
+from cags_common.video.noise import coding_noise
 from cags_encoder import EncodeSettings
 
 REFERENCE_PX = (400, 300)
@@ -166,9 +168,9 @@ class _Bench:
 
     def _reference(self, source: RasterScene, camera: Camera) -> ReferencePicture:
         rgb = np.clip(source.render(camera, self._reference_options).rgb, 0, 1)
-        decoded = H264Decoder().decode(H264Encoder(*REFERENCE_PX, 30.0).encode(rgb))
+        decoded = H264Decoder().decode(H264Encoder(*REFERENCE_PX, 30.0, chroma=Chroma.FULL).encode(rgb))
         assert decoded is not None
-        return ReferencePicture(decoded, camera, 0)
+        return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded))
 
     def _splats(self, lod: int) -> Splats:
         store = TileStore(self._reader.manifest, tile_codec(self._reader.manifest, self._reader.codebooks()))

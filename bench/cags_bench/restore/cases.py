@@ -25,7 +25,9 @@ from cags_common.geometry import (
 )
 from cags_common.poses import Focus, open_poses
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
+from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Decoder, H264Encoder
+from cags_common.video.noise import coding_noise
 from cags_encoder.settings import EncodeSettings
 from cags_server.fov import widened
 
@@ -113,10 +115,10 @@ class Cases:
     def _coded(self, camera: Camera, footprint: Footprint) -> ReferencePicture:
         options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, threads=self._settings.threads)
         rgb = np.clip(self._truth.render(camera, options).rgb, 0.0, 1.0)
-        encoder = H264Encoder(*REFERENCE_PX, self._manifest.fps, crf=self._settings.crf)
+        encoder = H264Encoder(*REFERENCE_PX, self._manifest.fps, crf=self._settings.crf, chroma=Chroma.FULL)
         decoded = H264Decoder().decode(encoder.encode(rgb, idr=True))
         assert decoded is not None, "the first picture of a video is an IDR picture"
-        return ReferencePicture(decoded, camera, 0)
+        return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded))
 
 
 def _unit(rng: np.random.Generator) -> F64:

@@ -16,7 +16,6 @@ F32: TypeAlias = NDArray[np.float32]
 F64: TypeAlias = NDArray[np.float64]
 
 _Pointer, _int32, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
-_NOISES = ("gain_prior", "noise", "luma_noise", "chroma_noise", "leak_noise", "broad_noise")
 
 
 class _Reprojection(ctypes.Structure):
@@ -50,7 +49,8 @@ class _CorrectInput(ctypes.Structure):
         ("own", _Pointer),
         ("reference", _Pointer),
         ("radius_cells", _int32),
-        *((name, _float) for name in _NOISES),
+        ("gain_prior", _float),
+        *((name, _float * 3) for name in ("fine_noise", "broad_noise")),
         ("distorted", _Pointer),
         ("confidence", _Pointer),
         ("threads", _int32),
@@ -87,11 +87,9 @@ class CorrectParameters:
 
     radius_cells: int
     gain_prior: float
-    noise: float
-    luma_noise: float
-    chroma_noise: float
-    leak_noise: float
-    broad_noise: float
+    fine_noise: tuple[float, float, float]
+    broad_noise: tuple[float, float, float]
+    """See ``cags_common.video.noise.CodingNoise``."""
     threads: int
 
 
@@ -143,7 +141,7 @@ def correct(
     given = _CorrectInput(
         _reprojection(view, depth, reference),
         *(_address(own), _address(reference), p.radius_cells),
-        *(getattr(p, name) for name in _NOISES),
+        *(p.gain_prior, (_float * 3)(*p.fine_noise), (_float * 3)(*p.broad_noise)),
         *(_address(distorted), _address(confidence), p.threads),
     )
     restored = _buffers.empty((height, width, 3))

@@ -95,7 +95,7 @@ def test_kernels_and_numpy_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     if not cags_kernels.native_available():
         pytest.skip(cags_kernels.why_unavailable())
     given = inputs(smooth(120, 160, 2), smooth(120, 160, 2, seed=1))
-    for settings in (AffineSettings(), AffineSettings(radius_cells=7), AffineSettings(noise=0.0, gain_prior=0.1)):
+    for settings in (AffineSettings(), AffineSettings(radius_cells=7), AffineSettings(gain_prior=0.1)):
         native = AffineRestorer(settings).restore(given)
         with monkeypatch.context() as patch:
             patch.setattr(cags_kernels, "native_available", lambda: False)
@@ -152,4 +152,4 @@ def test_without_an_own_view_the_picture_is_averaged_through_the_alignment() -> 
 def test_an_unknown_restorer_is_named() -> None:
     with pytest.raises(ConfigError, match="'magic' is unknown; known: none"):
         restore.create("magic")
-    assert math.isfinite(AffineSettings().noise)
+    assert math.isfinite(AffineSettings().gain_prior)

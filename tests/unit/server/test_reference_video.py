@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from cags_common.geometry import Intrinsics, Pose
+from cags_common.video.noise import CodingNoise
 from cags_protocol.messages import ReferenceFrame
 from cags_server.reference_video import ReferenceVideo
 
@@ -16,7 +17,7 @@ INTRINSICS = Intrinsics.of_fov(400, 300, 1.0, 0.8)
 
 def send(video: ReferenceVideo, *, idr: bool = False) -> ReferenceFrame:
     plan = SimpleNamespace(frame=3, predicted=SimpleNamespace(pose=Pose.identity()))
-    render: Any = SimpleNamespace(plan=plan, intrinsics=INTRINSICS, idr=idr, access_unit=b"h264")
+    render: Any = SimpleNamespace(plan=plan, intrinsics=INTRINSICS, idr=idr, noise=CodingNoise(), access_unit=b"h264")
     video.needs_idr = False
     message = video.message(render, 9).message
     assert isinstance(message, ReferenceFrame)
@@ -27,6 +28,7 @@ def test_the_first_picture_stands_alone_and_numbers_have_no_gap() -> None:
     video = ReferenceVideo()
     assert video.needs_idr
     assert [send(video).seq for _ in range(3)] == [1, 2, 3]
+    assert CodingNoise.of_packed(send(video).noise).fine == pytest.approx(CodingNoise().fine)
 
 
 def test_a_dropped_picture_breaks_the_video_unless_an_idr_has_followed_it() -> None:

@@ -41,6 +41,11 @@ MESSAGES: list[tuple[str, m.Message, bytes]] = [
     ("blob", m.Blob("codebooks", 262144, 262150), b"\0\1\2\3\4\5"),
     ("tile", m.TileLayers(31, 7, 1, 3, (2, 1), (0xDEADBEEF, 1)), b"\xaa\xbb\xcc"),
     ("reference", m.ReferenceFrame(31, 32, POSE, CAMERA, True), b"\0\0\0\1\x67"),
+    (
+        "reference, its noise measured",
+        m.ReferenceFrame(31, 33, POSE, CAMERA, noise=(2000, 8000, 7000, 15, 50000, 1_000_000)),
+        b"\0\0\1\x41",
+    ),
     ("frame end", m.FrameEnd(31), b"\7\0\0\0"),
     ("notice", m.Notice("slow", "the link carries less than the least quality"), b""),
     ("refusal", m.Refusal("version", "version", "version = 2 is not spoken here; this server speaks 1"), b""),

@@ -14,6 +14,7 @@ from cags_common.geometry import F32, Camera, angle_between
 from cags_common.poses import PoseTrace
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.h264 import H264Decoder, H264Encoder
+from cags_common.video.noise import coding_noise
 from cags_training.pairs.ladder import Ladder, draw_lods
 from cags_training.pairs.settings import PairSettings
 from cags_training.pairs.views import View, draw_view
@@ -81,4 +82,4 @@ class PairMaker:
         unit = H264Encoder(camera.width_px, camera.height_px, self.ladder.manifest.fps, crf=crf).encode(rgb, idr=True)
         decoded = H264Decoder().decode(unit)
         assert decoded is not None, "the first picture of a video is an IDR picture"
-        return ReferencePicture(decoded, camera, 0)
+        return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded))

@@ -19,7 +19,7 @@ constexpr int kMaxSide = 16384;  // pixels
 constexpr int kMaxRadius = 64;
 constexpr int kRowsAPiece = 16;
 constexpr int kEvidenceRows = 4;                     // every fourth row is looked at
-constexpr double kUsualFine[3] = {0.5, 0.65, 0.65}, kUsualBroad = 1.7;  // see cags_client.restore.affine
+constexpr double kEvidenceMargin = 1.05;             // see cags_client.restore.affine
 
 const Stages& stages() {
   switch (active_instruction_set()) {
@@ -170,8 +170,8 @@ Evidence weigh(const CagsCorrectInput& in, const float* sums) {
   return evidence;
 }
 
-float trust_of(double power, double noise, double usual) {
-  return static_cast<float>(std::clamp(2.0 * (power / std::max(noise, 1e-12) / usual - 1.0), 0.0, 1.0));
+float trust_of(double power, double noise) {
+  return static_cast<float>(std::clamp(2.0 * (power / std::max(noise, 1e-12) / kEvidenceMargin - 1.0), 0.0, 1.0));
 }
 
 void correct(const CagsCorrectInput& in, float* restored) {
@@ -186,8 +186,8 @@ void correct(const CagsCorrectInput& in, float* restored) {
   const Evidence evidence = weigh(in, sums);
   float trust[6];
   for (int c = 0; c < 3; c++) {
-    trust[c] = trust_of(evidence.fine[c], evidence.noise[c], kUsualFine[c]);
-    trust[3 + c] = trust_of(evidence.broad[c], evidence.noise[c] * in.broad_noise, kUsualBroad);
+    trust[c] = trust_of(evidence.fine[c], evidence.noise[c]);
+    trust[3 + c] = trust_of(evidence.broad[c], static_cast<double>(evidence.shown) * (kNoiseFloor + in.broad_noise[c]));
   }
   for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, trust, fields); });
   std::copy_n(fields.data + stride, stride, fields.data);

@@ -29,7 +29,8 @@ struct CagsCorrectInput {
   const float* own;        // [reference_height, reference_width, 3]: the client's splats seen from the reference
   const float* reference;  // the same size
   int32_t radius_cells;
-  float gain_prior, noise, luma_noise, chroma_noise, leak_noise, broad_noise;
+  float gain_prior;
+  float fine_noise[3], broad_noise[3];  // luma and chromas, see cags_common.video.noise
   const float* distorted;   // [height, width, 3]
   const float* confidence;  // [height, width]
   int32_t threads;

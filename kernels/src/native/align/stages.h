@@ -16,6 +16,7 @@ struct Padded {
 constexpr int kColourLanes = 4;  // r, g, b, unused
 constexpr int kFieldLanes = 4;   // factor, offsets r, g, b
 constexpr int kMomentLanes = 16;
+constexpr float kNoiseFloor = 2e-6f;  // variance of rounding to 8 bits
 
 // Depth bits above, pixel index below: the minimum is the nearest pixel and, of equally near ones, the first.
 using Nearest = uint64_t;
@@ -30,6 +31,7 @@ struct Occlusion {
 // Sums over a picture, luma and the two chromas.
 struct Evidence {
   double fine[3], broad[3], noise[3];
+  int64_t shown;  // pixels that are not void in both
 };
 
 struct Stages {

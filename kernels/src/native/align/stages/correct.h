@@ -3,6 +3,8 @@
 #include "align/stages/bilinear.h"
 #include "align/stages/projection.h"
 
+#include <cmath>
+
 namespace cags::align {
 namespace {
 
@@ -76,18 +78,17 @@ inline void window_means(const CagsCorrectInput& in, const float* sums, int row,
 
 inline void noise_of(const CagsCorrectInput& in, const float* m, float* variance, float* noise) {
   for (int c = 0; c < 3; c++) variance[c] = std::max(m[kOwnSquared + c] - m[kOwn + c] * m[kOwn + c], 0.0f);
-  noise[0] = in.noise + in.luma_noise * variance[0] + in.leak_noise * (variance[1] + variance[2]);
-  noise[1] = in.noise + in.chroma_noise * variance[1];
-  noise[2] = in.noise + in.chroma_noise * variance[2];
+  for (int c = 0; c < 3; c++) noise[c] = kNoiseFloor + in.fine_noise[c] * std::sqrt(variance[c]);
 }
 
 void weigh(const CagsCorrectInput& in, int row, const float* sums, Evidence& evidence) {
-  constexpr float kVoid = 1e-7f;
+  constexpr float kVoidPower = 1e-4f;
   for (int i = 0; i < in.view.reference_width; i++) {
     float m[kMomentLanes], variance[3], noise[3];
     window_means(in, sums, row, i, m);
     noise_of(in, m, variance, noise);
-    if (m[kDifference] + variance[0] <= kVoid) continue;
+    if (m[kDifference] + 2.0f * m[kProduct] <= kVoidPower) continue;  // the sum of both pictures' powers
+    evidence.shown++;
     for (int c = 0; c < 3; c++) {
       const float broad = m[kReference + c] - m[kOwn + c];
       evidence.fine[c] += m[kDifference + c] - broad * broad;
@@ -110,7 +111,7 @@ inline void fit_pixel(const CagsCorrectInput& in, const float* m, const float* t
   for (int c = 0; c < 3; c++) {
     const float broad = m[kReference + c] - m[kOwn + c], power = m[kDifference + c];
     const float fine = r[c] - o[c] - broad;
-    correction[c] = trust[3 + c] * wiener(broad * broad, noise[c] * in.broad_noise) * broad +
+    correction[c] = trust[3 + c] * wiener(broad * broad, kNoiseFloor + in.broad_noise[c]) * broad +
                     trust[c] * wiener(power - broad * broad, noise[c]) * fine;
   }
   to_rgb(correction, offset);
