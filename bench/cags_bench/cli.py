@@ -19,6 +19,7 @@ SUBCOMMANDS = {
     "align": "time and quality of alignment",
     "restore": "time and quality of the restoration tiers",
     "network": "sending, rate policies and estimators over every shipped trace; crowds; soak",
+    "scale": "sessions that several servers behind a balancer carry",
     "reproduce": "the paper's tables and figures on this project's scenes and traces",
     "cost": "what each step of accuracy costs in milliseconds and bytes",
 }

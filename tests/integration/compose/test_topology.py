@@ -155,3 +155,39 @@ def test_two_servers_on_one_store_share_the_clients_and_one_may_die(
     survivor = tmp_path / "survivor.jsonl"
     assert finished(watch(port, survivor), survivor)["frames"] > 0
     assert joined(port_b) == shares[1] + 1
+
+
+def sent_tiles(port: int) -> int:
+    found = re.search(r'^cags_sent_bytes_total{kind="tiles"} (\d+)', fetch(f"http://127.0.0.1:{port}/metrics"), re.M)
+    assert found
+    return int(found.group(1))
+
+
+def test_sessions_of_a_killed_server_go_on_at_another_which_sends_nothing_they_hold(
+    group: ProcessGroup, balance: Any, tmp_path: Path
+) -> None:
+    bundle = tmp_path / "scene"
+    encode = [sys.executable, "-m", "cags_encoder", "procedural:size=1500,frames=180", str(bundle)]
+    encoded = subprocess.run(encode, capture_output=True, text=True, check=False)
+    assert encoded.returncode == 0, encoded.stderr
+    servers = [serve(group, str(bundle)) for _ in range(2)]
+    port = balance(servers[0][1], servers[1][1])
+    alone = tmp_path / "alone.jsonl"
+    whole = finished(watch(port, alone), alone)["bytes_tiles"]
+
+    report = tmp_path / "moved.jsonl"
+    before = {number: joined(number) for _, number in servers}
+    client = watch(port, report)
+    deadline = time.monotonic() + DEADLINE_S
+    while not (home := [server for server in servers if joined(server[1]) > before[server[1]]]):
+        assert time.monotonic() < deadline, "the client does not join"
+        time.sleep(0.05)
+    time.sleep(2.5)  # two thirds of the play are to come
+    (process, _), (_, other) = home[0], next(server for server in servers if server is not home[0])
+    earlier = sent_tiles(other)
+    process.handle.kill()
+    summary = finished(client, report)
+    assert summary["reconnects"] == 1
+    assert summary["away_ms"] < 2_000
+    assert summary["bytes_tiles"] <= 1.15 * whole  # what was on its way when the server died comes twice
+    assert sent_tiles(other) - earlier < whole

@@ -1,0 +1,1 @@
+"""How many sessions several servers behind a balancer carry, in virtual time."""
