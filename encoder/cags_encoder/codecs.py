@@ -8,6 +8,7 @@ from typing import Any, Protocol, Self
 from numpy.typing import NDArray
 
 from cags_common.errors import ConfigError
+from cags_common.geometry import F64
 from cags_common.lod import LodLayer
 from cags_common.splats import Ids, Splats
 from cags_encoder.settings import EncodeSettings
@@ -59,33 +60,36 @@ class ClipCodec(Protocol):
         ...
 
 
-def _svq(samples: Splats, settings: EncodeSettings) -> ClipCodec:
+def _svq(samples: Splats, settings: EncodeSettings, weights: F64 | None) -> ClipCodec:
     from cags_encoder.svq_codec import SvqCodec
 
-    return SvqCodec.train(samples, settings)
+    return SvqCodec.train(samples, settings, weights)
 
 
-def _density(samples: Splats, settings: EncodeSettings) -> ClipCodec:
+def _density(samples: Splats, settings: EncodeSettings, _weights: F64 | None) -> ClipCodec:
     from cags_encoder.baselines.density import DensityCodec
 
     return DensityCodec(samples, settings)
 
 
-def _video(samples: Splats, settings: EncodeSettings) -> ClipCodec:
+def _video(samples: Splats, settings: EncodeSettings, _weights: F64 | None) -> ClipCodec:
     from cags_encoder.baselines.video import VideoCodec
 
     return VideoCodec(samples, settings)
 
 
-CLIP_CODECS: dict[str, Callable[[Splats, EncodeSettings], ClipCodec]] = {
+CLIP_CODECS: dict[str, Callable[[Splats, EncodeSettings, F64 | None], ClipCodec]] = {
     "svq": _svq,
     "density": _density,
     "video": _video,
 }
 
 
-def train_codec(samples: Splats, settings: EncodeSettings) -> ClipCodec:
-    """The codec that the settings name, trained on ``samples`` (n >= 1). Raises :class:`ConfigError`."""
+def train_codec(samples: Splats, settings: EncodeSettings, weights: F64 | None = None) -> ClipCodec:
+    """The codec that the settings name, trained on ``samples`` [n], n >= 1. Raises :class:`ConfigError`.
+
+    ``weights`` [n] > 0 say how much each sample counts, to codecs that can use it.
+    """
     if settings.codec not in CLIP_CODECS:
         raise ConfigError(f"codec = {settings.codec!r} is unknown; known: {', '.join(CLIP_CODECS)}")
-    return CLIP_CODECS[settings.codec](samples, settings)
+    return CLIP_CODECS[settings.codec](samples, settings, weights)

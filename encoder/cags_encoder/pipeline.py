@@ -12,7 +12,7 @@ import numpy as np
 from cags_common.bundle import BundleWriter, Manifest, Pruning
 from cags_common.bundle.quality import LodQuality
 from cags_common.errors import ConfigError, SceneError
-from cags_common.geometry import Vec3
+from cags_common.geometry import F64, Vec3
 from cags_common.lod import LodLayer
 from cags_common.raster import create
 from cags_common.splats import Splats
@@ -23,6 +23,8 @@ from cags_encoder.frames.tasks import read
 from cags_encoder.journal import Journal
 from cags_encoder.measuring import VIEWS, LodMeasurement, measure
 from cags_encoder.pruning import PrunedSource, pruning_cost
+from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS
+from cags_encoder.quantiser.importance import importance
 from cags_encoder.sampling import looked_at, training_splats
 from cags_encoder.scenes import Focus, FrameSource, focus_of
 from cags_encoder.settings import EncodeSettings
@@ -133,7 +135,8 @@ class _Encoding:
 
     def _codec(self) -> ClipCodec:
         """The codec, trained and its LoD order measured (or remembered from a run that was killed)."""
-        codec = train_codec(self._samples(), self._settings)
+        samples = self._samples()
+        codec = train_codec(samples, self._settings, self._weights(samples))
         self._tell("codebooks", 1, 1)
         if self._journal:
             self._journal.codebooks(codec.codebooks())
@@ -143,6 +146,13 @@ class _Encoding:
                 self._quality = found.quality
                 return found.applied(codec)
         return codec
+
+    def _weights(self, samples: Splats) -> F64 | None:
+        """How much each sample counts, where a rasteriser is there that is fast enough to say."""
+        rasteriser = create("auto")
+        if rasteriser.name == "reference" or self._settings.codec != "svq":
+            return None
+        return importance(samples, cameras_around(self._source.focus, self._source.up, IMPORTANCE_VIEWS), rasteriser)
 
     def _samples(self) -> Splats:
         looks = looked_at(self._count)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.attributes import join_attributes
-from cags_common.geometry import F32
+from cags_common.geometry import F32, F64
 from cags_common.lod import LodLayer
 from cags_common.packing import U32
 from cags_common.splats import Ids, Splats
@@ -50,10 +50,10 @@ class SvqCodec:
     position_step: float
 
     @staticmethod
-    def train(samples: Splats, settings: EncodeSettings) -> SvqCodec:
-        """Train codebooks on ``samples`` and choose the LoD order."""
+    def train(samples: Splats, settings: EncodeSettings, weights: F64 | None = None) -> SvqCodec:
+        """Train codebooks on ``samples`` [n], which count by ``weights`` [n], and choose the LoD order."""
         config = quantiser_config(settings.quantiser)
-        quantiser = train(samples, config, settings.seed)
+        quantiser = train(samples, config, settings.seed, weights)
         order = order_of(settings.lod_order, quantiser.books)
         step = config.position_step if settings.position_step is None else settings.position_step
         return SvqCodec(quantiser, order, (), settings.position_bits, step)

@@ -22,6 +22,8 @@ from cags_common.splats import Splats
 from cags_common.tiles import KEY_TILE_SPLATS, position_bytes
 from cags_encoder import EncodeSettings
 from cags_encoder.measuring import VIEWS, measure
+from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS
+from cags_encoder.quantiser.importance import importance
 from cags_encoder.scenes import FrameSource
 from cags_encoder.svq_codec import SvqCodec
 from cags_encoder.views import cameras_around
@@ -79,10 +81,11 @@ def ladder(
 def train(source: FrameSource, splats: Splats, quantiser: str) -> SvqCodec:
     """Codebooks of a sample and, with a rasteriser, the measured LoD order."""
     rows = np.sort(np.random.default_rng(0).permutation(len(splats))[:TRAIN_SPLATS])
-    codec = SvqCodec.train(splats.take(rows), EncodeSettings(quantiser=quantiser))
-    rasteriser = create("auto")
+    samples, settings, rasteriser = splats.take(rows), EncodeSettings(quantiser=quantiser), create("auto")
     if rasteriser.name == "reference":
-        return codec
+        return SvqCodec.train(samples, settings)
+    around = cameras_around(source.focus, source.up, IMPORTANCE_VIEWS)
+    codec = SvqCodec.train(samples, settings, importance(samples, around, rasteriser))
     cameras = cameras_around(source.focus, source.up, VIEWS)
     return measure(codec, splats, cameras, rasteriser, lambda at, end: None).applied(codec)
 

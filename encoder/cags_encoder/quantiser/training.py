@@ -52,8 +52,11 @@ class Quantiser:
         return {book.attribute: book.lookup(codes[book.attribute], len(book.layer_bits)) for book in self.books}
 
 
-def train(samples: Splats, config: QuantiserConfig, seed: int) -> Quantiser:
-    """Train every attribute's codebook on ``samples`` (n >= 1). Deterministic for a seed."""
+def train(samples: Splats, config: QuantiserConfig, seed: int, weights: F64 | None = None) -> Quantiser:
+    """Train every attribute's codebook on ``samples`` (n >= 1). Deterministic for a seed.
+
+    ``weights`` [n] > 0 say how much each sample counts; codebooks as printed know none.
+    """
     if config.as_printed:
         values = split_attributes(samples)
         printed = {
@@ -63,9 +66,9 @@ def train(samples: Splats, config: QuantiserConfig, seed: int) -> Quantiser:
         }
         return Quantiser(printed, canonical_axes=False)
     values = split_attributes(canonical(samples))
-    weights: F64 = np.ones(len(samples))
+    counts: F64 = np.ones(len(samples)) if weights is None else weights
     layered = {
-        a.attribute: LayeredEncoder(values[a.attribute], weights, a, config)
+        a.attribute: LayeredEncoder(values[a.attribute], counts, a, config)
         for a in config.attributes
         if a.attribute in values
     }

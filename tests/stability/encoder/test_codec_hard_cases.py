@@ -79,7 +79,7 @@ def coded(splats: Splats, quantiser: str, *, threads: int = 1) -> tuple[SvqCodec
     codec = SvqCodec.train(splats, EncodeSettings(quantiser=quantiser, lod_order="paper"))
     rows = codec.quantise(codec.prepare(splats))
     tiles = [
-        codec.encode_tile(np.arange(a, b, dtype=np.int32), rows.take(slice(a, b)), id_range=True).payloads
+        codec.encode_tile(np.arange(a, b, dtype=np.int32), rows.take(slice(a, b)), id_range=True)
         for a, b in tile_ranges(len(splats), TILE)
     ]
     info = Manifest("", 30.0, 1, (0,), (len(splats),), 0, ((0, 0, 0), (0, 0, 0)), codec.lod_order, ())
@@ -134,7 +134,7 @@ def test_half_turns_come_back_as_the_same_rotations() -> None:
 def test_a_tile_of_no_splats_goes_both_ways() -> None:
     codec, _, _ = coded(cloud(100).checked("x"), "layered")
     nothing = codec.quantise(codec.prepare(cloud(100).checked("x"))).take(slice(0, 0))
-    payloads = codec.encode_tile(np.zeros(0, np.int32), nothing, id_range=False).payloads
+    payloads = codec.encode_tile(np.zeros(0, np.int32), nothing, id_range=False)
     info = Manifest("", 30.0, 1, (0,), (100,), 0, ((0, 0, 0), (0, 0, 0)), codec.lod_order, ())
     state = tile_codec(info, codec.codebooks()).open_tile(payloads[0])
     for lod, payload in enumerate(payloads[1:], start=1):
