@@ -51,6 +51,7 @@ class Journal:
             self._lock = (folder / "lock").open("w")
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
+            self._lock.close()
             raise BundleError(f"{folder}: another process encodes this bundle; wait for it or stop it") from error
         except OSError as error:
             raise BundleError(f"{folder}: cannot be written ({error.strerror or error})") from error
@@ -82,7 +83,7 @@ class Journal:
     def frame(self, index: int) -> FrameRecord | None:
         """The record of frame ``index``, or None where it is not finished (or its file is damaged)."""
         try:
-            with np.load(self._folder / _name(index), allow_pickle=False) as arrays:
+            with (self._folder / _name(index)).open("rb") as file, np.load(file, allow_pickle=False) as arrays:
                 return _record(dict(arrays))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
@@ -96,6 +97,7 @@ class Journal:
 
     def discard(self) -> None:
         """Delete everything: the bundle is complete, or the run is not worth going on with."""
+        self._lock.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _belongs_to(self, what: str, key: str) -> None:
@@ -127,7 +129,7 @@ def _arrays(record: FrameRecord) -> dict[str, Any]:
         "splats": np.array([tile.splats for tile in tiles], np.int64),
         "first_ids": np.array([-1 if tile.first_id is None else tile.first_id for tile in tiles], np.int64),
         "bounds": np.array([tile.bounds for tile in tiles], np.float64).reshape(-1, 2, 3),
-        "sizes": np.array(sizes, np.int64).reshape(len(tiles), -1),
+        "sizes": np.array(sizes, np.int64).reshape(len(tiles), len(sizes[0]) if sizes else 0),
         "payloads": np.frombuffer(b"".join(p for tile in tiles for p in tile.payloads), np.uint8),
     }
     return arrays if record.shown is None else {**arrays, **dict(record.shown.arrays())}

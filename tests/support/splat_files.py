@@ -6,13 +6,19 @@ import gzip
 import io
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
+from cags_encoder.formats.spz import HEADER as SPZ_HEADER
+from cags_encoder.formats.spz import spz_bytes
+from cags_encoder.formats.spz_header import MAGIC, SpzHeader
+from cags_encoder.formats.spz_streams import ENTRY, HEADER
 
 SHARED_SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 
@@ -69,3 +75,28 @@ def with_meta(sog: bytes, **changes: Any) -> bytes:
 def gzipped(data: bytes) -> bytes:
     """``data`` as a gzip stream that does not depend on the clock."""
     return gzip.compress(data, mtime=0)
+
+
+def spz_streams(header: SpzHeader, parts: dict[str, bytes], *, table: int = 32) -> bytes:
+    """An SPZ file of version 4: a header, a table of sizes, and a zstd stream for each section."""
+    packer = zstandard.ZstdCompressor(level=3)
+    sections = [(parts[name], packer.compress(parts[name])) for name, width in header.sections if width]
+    entries = b"".join(ENTRY.pack(len(packed), len(raw)) for raw, packed in sections)
+    head = HEADER.pack(MAGIC, 4, header.count, header.sh_degree, header.fractional_bits, 0, len(sections), table)
+    return head + bytes(table - 32) + entries + b"".join(packed for _, packed in sections)
+
+
+def spz_parts(splats: Splats) -> tuple[SpzHeader, dict[str, bytes]]:
+    """Header and sections of ``splats`` as our writer has them in version 3, which version 4 shares."""
+    raw, at, parts = zlib.decompress(spz_bytes(splats), 31), 16, {}
+    _, _, count, degree, bits, _, _ = SPZ_HEADER.unpack_from(raw)
+    header = SpzHeader(4, count, degree, bits)
+    for name, width in header.sections:
+        parts[name] = raw[at : at + count * width]
+        at += count * width
+    return header, parts
+
+
+def spz4_bytes(splats: Splats) -> bytes:
+    """``splats`` as an SPZ file of version 4."""
+    return spz_streams(*spz_parts(splats))

@@ -25,7 +25,11 @@ def verify(reader: BundleReader, url: str, tell: Callable[[int, int], None]) -> 
             text = str(error)
             raise BundleError(f"{url}: {text if 'frame' in text else f'frame {index}: {text}'}") from error
         tell(index + 1, manifest.frames)
-    if (quality := reader.quality()) is not None and len(quality.ladder) != manifest.lods:
+    try:
+        quality = reader.quality()
+    except BundleError as error:
+        raise BundleError(f"{url}: {error}") from error
+    if quality is not None and len(quality.ladder) != manifest.lods:
         raise BundleError(f"{url}: quality.json has {len(quality.ladder)} levels, the manifest {manifest.lods}")
     return payloads
 

@@ -34,6 +34,7 @@ from cags_encoder.formats.ply_container import (
     parse_header,
     read_rows,
 )
+from cags_encoder.formats.repair import Check
 
 CHUNK = 256
 """Splats that share one row of bounds."""
@@ -50,7 +51,7 @@ def is_compressed_ply(header: PlyHeader) -> bool:
 
 
 @quietly
-def parse_compressed_ply(data: bytes, source: str) -> Splats:
+def parse_compressed_ply(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
     """The splats of a compressed PLY file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
     header = parse_header(data, source)
     _check_header(header, source)
@@ -67,7 +68,7 @@ def parse_compressed_ply(data: bytes, source: str) -> Splats:
         sh0=(bounds.lerp(_unit(rgba[:, :3], (8, 8, 8)), "rgb", "") - np.float32(0.5)) / np.float32(SH_C0),
         sh_rest=_sh_rest(rows.get("sh"), header, len(vertex), source),
     )
-    return splats.checked(source)
+    return check(splats, source)
 
 
 def _check_header(header: PlyHeader, source: str) -> None:

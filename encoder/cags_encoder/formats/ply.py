@@ -19,6 +19,7 @@ from cags_encoder.formats.ply_container import (
     parse_header,
     read_rows,
 )
+from cags_encoder.formats.repair import Check
 
 MEANS = ["x", "y", "z"]
 QUATS = ["rot_0", "rot_1", "rot_2", "rot_3"]  # wxyz
@@ -28,7 +29,7 @@ OPACITY = ["opacity"]  # logit
 
 
 @quietly
-def parse_ply(data: bytes, source: str) -> Splats:
+def parse_ply(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
     """The splats of a PLY file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
     header = parse_header(data, source)
     vertex = header.element("vertex")
@@ -49,7 +50,7 @@ def parse_ply(data: bytes, source: str) -> Splats:
         sh0=columns(rows, SH0),
         sh_rest=rest.transpose(0, 2, 1),  # the file keeps a colour channel's coefficients together
     )
-    return splats.checked(source)
+    return check(splats, source)
 
 
 def sh_rest_names(element: PlyElement, source: str) -> list[str]:

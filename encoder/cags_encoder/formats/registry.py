@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from cags_common.errors import SceneError
 from cags_common.geometry import Vec3
@@ -14,6 +15,7 @@ from cags_encoder.formats.compressed_ply import compressed_ply_bytes, is_compres
 from cags_encoder.formats.files import read_file
 from cags_encoder.formats.ply import parse_ply, ply_bytes
 from cags_encoder.formats.ply_container import parse_header
+from cags_encoder.formats.repair import Check
 from cags_encoder.formats.sog import parse_sog, parse_sog_bytes
 from cags_encoder.formats.sog_files import SogFiles
 from cags_encoder.formats.sog_writer import sog_bytes
@@ -26,13 +28,21 @@ Y_DOWN: Vec3 = (0.0, -1.0, 0.0)
 Y_UP: Vec3 = (0.0, 1.0, 0.0)
 
 
+class Parser(Protocol):
+    """Reads a file's bytes."""
+
+    def __call__(self, data: bytes, source: str, check: Check = Splats.checked) -> Splats:
+        """The splats in ``data``; ``source`` names the file in errors. Raises :class:`SceneError`."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Format:
     """One file format."""
 
     name: str
     suffix: str  # lower case, with its dot
-    parse: Callable[[bytes, str], Splats]  # bytes and the file's name for errors
+    parse: Parser
     write: Callable[[Splats], bytes]
     up: Vec3  # usual up direction; files do not record theirs
 
@@ -61,19 +71,22 @@ def detect_format(path: Path, data: bytes) -> Format:
     return format_of_name(path)
 
 
-def read_splats(path: Path) -> tuple[Splats, Format]:
-    """Read one file, or one folder that holds an unbundled SOG. Raises :class:`SceneError` in one line."""
+def read_splats(path: Path, check: Check = Splats.checked) -> tuple[Splats, Format]:
+    """Read one file, or one folder that holds an unbundled SOG; ``check`` decides on splats that cannot be drawn.
+
+    Raises :class:`SceneError` in one line.
+    """
     if path.name == META:
         path = path.parent
     if path.is_dir():
-        return parse_sog(SogFiles.from_folder(path)), FORMATS["sog"]
+        return parse_sog(SogFiles.from_folder(path), check), FORMATS["sog"]
     if path.suffix.lower() not in SUFFIXES and path.is_file():
         raise SceneError(
             f"{path}: suffix {path.suffix!r} is unknown; known: {', '.join(SUFFIXES)}, a folder with {META}"
         )
     data = read_file(path)
     entry = detect_format(path, data)
-    return entry.parse(data, str(path)), entry
+    return entry.parse(data, str(path), check), entry
 
 
 def write_splats(path: Path, splats: Splats) -> Format:

@@ -14,6 +14,7 @@ from cags_common.errors import SceneError
 from cags_common.geometry import F32
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_encoder.formats.files import check_count, directed, logit_of_bytes, quietly, smallest_three
+from cags_encoder.formats.repair import Check
 from cags_encoder.formats.sog_files import SogFiles
 from cags_encoder.formats.sog_meta import SogMeta
 
@@ -29,11 +30,11 @@ QUAT_TAG = 252
 
 
 @quietly
-def parse_sog(files: SogFiles) -> Splats:
+def parse_sog(files: SogFiles, check: Check = Splats.checked) -> Splats:
     """The splats of a SOG data set. Raises :class:`SceneError`."""
     meta = SogMeta(files.json("meta.json"), files.source)
     if not meta.has("version"):
-        return _parse_v1(files, meta)
+        return _parse_v1(files, meta, check)
     version = meta.integer("version", 0, 2**31)
     if version != 2:
         raise SceneError(f"{files.source}: is SOG version {version}; versions 1 and 2 are read")
@@ -47,15 +48,15 @@ def parse_sog(files: SogFiles) -> Splats:
         sh0=meta.numbers("sh0.codebook", CODEBOOK)[sh0[:, :3]],
         sh_rest=_sh_rest(files, meta, count),
     )
-    return splats.checked(files.source)
+    return check(splats, files.source)
 
 
-def parse_sog_bytes(data: bytes, source: str) -> Splats:
+def parse_sog_bytes(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
     """The splats of a bundled SOG file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
-    return parse_sog(SogFiles.from_bytes(data, source))
+    return parse_sog(SogFiles.from_bytes(data, source), check)
 
 
-def _parse_v1(files: SogFiles, meta: SogMeta) -> Splats:
+def _parse_v1(files: SogFiles, meta: SogMeta, check: Check) -> Splats:
     """Version 1 (``sogs``): the same images, but linear ranges in place of codebooks, and the opacity as a logit."""
     shape = meta.numbers("means.shape", 2)
     count = check_count(int(min(shape[0], 1e9)) if np.isfinite(shape[0]) else 0, files.source)
@@ -68,7 +69,7 @@ def _parse_v1(files: SogFiles, meta: SogMeta) -> Splats:
         sh0=sh0[:, :3],
         sh_rest=_sh_rest_v1(files, meta, count),
     )
-    return splats.checked(files.source)
+    return check(splats, files.source)
 
 
 def _lerp(bytes_: NDArray[np.uint8], meta: SogMeta, name: str, width: int) -> F32:

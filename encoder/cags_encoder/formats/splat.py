@@ -11,12 +11,13 @@ import numpy as np
 from cags_common.errors import SceneError
 from cags_common.splats import SH_C0, Splats
 from cags_encoder.formats.files import bytes_of_logits, check_count, directed, log_of_scales, logit_of_bytes, quietly
+from cags_encoder.formats.repair import Check
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 
 
 @quietly
-def parse_splat(data: bytes, source: str) -> Splats:
+def parse_splat(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
     """The splats of a ``.splat`` file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
     if len(data) % RECORD.itemsize:
         raise SceneError(
@@ -32,7 +33,7 @@ def parse_splat(data: bytes, source: str) -> Splats:
         sh0=((rows["rgba"][:, :3].astype(np.float32) / np.float32(255.0)) - np.float32(0.5)) / np.float32(SH_C0),
         sh_rest=np.zeros((len(rows), 0, 3), np.float32),
     )
-    return splats.checked(source)
+    return check(splats, source)
 
 
 def splat_bytes(splats: Splats) -> bytes:

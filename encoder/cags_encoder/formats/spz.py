@@ -1,4 +1,4 @@
-"""Niantic's ``.spz``, versions 1 to 3: one gzip stream of a header and a section of bytes for each attribute.
+"""Niantic's ``.spz``: a header and a section of bytes for each attribute, in one gzip stream up to version 3.
 
 Positions are 24-bit fixed point (float16 in version 1), rotations three bytes (xyz) or, in version 3, the smallest
 three in ten bits each. Frame: right, up, back (y up). Described by https://github.com/nianticlabs/spz
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,45 +15,28 @@ from numpy.typing import NDArray
 
 from cags_common.errors import SceneError
 from cags_common.geometry import F32
-from cags_common.splats import SH_REST_OF_DEGREE, Splats
+from cags_common.splats import Splats
 from cags_encoder.formats.files import (
     bytes_of_logits,
-    check_count,
     directed,
     logit_of_bytes,
     quietly,
     smallest_three,
     split_largest,
 )
+from cags_encoder.formats.repair import Check
+from cags_encoder.formats.spz_header import MAGIC, SpzHeader, checked_header
+from cags_encoder.formats.spz_streams import inflate_streams
 
 HEADER = struct.Struct("<IIIBBBB")
-MAGIC = 0x5053474E  # "NGSP"
 COLOUR_SCALE = 0.15
 """Colours beyond 0..1 are kept: a byte spans more than the range of display."""
 
 GZIP_WBITS = 31
 
 
-@dataclass(frozen=True, slots=True)
-class SpzHeader:
-    """What the sixteen bytes at the start claim."""
-
-    version: int
-    count: int
-    sh_degree: int
-    fractional_bits: int
-
-    @property
-    def sections(self) -> tuple[tuple[str, int], ...]:
-        """Name and bytes a splat of each section, in file order."""
-        mean_bytes = 6 if self.version == 1 else 9
-        quat_bytes = 4 if self.version >= 3 else 3
-        sh_bytes = 3 * SH_REST_OF_DEGREE[self.sh_degree]
-        return (("mean", mean_bytes), ("alpha", 1), ("colour", 3), ("scale", 3), ("quat", quat_bytes), ("sh", sh_bytes))
-
-
 @quietly
-def parse_spz(data: bytes, source: str) -> Splats:
+def parse_spz(data: bytes, source: str, check: Check = Splats.checked) -> Splats:
     """The splats of an ``.spz`` file's bytes; ``source`` names it in errors. Raises :class:`SceneError`."""
     header, part = _inflate(data, source)
     quats = _smallest_three(part["quat"]) if header.version >= 3 else _xyz_quats(part["quat"])
@@ -66,13 +48,13 @@ def parse_spz(data: bytes, source: str) -> Splats:
         sh0=(part["colour"].astype(np.float32) / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOUR_SCALE),
         sh_rest=((part["sh"].astype(np.float32) - 128.0) / np.float32(128.0)).reshape(header.count, -1, 3),
     )
-    return splats.checked(source)
+    return check(splats, source)
 
 
 def _inflate(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDArray[np.uint8]]]:
     """The header and the sections [count, bytes a splat]; never inflates more than the header may claim."""
     if data[:4] == struct.pack("<I", MAGIC):
-        raise SceneError(f"{source}: is SPZ version 4 or later (zstd); versions 1 to 3 are read, save it as version 3")
+        return inflate_streams(data, source)
     inflater = zlib.decompressobj(GZIP_WBITS)
     try:
         head = inflater.decompress(data, HEADER.size)
@@ -98,12 +80,8 @@ def _header(head: bytes, source: str) -> SpzHeader:
     if magic != MAGIC:
         raise SceneError(f"{source}: is gzip, but no SPZ (magic 0x{magic:08x}); check the file's type")
     if version not in (1, 2, 3):
-        raise SceneError(f"{source}: is SPZ version {version}; versions 1 to 3 are read")
-    if sh_degree > 3:
-        raise SceneError(f"{source}: claims SH degree {sh_degree}; 0 to 3 are read")
-    if fractional_bits > 24:
-        raise SceneError(f"{source}: claims {fractional_bits} fractional bits; at most 24 are read")
-    return SpzHeader(version, check_count(count, source), sh_degree, fractional_bits)
+        raise SceneError(f"{source}: is SPZ version {version} in gzip; versions 1 to 3 are read")
+    return checked_header(version, count, sh_degree, fractional_bits, source)
 
 
 def _means(raw: NDArray[np.uint8], header: SpzHeader) -> F32:

@@ -30,6 +30,7 @@ class Dynamic3dScene:
 
     def __init__(self, path: Path, options: FileOptions) -> None:
         self._path, self._options = path, options
+        self._drop = options.dropper()
         self._open()
         steps = {len(a) for a in self._arrays.values()} - {1}
         counts = {a.shape[1] for a in self._arrays.values()}
@@ -91,7 +92,7 @@ class Dynamic3dScene:
             sh0=(rgb - np.float32(0.5)) / np.float32(SH_C0),
             sh_rest=np.zeros((self._count, 0, 3), np.float32),
         )
-        return splats.checked(f"{self._path}: step {step}")
+        return (self._drop or Splats.checked)(splats, f"{self._path}: step {step}")
 
     def _row(self, name: str, step: int) -> F32:
         array = self._arrays[name]
@@ -101,7 +102,10 @@ class Dynamic3dScene:
         """Row numbers."""
         if not 0 <= index < len(self):
             raise IndexError(index)
-        return np.arange(self._count, dtype=np.int32)
+        if self._drop is None:
+            return np.arange(self._count, dtype=np.int32)
+        self.frame(index)
+        return self._drop.kept
 
     def __getstate__(self) -> dict[str, Any]:
         """Workers map the file themselves."""

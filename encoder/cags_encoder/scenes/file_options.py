@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from cags_common.errors import ConfigError
 from cags_common.geometry import Vec3
 from cags_common.settings import check_settings, setting
+from cags_encoder.formats.repair import REPAIRS, DropBroken
 from cags_encoder.scenes.source import DEFAULT_FPS, MAX_FRAMES, Focus
 
 _AXES: dict[str, Vec3] = {
@@ -32,12 +33,19 @@ class FileOptions:
     fps: float = setting(DEFAULT_FPS, "frames a second", low=1.0, high=240.0)
     up: str | None = setting(None, "up direction; the format's usual one if not given", choices=tuple(_AXES))
     focus: str | None = setting(None, "X/Y/Z/RADIUS of what viewers walk around; the scene's bulk if not given")
+    repair: str = setting(
+        "none", "splats that cannot be drawn (NaN, infinities): drop leaves them out; else refused", choices=REPAIRS
+    )
     rows: str = setting("auto", "whether a row is the same splat in all frames; auto looks", choices=ROWS)
 
     def __post_init__(self) -> None:
         check_settings(self)
         if self.focus is not None:
             _parse_focus(self.focus)
+
+    def dropper(self) -> DropBroken | None:
+        """A check that leaves out what cannot be drawn, where the options ask for it."""
+        return DropBroken() if self.repair == "drop" else None
 
     def focus_or(self, otherwise: Callable[[], Focus]) -> Focus:
         """The focus that the options give, else what ``otherwise`` finds."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cags_common.errors import SceneError
 from cags_common.geometry import Vec3
 from cags_common.splats import Ids, Splats
-from cags_encoder.formats import read_splats
+from cags_encoder.formats import Format, read_splats
 from cags_encoder.formats.registry import META
 from cags_encoder.scenes.dynamic3d import Dynamic3dScene
 from cags_encoder.scenes.file_options import FileOptions, up_of
@@ -33,14 +33,14 @@ class FileScene:
 
     def __init__(self, name: str, files: list[Path], options: FileOptions) -> None:
         self._name, self._files, self._options = name, files, options
-        first, entry = read_splats(files[0])
-        self._held: tuple[int, Splats] | None = (0, first)
+        first, entry, kept = self._read_file(0)
+        self._held: tuple[int, Splats, Ids] | None = (0, first, kept)
         self._degree = first.sh_degree
         self._focus = options.focus_or(lambda: focus_of(first))
         self._up = up_of(options, entry.up)
         self._rows_persist = len(files) == 1 or options.rows == "keep"
         if options.rows == "auto" and len(files) > 1 and entry.name in UNSORTED_FORMATS:
-            self._rows_persist = all(rows_persist(first, self._read(k)) for k in {1, len(files) - 1})
+            self._rows_persist = all(rows_persist(first, self._read(k)[0]) for k in {1, len(files) - 1})
 
     @property
     def name(self) -> str:
@@ -69,23 +69,32 @@ class FileScene:
         """Frame ``index``; the sequence begins again where ``frames`` exceeds it."""
         if not 0 <= index < len(self):
             raise IndexError(index)
-        file = index % len(self._files)
-        if self._held is None or self._held[0] != file:
-            self._held = (file, self._read(file))
-        return self._held[1]
+        return self._frame(index)[0]
 
     def ids(self, index: int) -> Ids | None:
         """Rows of static scenes and of sequences that keep them (new splats come at the end); None for others."""
-        return np.arange(len(self.frame(index)), dtype=np.int32) if self._rows_persist else None
+        return self._frame(index)[1] if self._rows_persist else None
 
-    def _read(self, file: int) -> Splats:
-        splats, _ = read_splats(self._files[file])
+    def _frame(self, index: int) -> tuple[Splats, Ids]:
+        """Frame ``index``, and the file's rows that are in it."""
+        file, held = index % len(self._files), self._held
+        if held is None or held[0] != file:
+            self._held = held = (file, *self._read(file))
+        return held[1], held[2]
+
+    def _read(self, file: int) -> tuple[Splats, Ids]:
+        splats, _, kept = self._read_file(file)
         if splats.sh_degree != self._degree:
             raise SceneError(
                 f"{self._files[file]}: has SH degree {splats.sh_degree}, {self._files[0].name} has {self._degree}; "
                 "all frames of a scene need the same"
             )
-        return splats
+        return splats, kept
+
+    def _read_file(self, file: int) -> tuple[Splats, Format, Ids]:
+        drop = self._options.dropper()
+        splats, entry = read_splats(self._files[file], drop or Splats.checked)
+        return splats, entry, drop.kept if drop else np.arange(len(splats), dtype=np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
         """Workers read the frames themselves."""

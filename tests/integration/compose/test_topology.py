@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -17,18 +16,13 @@ from typing import Any
 import pytest
 
 from cags_bench.demo.processes import Process, ProcessGroup
+from support.processes import free_port
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[3]
 CLIENTS = 4
 DEADLINE_S = 60
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def fetch(url: str) -> str:

@@ -12,7 +12,8 @@ from cags_encoder.formats.ply_container import parse_header
 from cags_encoder.formats.sog import parse_sog_bytes
 from cags_encoder.formats.sog_writer import sog_bytes
 from cags_encoder.formats.splat import RECORD, parse_splat
-from cags_encoder.formats.spz import HEADER, MAGIC, parse_spz
+from cags_encoder.formats.spz import HEADER, parse_spz
+from cags_encoder.formats.spz_header import MAGIC
 from support.splat_files import gzipped, random_splats, zip_files, zip_of
 
 SPLATS = random_splats(40, 1)

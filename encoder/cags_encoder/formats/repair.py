@@ -1,0 +1,57 @@
+"""What is done about splats that cannot be drawn: real files hold NaN, infinities and rotations without direction.
+
+Parsers end in a check. The usual one, :meth:`Splats.checked`, refuses the file and names the first such value;
+:class:`DropBroken` leaves such splats out and says how many.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.errors import SceneError
+from cags_common.splats import Splats
+
+Check: TypeAlias = Callable[[Splats, str], Splats]
+"""Takes what a parser read and the file's name, gives checked splats or raises :class:`SceneError`."""
+
+REPAIRS = ("none", "drop")
+
+SHORTEST_QUATERNION = 1e-12
+
+_log = logging.getLogger(__name__)
+_said: set[tuple[str, int]] = set()
+
+
+def drawable(splats: Splats) -> NDArray[np.bool_]:
+    """Which splats [n] can be drawn: finite (but an opacity logit may be infinite), the rotation with a direction."""
+    good: NDArray[np.bool_] = np.linalg.norm(splats.quats.astype(np.float64), axis=1) >= SHORTEST_QUATERNION
+    for name, array in splats.arrays():
+        bad = np.isnan(array) if name == "logit_opacities" else ~np.isfinite(array)
+        good &= ~bad.reshape(len(array), -1).any(axis=1)
+    return good
+
+
+class DropBroken:
+    """A check that leaves out splats that cannot be drawn. Remembers which rows it kept."""
+
+    def __init__(self) -> None:
+        self.kept: NDArray[np.int32] = np.zeros(0, np.int32)
+        """Rows of the last file, as it has them, that were kept."""
+
+    def __call__(self, splats: Splats, source: str) -> Splats:
+        """The drawable ones of ``splats``, checked. Says how many were left out, once a file and process."""
+        with np.errstate(all="ignore"):
+            good = drawable(splats)
+        self.kept = np.flatnonzero(good).astype(np.int32)
+        gone = len(good) - len(self.kept)
+        if gone == len(good):
+            raise SceneError(f"{source}: none of its {gone} splats can be drawn; give another file")
+        if gone and (source, gone) not in _said:
+            _said.add((source, gone))
+            _log.warning("%s: left out %d of %d splats that hold values that are not finite", source, gone, len(good))
+        return (splats.take(good) if gone else splats).checked(source)

@@ -1,0 +1,38 @@
+"""What the header of an ``.spz`` file says, whatever its container."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cags_common.errors import SceneError
+from cags_common.splats import SH_REST_OF_DEGREE
+from cags_encoder.formats.files import check_count
+
+MAGIC = 0x5053474E  # "NGSP"
+
+
+@dataclass(frozen=True, slots=True)
+class SpzHeader:
+    """What the sixteen bytes at the start claim."""
+
+    version: int
+    count: int
+    sh_degree: int
+    fractional_bits: int
+
+    @property
+    def sections(self) -> tuple[tuple[str, int], ...]:
+        """Name and bytes a splat of each section, in file order."""
+        mean_bytes = 6 if self.version == 1 else 9
+        quat_bytes = 4 if self.version >= 3 else 3
+        sh_bytes = 3 * SH_REST_OF_DEGREE[self.sh_degree]
+        return (("mean", mean_bytes), ("alpha", 1), ("colour", 3), ("scale", 3), ("quat", quat_bytes), ("sh", sh_bytes))
+
+
+def checked_header(version: int, count: int, sh_degree: int, fractional_bits: int, source: str) -> SpzHeader:
+    """The header, its claims within bounds. Raises :class:`SceneError` naming ``source``."""
+    if sh_degree > 3:
+        raise SceneError(f"{source}: claims SH degree {sh_degree}; 0 to 3 are read")
+    if fractional_bits > 24:
+        raise SceneError(f"{source}: claims {fractional_bits} fractional bits; at most 24 are read")
+    return SpzHeader(version, check_count(count, source), sh_degree, fractional_bits)
