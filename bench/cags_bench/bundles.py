@@ -33,11 +33,23 @@ def cached_bundle(scene: str, cache: str, settings: EncodeSettings, *, progress:
 
     folder = Path(cache) if cache else default_cache()
     bundle = folder / content_key(scene, settings)
-    if not (bundle / "manifest.json").exists():
+    if not _readable(bundle):
         folder.mkdir(parents=True, exist_ok=True)
         with progress_bar() if progress else nullcontext() as tell:
             encode(looped(open_scene(scene), settings.frames), settings, str(bundle), tell)
     return bundle
+
+
+def _readable(bundle: Path) -> bool:
+    """Whether there is a bundle of the present format; one of an older format is encoded again."""
+    from cags_common.bundle import BundleReader
+    from cags_common.errors import BundleError
+
+    try:
+        BundleReader.open(str(bundle)).close()
+    except BundleError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,9 @@ class Connection:
 
     def next_timer_us(self) -> int | None:
         """When ``handle_timer`` (and then ``next_job``) should be called next."""
-        times = [self.session.next_timer_us(), self.streamer.next_due_us() if self.streamer else None]
+        times = [self.session.next_timer_us()]
+        if self.streamer is not None:
+            times += [self.streamer.next_due_us(), self.streamer.opening_due_us()]
         known = [t for t in times if t is not None]
         return min(known) if known and not self.closed else None
 
@@ -83,7 +85,7 @@ class Connection:
         """Do what is due."""
         self.session.handle_timer(now_us=now_us)
         if self.streamer is not None and not self.closed:
-            self._queue(self.streamer.catch_up(now_us), now_us)
+            self._queue(self.streamer.end_opening(now_us) + self.streamer.catch_up(now_us), now_us)
         self._settle(now_us)
 
     def next_job(self, now_us: int) -> FrameJob | None:

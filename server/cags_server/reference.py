@@ -12,6 +12,7 @@ from cags_common.raster.base import DepthKind, Footprint, RenderOptions
 from cags_common.video.h264 import is_idr
 from cags_common.video.noise import CodingNoise
 from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.lingering import Lingering
 from cags_server.predict.base import PoseDistribution
 from cags_server.reference_encoder import ReferenceEncoder
 
@@ -58,6 +59,7 @@ class FrameJob:
     encoder: ReferenceEncoder
     visible_px: float
     threads: int
+    lingering: Lingering
 
     def run(self, clock_ns: Callable[[], int] | None = None) -> FrameRender:
         """Do the work; ``clock_ns``, if given, times its parts."""
@@ -72,7 +74,8 @@ class FrameJob:
         with self.library.scenes.at(self.plan.frame) as scene:
             view = scene.render(self.camera, options)
         assert view.contribution is not None
-        visible = self.library.visible_tiles(self.plan.frame, view.contribution, self.visible_px)
+        worth = self.lingering.added_to(view.contribution, self.plan.frame)
+        visible = self.library.visible_tiles(self.plan.frame, worth, self.visible_px)
         rendered = clock()
         rgb = np.clip(view.rgb, 0.0, 1.0)
         unit = self.encoder.encode(rgb, idr=self.plan.idr)

@@ -19,6 +19,8 @@ from cags_server.budget import ByteBudget
 from cags_server.clock import ClientClock
 from cags_server.fov import FovObservation, FovOptions, create_fov_policy, widened
 from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.lingering import Lingering
+from cags_server.opening import Opening
 from cags_server.pace import Pace
 from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
 from cags_server.records import FrameRecord, StreamStats
@@ -26,7 +28,7 @@ from cags_server.reference import FrameJob, FramePlan, FrameRender
 from cags_server.reference_encoder import ReferenceEncoder
 from cags_server.reference_video import ReferenceVideo
 from cags_server.settings import ServerSettings
-from cags_server.tiles import TileSender
+from cags_server.tiles import BASE_PRIORITY, TileSender
 from cags_server.timeline import Timeline
 
 BLOB_PRIORITY = 0
@@ -84,7 +86,9 @@ class Streamer:
         self._job_running = False
         self._pace = Pace()
         self._budget = ByteBudget(settings.queue_ms)
+        self._opening: Opening | None = None
         self._video = ReferenceVideo()
+        self._lingering = Lingering(library, settings.visible_px)
         self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
         self._blind_tick = -1  # newest frame that was sent without looking
         self._looked_tick: int | None = None  # newest frame that was looked at
@@ -112,7 +116,25 @@ class Streamer:
             ]
         )
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
-        return self._counted(out + self._tiles.beginning(self._timeline.frame, camera), now_us)
+        frame = self._timeline.frame
+        tiles = self._tiles.beginning(frame, camera)
+        in_view = [
+            (m.frame, m.tile)
+            for each in tiles
+            if each.priority == BASE_PRIORITY and isinstance(m := each.message, TileLayers)
+        ]
+        self._opening = Opening(frame, in_view, now_us)
+        return self._counted(out + tiles, now_us)
+
+    def opening_due_us(self) -> int | None:
+        """When :meth:`end_opening` has something to say."""
+        return self._opening.due_us() if self._opening else None
+
+    def end_opening(self, now_us: int) -> list[ev.Outgoing]:
+        """The end of the first frame while the link is still busy with it, so that the play can begin."""
+        ends = self._opening.end(now_us) if self._opening else []
+        reader = self._library.reader
+        return self._counted([ev.Outgoing(e, reader.removed_payload(e.frame), BLOB_PRIORITY) for e in ends], now_us)
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles, and the codebooks, from an earlier session: they are not sent again."""
@@ -178,6 +200,8 @@ class Streamer:
         message = outgoing.message
         if isinstance(message, TileLayers):
             (self._tiles.inventory.delivered if delivered else self._tiles.inventory.dropped)(message)
+            if self._opening is not None:
+                self._opening.settled(message)
         elif isinstance(message, ReferenceFrame) and not delivered:
             self._video.dropped(message)
 
@@ -227,6 +251,7 @@ class Streamer:
             encoder=self._encoder,
             visible_px=self._settings.visible_px,
             threads=self._settings.render_threads,
+            lingering=self._lingering,
         )
 
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
@@ -241,7 +266,8 @@ class Streamer:
         assert self._seen is not None
         self._next_tick = tick + 1
         self._blind_tick = tick
-        visible = self._library.visible_tiles(frame, self._seen[1], self._settings.visible_px)
+        worth = self._lingering.added_to(self._seen[1], frame)
+        visible = self._library.visible_tiles(frame, worth, self._settings.visible_px)
         display_us = self._timeline.display_us(tick)
         predicted = self._predict(display_us)
         plan = FramePlan(self._generation, tick, frame, 1, now_us, display_us, 0, predicted, (0.0, 0.0), False)
@@ -323,7 +349,9 @@ class Streamer:
         if self._tiles.from_nothing:
             camera = Camera(self._hello.intrinsics, plan.predicted.pose, self._hello.near)
             out += self._counted(self._tiles.beginning(plan.frame, camera), now_us)
-        return out + self._upgrades(render.visible, record, now_us)
+        out += self._upgrades(render.visible, record, now_us)
+        self._lingering.update(render.contribution, plan.frame, self._tiles.inventory)
+        return out
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""

@@ -23,7 +23,8 @@ EXAMPLES = """\
   sudo cags-shaper --tun --trace lte.csv --loss 0.01 -- sh -c 'cags-client --url ws://$CAGS_SHAPER_HOST:8765/stream'
 
 a trace is a mahimahi file (one 1,504-byte opportunity a line, ms), rows `time_s,mbps`, rows `time mbps` (Pensieve), or
-generated:NAME[:seed=N][:duration_s=N] with NAME 5g-mmwave, lte-driving, step, sawtooth, blackout, steady-N (N Mbps)
+generated:NAME[:seed=N][:duration_s=N][:start_s=N] with NAME
+5g-mmwave, lte-driving, step, sawtooth, blackout, steady-N (N Mbps)
 """
 
 

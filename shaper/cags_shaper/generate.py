@@ -7,6 +7,7 @@ outages of seconds; LTE while driving: 1-60 Mbps, handovers of under a second); 
 
 from __future__ import annotations
 
+import bisect
 import math
 import random
 from collections.abc import Callable
@@ -105,6 +106,10 @@ def _blackout(_seed: int, duration_s: float) -> RateTable:
     return _rows("blackout", 1.0, [0.0 if 10 <= i % 30 < 13 else 60.0 for i in range(count)])
 
 
+OPTIONS = {"seed": (0.0, 2.0**31), "duration_s": (0.1, 3600.0), "start_s": (0.0, 3600.0)}
+"""Options of a generated trace, and their bounds."""
+
+
 @dataclass(frozen=True)
 class Model:
     """How a named trace is made, and how long it is unless told otherwise."""
@@ -123,7 +128,7 @@ MODELS: dict[str, Model] = {
 
 
 def generate(spec: str) -> RateTable:
-    """The trace of ``NAME[:seed=N][:duration_s=N]``. Raises :class:`TraceError` for what is not known."""
+    """The trace of ``NAME[:seed=N][:duration_s=N][:start_s=N]``. Raises :class:`TraceError` for what is not known."""
     name, *options = spec.split(":")
     values = _options(spec, options)
     if name.startswith("steady-"):
@@ -134,16 +139,29 @@ def generate(spec: str) -> RateTable:
         known = ", ".join([*MODELS, "steady-N (N Mbps)"])
         raise TraceError(f"generated:{spec}: unknown trace {name!r}; known: {known}")
     table = model.make(int(values.get("seed", 1)), values.get("duration_s", model.duration_s))
-    return replace(table, name=name)
+    return replace(turned(table, values.get("start_s", 0.0)), name=name)
+
+
+def turned(table: RateTable, start_s: float) -> RateTable:
+    """The same period, begun ``start_s`` into it; what came before follows at its end."""
+    start_s %= table.end_s
+    if not start_s:
+        return table
+    first = bisect.bisect_right(table.times_s, start_s) - 1
+    times = [0.0, *(t - start_s for t in table.times_s[first + 1 :])]
+    rates = list(table.mbps[first:])
+    times += [t + table.end_s - start_s for t in table.times_s if t < start_s]
+    rates += [rate for t, rate in zip(table.times_s, table.mbps, strict=True) if t < start_s]
+    return RateTable(table.name, tuple(times), tuple(rates), table.end_s)
 
 
 def _options(spec: str, options: list[str]) -> dict[str, float]:
     values: dict[str, float] = {}
     for option in options:
         key, _, text = option.partition("=")
-        if key not in ("seed", "duration_s"):
-            raise TraceError(f"generated:{spec}: unknown option {option!r}; known: seed=N, duration_s=N")
-        values[key] = _number(spec, text, 0.0, 2**31) if key == "seed" else _number(spec, text, 0.1, 3600.0)
+        if key not in OPTIONS:
+            raise TraceError(f"generated:{spec}: unknown option {option!r}; known: {', '.join(OPTIONS)} (=N)")
+        values[key] = _number(spec, text, *OPTIONS[key])
     return values
 
 

@@ -123,9 +123,9 @@ def trace_of_rates(
 
 
 def open_trace(spec: str, *, loop: bool = True) -> Trace:
-    """The trace that ``spec`` names: a file, or ``generated:NAME[:seed=N][:duration_s=N]``. Raises :class:`TraceError`.
+    """The trace that ``spec`` names: a file, or ``generated:NAME[:seed=N][:duration_s=N][:start_s=N]``.
 
-    The names are those of :data:`cags_shaper.generate.MODELS` and ``steady-N`` (N Mbps).
+    Raises :class:`TraceError`. The names are those of :data:`cags_shaper.generate.MODELS` and ``steady-N`` (N Mbps).
     """
     if not spec.startswith("generated:"):
         return read_trace(spec, loop=loop)

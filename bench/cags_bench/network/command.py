@@ -31,8 +31,8 @@ class NetworkSettings:
     """What is measured, and how long."""
 
     parts: str = setting(",".join(PARTS), f"parts to run, of {', '.join(PARTS)}")
-    scene: str = setting("procedural:size=60000,frames=90", "scene of the content and real-time parts")
-    frames: int = setting(90, "media frames to play", low=2, high=1_000_000)
+    scene: str = setting("procedural:size=160000,frames=60", "scene of the content and real-time parts")
+    frames: int = setting(210, "media frames to play", low=2, high=1_000_000)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
     traces: str = setting(
         "", "traces of the content part, comma separated; empty: all generated ones, and 2 and 10 Mbps"
@@ -103,23 +103,24 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
     from cags_bench.bundles import cached_bundle
     from cags_bench.network.content import content_lines, scenario
     from cags_bench.network.realtime import realtime_lines
-    from cags_bench.network.sending import SHIPPED, SLOW
+    from cags_bench.network.sending import CLIPS, SLOW
     from cags_encoder import EncodeSettings
 
     bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
     base: Scenario = scenario(bundle, settings)
     if "content" in parts:
-        traces = settings.traces.split(",") if settings.traces else [*SLOW, *SHIPPED]
+        traces = settings.traces.split(",") if settings.traces else [*SLOW, *CLIPS]
         yield from content_lines(bundle, traces, settings.policies.split(","), base)
     if "realtime" in parts:
         yield from realtime_lines(base)
 
 
 def _soak(settings: NetworkSettings) -> dict[str, Any]:
-    import dataclasses
-
     from cags_bench.network.soak import run_soak
     from cags_shaper.trace import open_trace
 
     result = run_soak(open_trace("generated:lte-driving"), round(settings.soak_minutes * 60e6))
-    return {"case": "soak", "virtual_minutes": settings.soak_minutes, **dataclasses.asdict(result)}
+    counts = {
+        name: dict(sorted(value.items())) if isinstance(value, dict) else value for name, value in vars(result).items()
+    }
+    return {"case": "soak", "virtual_minutes": settings.soak_minutes, **counts}

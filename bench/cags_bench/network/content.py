@@ -15,8 +15,11 @@ from cags_client.settings import ClientSettings
 from cags_server.settings import ServerSettings
 from cags_shaper.trace import Trace, open_trace
 
-BLACK_DB = 8.0
-"""A picture further than this from the truth, over what the scene covers, shows nothing of it."""
+BLACK_SHARE = 0.1
+"""A picture that covers less than this share of what the clip's pictures usually cover is black."""
+
+SCORE_EVERY = 3
+"""Every so many-th frame is compared with the truth."""
 
 
 def content_lines(bundle: Path, traces: list[str], policies: list[str], base: Scenario) -> Iterator[dict[str, Any]]:
@@ -31,18 +34,21 @@ def scenario(bundle: Path, settings: Any, trace: str = "") -> Scenario:
     """What the command's settings describe."""
     client = ClientSettings(width=settings.width, height=settings.height, restore=settings.restore)
     delay_us = round(settings.delay_ms * 1000)
-    return Scenario(bundle, trace, settings.poses, ServerSettings(), client, settings.estimator, delay_us)
+    return Scenario(
+        bundle, trace, settings.poses, ServerSettings(), client, settings.estimator, delay_us, score_every=SCORE_EVERY
+    )
 
 
 def judge(result: SessionResult, trace: Trace) -> dict[str, Any]:
     """The figures of one play."""
     records, summary = result.frames, result.summary
-    psnr = [record["psnr_restored_db"] for record in records if np.isfinite(record["psnr_restored_db"])]
+    psnr = [db for record in records if np.isfinite(db := record.get("psnr_restored_db", np.nan))]
     return {
         "frames": summary["frames"],
         "frames_missed": summary["frames_missed"],
         "freezes": freezes(records),
-        "black_frames": sum(record["psnr_covered_restored_db"] < BLACK_DB for record in records),
+        "frozen_ms": sum(record["missed"] for record in records) * 1e3 / summary["fps"],
+        "black_frames": black_frames(records),
         "first_picture_ms": summary["first_picture_ms"],
         "recovery_ms": recovery_ms(records, trace),
         "goodput_mbps": summary["goodput_mbps"],
@@ -50,10 +56,18 @@ def judge(result: SessionResult, trace: Trace) -> dict[str, Any]:
         "goodput_per_capacity": summary["goodput_mbps"] / summary["capacity_mbps"],
         "bytes_tiles": summary["bytes_tiles"],
         "bytes_reference": summary["bytes_reference"],
+        "wasted_bytes": summary["wasted_bytes"],
+        "wasted_share": summary["wasted_share"],
         "psnr_db": float(np.mean(psnr)) if psnr else None,
         "psnr_p5_db": float(np.percentile(psnr, 5)) if psnr else None,
         "ssim": summary["ssim_restored"],
     }
+
+
+def black_frames(records: list[dict[str, Any]]) -> int:
+    """Pictures in which next to nothing is drawn."""
+    usual = float(np.median([record["drawn_share"] for record in records])) if records else 0.0
+    return sum(record["drawn_share"] < BLACK_SHARE * usual for record in records)
 
 
 def freezes(records: list[dict[str, Any]]) -> int:

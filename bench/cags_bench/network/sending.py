@@ -14,6 +14,15 @@ from cags_shaper.link import LinkSettings
 from cags_shaper.trace import Trace, open_trace, trace_of_rates
 
 SHIPPED = (*(f"generated:steady-{rate}" for rate in STEADY_MBPS), *(f"generated:{name}" for name in MODELS))
+INCIDENTS = {"5g-mmwave": 7, "lte-driving": 10, "step": 12, "sawtooth": 17, "blackout": 8}
+"""Second of a trace at which a clip of seven seconds begins, so that the fall, or the outage, is in it."""
+
+CLIPS = tuple(
+    f"{spec}:start_s={INCIDENTS[name]}" if (name := spec.removeprefix("generated:")) in INCIDENTS else spec
+    for spec in SHIPPED
+)
+"""The shipped traces, each from shortly before what is special about it."""
+
 SLOW = ("generated:steady-2", "generated:steady-10")
 """Links on which the first picture must still come soon."""
 

@@ -179,9 +179,12 @@ class _Simulation:
             self.server.job_done(job.run(), now_us)
             busy = True
         while (action := self.player.next_action(now_us)) is not None:
-            result = action.run()
             if isinstance(action, Decode):
                 self.usage.arrived(action.events)
+            else:  # a picture that nobody looks at is not restored
+                scored = self._scores(action.frame) or self._watch is not None
+                self.player.live.restore = self.scenario.client.restore if scored else "none"
+            result = action.run()
             if isinstance(action, Present):
                 assert isinstance(result, PresentedFrame)
                 self._record(action, result, now_us)
@@ -189,12 +192,16 @@ class _Simulation:
             busy = True
         return busy
 
+    def _scores(self, frame: int) -> bool:
+        return frame % self.scenario.score_every == 0
+
     def _record(self, action: Present, presented: PresentedFrame, now_us: int) -> None:
         record = frame_stats(presented, action, now_us)
         record = {key: value for key, value in record.items() if not key.startswith("ms_")}
         if self.scenario.scored:
             self.usage.shown(presented, action.pipeline)
-        if self.truth is not None and presented.frame % self.scenario.score_every == 0:
+        record["drawn_share"] = float(presented.alpha.mean())
+        if self.truth is not None and self._scores(presented.frame):
             record |= self._scored(presented, *self.truth(presented.frame, presented.camera))
         self.frames.append(record)
         if self._watch is not None:
@@ -213,6 +220,7 @@ class _Simulation:
             dropped_bytes = self.dropped_bytes + self.server.stats.bytes_dropped
             out["wasted_bytes"] = self.usage.wasted_bytes(dropped_bytes)
             out["wasted_share"] = out["wasted_bytes"] / max(self.usage.arrived_bytes + dropped_bytes, 1)
+        out["fps"] = self.reader.manifest.fps
         out["first_picture_ms"] = started_us / 1e3
         out["link_effects"] = sorted(self.world.down.link.effects)
         out["capacity_mbps"] = self.trace.mean_bps(0, max(self.world.now_us, 1)) / 1e6

@@ -135,3 +135,15 @@ def test_times_and_rates_agree_on_capacity():
     rates = trace_of_rates("r", [0.0], [30.0], 1.0)
     times = trace_of_times("t", [int(line) for line in rates.to_mahimahi().split()])
     assert times.opportunities == rates.opportunities == int(30e6 / 8 / OPPORTUNITY_BYTES)
+
+
+@pytest.mark.parametrize("start_s", [0.25, 5.0, 12.9, 30.0, 31.5])
+def test_a_trace_may_begin_within_its_period(start_s):
+    whole, turned = open_trace("generated:blackout"), open_trace(f"generated:blackout:start_s={start_s}")
+    assert turned.period_ms == whole.period_ms
+    assert abs(turned.opportunities - whole.opportunities) <= 1
+    for at_us in range(0, 60_000_000, 700_000):
+        there = at_us + round(start_s * 1e6)
+        assert turned.mean_bps(at_us, at_us + 700_000) == pytest.approx(
+            whole.mean_bps(there, there + 700_000), abs=2 * 1504 * 8 / 0.7
+        )

@@ -42,7 +42,7 @@ def test_everything_is_sent_when_it_fits() -> None:
 
 def test_budget_is_saved_for_a_base_layer_that_is_worth_more_than_detail() -> None:
     assert decide("utility", 60, tile(0, depth=0, weight=100.0), tile(1)).upgrades == ()
-    assert reached(decide("utility", 60, tile(0, depth=0, weight=0.01), tile(1))) == {1: 5}
+    assert reached(decide("utility", 60, tile(0, depth=0, weight=0.001), tile(1))) == {1: 5}
 
 
 @pytest.mark.parametrize(("waiting_ms", "depth"), [(0, 5), (60, 5), (180, 2), (300, 1), (5000, 1)])

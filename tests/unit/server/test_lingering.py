@@ -1,0 +1,57 @@
+"""Splats that moved out of sight are still brought to where they are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cags_protocol.messages import TileLayers
+from cags_server.inventory import ClientInventory
+from cags_server.lingering import Lingering
+from support.server_scene import library
+
+LEAST = 0.02
+
+
+def seen(*ids: int) -> np.ndarray:
+    """Contributions [40] of the scene's splats: 1 for those in view."""
+    out = np.zeros(40, np.float32)
+    out[list(ids)] = 1.0
+    return out
+
+
+def holding(*keys: tuple[int, int]) -> ClientInventory:
+    inventory = ClientInventory()
+    for frame, tile in keys:
+        inventory.delivered(TileLayers(frame, tile, 0, 1, (1,), (0,)))
+    return inventory
+
+
+KEY_TILES = tuple((0, tile) for tile in range(4))
+
+
+def test_what_left_the_picture_while_it_changed_counts_until_its_change_is_on_its_way() -> None:
+    lingering = Lingering(library(), LEAST)
+    inventory = holding(*KEY_TILES)
+    lingering.update(seen(3, 8), 0, inventory)
+    assert not len(lingering), "what is seen is held"
+    lingering.update(seen(3, 8), 3, inventory)  # splat 3 changes in frame 3, and that is not held
+    assert lingering.added_to(seen(8), 4)[3] == 1.0, "out of sight now, but shown at its old place"
+    lingering.update(seen(8), 4, inventory)
+    assert lingering.added_to(seen(8), 5)[3] == 1.0, "it lingers on"
+    lingering.update(seen(8), 5, holding(*KEY_TILES, (3, 0)))
+    assert np.array_equal(lingering.added_to(seen(8), 5), seen(8))
+
+
+def test_another_group_of_frames_has_other_ids() -> None:
+    lingering = Lingering(library(), LEAST)
+    lingering.update(seen(3), 3, holding(*KEY_TILES))
+    assert len(lingering) == 1
+    assert np.array_equal(lingering.added_to(seen(8), 6), seen(8))
+    lingering.update(seen(8), 6, holding((6, 0)))
+    assert not len(lingering)
+
+
+def test_what_was_never_seen_does_not_linger() -> None:
+    lingering = Lingering(library(), LEAST)
+    lingering.update(seen(8), 3, holding(*KEY_TILES))
+    assert not len(lingering)
