@@ -4,7 +4,7 @@ The rules are the product's own. A session plans a frame a period; while its las
 only the newest is begun (:meth:`cags_server.streamer.Streamer.begin`). A server has as many renderers as
 ``cags-server --workers`` and takes jobs as they come. The balancer sends a new session to the server with the fewest
 (``least_conn`` of ``deploy/nginx/nginx.conf``), where it stays; a session whose server dies joins again after the time
-that clients need for it. Viewers come and go at random, so servers are never evenly full.
+that clients need for it. Viewers stay for a random time, and for each that leaves another comes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Load:
     """Who comes, and what a reference costs."""
 
     sessions: int
-    """Sessions at a time, on average."""
+    """Sessions at a time."""
     job_ms: float = 18.0
     """Rendering and coding one reference on one renderer."""
     workers: int = 2
@@ -84,7 +84,6 @@ class Cluster:
         """Play the load; at ``kill_at_s`` the first server dies."""
         for _ in range(self._load.sessions):
             self._at(self._random.uniform(0, 1 / self._load.fps), self._arrive)
-        self._at(self._gap_s(), self._newcomer)
         if kill_at_s is not None:
             self._at(kill_at_s, self._kill)
         while self._events and self._events[0][0] <= self._load.seconds:
@@ -96,20 +95,12 @@ class Cluster:
         self._count += 1
         heapq.heappush(self._events, (time_s, self._count, event))
 
-    def _gap_s(self) -> float:
-        """Arrivals keep the mean number of sessions: as many come as leave."""
-        return self._random.expovariate(self._load.sessions / self._load.stay_s)
-
-    def _newcomer(self, now: float) -> None:
-        self._arrive(now)
-        self._at(now + self._gap_s(), self._newcomer)
-
     def _arrive(self, now: float) -> None:
         self._join(_Session(now + self._random.expovariate(1 / self._load.stay_s)), now)
 
     def _join(self, session: _Session, now: float) -> None:
         living = [server for server in self._servers if server.alive]
-        if not living or now >= session.ends_s:
+        if not living:
             return
         session.server = min(living, key=lambda server: len(server.sessions))
         session.server.sessions.add(session)
@@ -123,6 +114,7 @@ class Cluster:
             return
         if now >= session.ends_s:
             server.sessions.discard(session)
+            self._arrive(now)
             return
         self.outcome.due += 1
         if session.busy:

@@ -1,0 +1,66 @@
+"""A newcomer with one captured file: set in motion, encoded, served, shaped, and looked at in a browser."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cags_encoder.formats import write_splats
+from cags_encoder.scenes import open_scene
+from support.browser import chromium, keep_screenshot, require_browser
+from support.live_stack import live_stack
+
+pytestmark = pytest.mark.slow
+
+DEADLINE_S = 90
+LEAST_DB = 22.0
+"""Of what the browser shows, after splats, link and video, against the truth as the browser shows it."""
+
+PIXELS = """
+const canvas = document.getElementById('picture'), copy = new OffscreenCanvas(160, 120), c = copy.getContext('2d');
+c.drawImage(canvas, 0, 0, 160, 120);
+return Array.from(c.getImageData(0, 0, 160, 120).data);
+"""
+
+
+def pixels(running: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """What the page's picture shows, [120, 160, 3] in [0, 1]."""
+    return np.array(running.execute_script(PIXELS), np.float64).reshape(120, 160, 4)[..., :3] / 255
+
+
+def wait(running: Any, condition: Callable[[dict[str, Any]], bool], what: str) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition(dict(running.execute_script("return structuredClone(window.cags ?? {frames: 0})"))):
+        assert time.monotonic() < deadline, what
+        time.sleep(0.2)
+
+
+def test_a_splat_file_becomes_a_scene_in_the_browser(tmp_path: Path) -> None:
+    require_browser()
+    capture = tmp_path / "room.splat"
+    write_splats(capture, open_scene("procedural:size=15000,frames=1").frame(0))
+    scene = f"motion:{capture}:frames=12"
+    with live_stack(scene, tmp_path, width=320, height=240) as url, chromium(tmp_path / "profile") as running:
+        running.get(url)
+        wait(running, lambda page: page["frames"] > 40, "no pictures")
+        running.find_element("id", "picture").send_keys(" r")  # pause, and look at the whole scene
+        wait(running, lambda page: (page["stats"].get("lod_mean") or 0) > 0, "no detail arrives")
+        wait(running, lambda page: page["pose"] is not None, "the camera does not follow")
+        time.sleep(2.0)
+        shown = pixels(running)
+        keep_screenshot(running, "newcomer")
+        before = running.execute_script("return window.cags.frames")
+        running.find_element("css selector", "#picture-a option[value=truth]").click()
+        wait(running, lambda page: page["frames"] > before and page["picture"]["name"] == "truth", "no truth")
+        time.sleep(0.5)
+        truth = pixels(running)
+    assert truth.std() > 0.05, "the truth is a picture of something"
+    db = -10 * np.log10(np.mean((shown - truth) ** 2))
+    assert db >= LEAST_DB, f"the page shows the scene at {db:.1f} dB"
+    mirrored = -10 * np.log10(np.mean((shown[:, ::-1] - truth) ** 2))
+    assert db > mirrored + 3, "and not merely its colours"
