@@ -12,7 +12,7 @@ transparency come out right, and many references add up. Only what stands above 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,16 @@ MAX_CHANGE = 0.35
 """Bound on how far a colour may go, in [0, 1] of display range."""
 
 LEAST_ALPHA = 0.05
+LEAST_ERROR = 1e-4
+"""Largest correction of a pixel below which a step is not worth its work."""
+
+
+@dataclass(frozen=True, eq=False)
+class AdapterStep:
+    """Changes of colour [M, 3], in display range, of the splats at ``rows`` [M]."""
+
+    rows: NDArray[np.intp]
+    change: NDArray[np.float32]
 
 
 class SirtAdapter:
@@ -57,16 +67,27 @@ class SirtAdapter:
 
         Returns how many splats changed.
         """
+        return self.apply(scene, splats, self.step(scene, reference, own, options))
+
+    def step(
+        self, scene: RasterScene, reference: ReferencePicture, own: RenderedView, options: RenderOptions
+    ) -> AdapterStep:
+        """What :meth:`apply` would change. Reads the scene beside renders of it, but not beside its updates."""
         shown = np.clip(own.rgb, 0.0, 1.0)
         fields = correction_fields(shown, reference, self._settings)
         error = (shown * fields[..., :1] + fields[..., 1:]) / np.maximum(own.alpha, np.float32(LEAST_ALPHA))[..., None]
-        if not np.abs(error).max() > 1e-4:
-            return 0
+        if not np.abs(error).max() > LEAST_ERROR:
+            return AdapterStep(np.zeros(0, np.intp), np.zeros((0, 3), np.float32))
         back = scene.back_project(reference.camera, error.astype(np.float32, copy=False), options)
         rows = np.nonzero(back.weight > LEAST_WEIGHT_PX)[0]
-        step = back.weighted_residual[rows] / (back.weight[rows] + np.float32(DAMPING_PX))[:, None]
-        self._delta[rows] = np.clip(self._delta[rows] + step, -MAX_CHANGE, MAX_CHANGE)
-        scene.update(rows, self.corrected(splats.take(rows), rows))
+        return AdapterStep(rows, back.weighted_residual[rows] / (back.weight[rows] + np.float32(DAMPING_PX))[:, None])
+
+    def apply(self, scene: RasterScene, splats: Splats, step: AdapterStep) -> int:
+        """Correct the scene's colours by a step. Returns how many splats changed."""
+        rows = step.rows
+        if len(rows):
+            self._delta[rows] = np.clip(self._delta[rows] + step.change, -MAX_CHANGE, MAX_CHANGE)
+            scene.update(rows, self.corrected(splats.take(rows), rows))
         return len(rows)
 
     def corrected(self, splats: Splats, rows: NDArray[np.intp]) -> Splats:

@@ -7,13 +7,14 @@ decode and store; :meth:`ClientPipeline.present` draws one frame. One thread may
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cags_client import align, restore
-from cags_client.adapt import SirtAdapter
+from cags_client.adapt import AdapterStep, SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture
 from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival
@@ -71,7 +72,9 @@ class ClientPipeline:
         *,
         live: LiveSettings | None = None,
         clock: Callable[[], float] = lambda: 0.0,
+        background: Executor | None = None,
     ) -> None:
+        """``background`` takes the colour adapter off the display path; without it steps run where they are planned."""
         self.info = info
         self.settings = settings
         self.live = live or LiveSettings(settings)
@@ -83,6 +86,8 @@ class ClientPipeline:
         self._sh_degree = 0  # highest band with anything in it since the group's first frame
         self._scene_store: GofStore | None = None
         self._adapter: SirtAdapter | None = None
+        self._background = background
+        self._adapting: Future[AdapterStep] | None = None  # of the scene as it is; seen from the next frame on
         self._own: tuple[ReferencePicture, RenderedView] | None = None
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
@@ -220,9 +225,9 @@ class ClientPipeline:
         if Effect.OWN_VIEW in plan:
             with watch("own"):
                 own = self._seen_from(reference, drawn.scene, options)
-        if Effect.ADAPTATION in plan and own is not None and self._adapter is not None:
-            with watch("adapt"):  # seen from the next frame on
-                self._adapter.adapt(drawn.scene, drawn.store.splats, reference, own, options)
+        if Effect.ADAPTATION in plan and own is not None and self._adapter is not None and self._adapting is None:
+            with watch("adapt"):
+                self._adapting = self._begun(self._adapter, (drawn.scene, reference, own, options))
         if Effect.RESTORATION in plan and aligned is not None:
             with watch("restore"):
                 shown = self._restorer.restore(RestoreInput(drawn.distorted, drawn.view.alpha, aligned, reference, own))
@@ -236,12 +241,32 @@ class ClientPipeline:
         self._own = reference, own
         return own
 
+    def _begun(
+        self, adapter: SirtAdapter, work: tuple[RasterScene, ReferencePicture, RenderedView, RenderOptions]
+    ) -> Future[AdapterStep]:
+        if self._background is not None:
+            return self._background.submit(adapter.step, *work)
+        done: Future[AdapterStep] = Future()
+        done.set_result(adapter.step(*work))
+        return done
+
+    def _adapted(self, store: GofStore, *, must_end: bool) -> None:
+        """Take over the step under way. It reads the scene, so one that ``must_end`` before an update is waited for."""
+        step = self._adapting
+        if step is None or self._adapter is None or self._scene is None or not (must_end or step.done()):
+            return
+        self._adapter.apply(self._scene, store.splats, step.result())
+        self._adapting = None
+
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
         if self._scene is None or committed.fresh:
+            self._adapting = None  # of a scene that is gone
             self._scene, self._scene_store = self._rasteriser.load(store.splats), store
             self._adapter = SirtAdapter(store.capacity) if self.settings.adapt == "sirt" else None
             self._sh_degree = held_sh_degree(store.splats.sh_rest)
-        elif len(committed.rows):
+            return self._scene
+        self._adapted(store, must_end=len(committed.rows) > 0)
+        if len(committed.rows):
             if self._adapter is not None:
                 self._adapter.forget(committed.rows)
             changed = store.splats.take(committed.rows)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import random
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Executor
 from typing import Protocol
 
 from cags_client.actions import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
@@ -74,9 +75,14 @@ class Player:
         near: float = DEFAULT_NEAR,
         live: LiveSettings | None = None,
         clock: Callable[[], float] = lambda: 0.0,
+        background: Executor | None = None,
         rng: random.Random | None = None,
     ) -> None:
-        """``session`` is the first one; ``rng`` spreads the attempts to come back after a loss."""
+        """``session`` is the first one; ``rng`` spreads the attempts to come back after a loss.
+
+        ``background`` is where the colour adapter works (see :class:`ClientPipeline`).
+        """
+        self._background = background
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self.pipeline: ClientPipeline | None = None
@@ -301,7 +307,14 @@ class Player:
         if self.info is None or self._codebooks is None or self.pipeline is not None:
             return
         try:
-            self.pipeline = ClientPipeline(self.info, self._codebooks, self.settings, live=self.live, clock=self._clock)
+            self.pipeline = ClientPipeline(
+                self.info,
+                self._codebooks,
+                self.settings,
+                live=self.live,
+                clock=self._clock,
+                background=self._background,
+            )
         except CagsError as error:
             self._fail(error)
             return

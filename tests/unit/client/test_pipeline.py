@@ -1,5 +1,6 @@
 """From messages to pictures: a small clip, encoded here, decoded and drawn by the pipeline."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,26 @@ def test_adaptation_improves_the_clients_own_picture_frame_by_frame(reader: Bund
     quality = [psnr(pipe.present(0, pipe.camera(pose)).distorted, true) for _ in range(4)]
     assert quality[1] > quality[0] + 0.5
     assert quality[3] > quality[1]
+
+
+def test_adaptation_in_the_background_gives_the_same_pictures(reader: BundleReader) -> None:
+    """A step is taken over when it is done; before splats change it is waited for."""
+    pose, shown = pose_of(reader), []
+    with ThreadPoolExecutor(1) as executor:
+        for background in (None, executor):
+            pipe = ClientPipeline(
+                reader.manifest,
+                reader.codebooks(),
+                ClientSettings(width=160, height=120, adapt="sirt"),
+                background=background,
+            )
+            for frame in range(3):
+                send(pipe, reader, frame)
+                pipe.on_reference(*reference(pipe, reader, frame, pose, frame + 1))
+                shown.append(pipe.present(frame, pipe.camera(pose)).rgb)
+                executor.submit(int).result()  # the step has ended
+    for inline, behind in zip(shown[:3], shown[3:], strict=True):
+        np.testing.assert_array_equal(inline, behind)
 
 
 def test_a_damaged_reference_asks_for_an_idr_and_is_not_shown(reader: BundleReader) -> None:
