@@ -1,6 +1,14 @@
 """The README's commands are the ones that CI runs."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
+
+import pytest
+
+from cags_encoder.formats import write_splats
+from support.capture import three_balls
 
 ROOT = Path(__file__).parents[2]
 
@@ -10,6 +18,47 @@ def test_ci_runs_the_readme_test_command():
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     command = next(line for line in readme.splitlines() if line.endswith("pytest -q -n 2"))
     assert command in ci
+
+
+def tour() -> list[str]:
+    """The lines of the tour with one's own scene."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    block = readme.split("## Five minutes with your own scene")[1].split("```sh\n")[1].split("```")[0]
+    return block.strip().splitlines()
+
+
+def test_ci_runs_the_demo_that_the_first_command_ends_in():
+    first = next(
+        line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if "pip install" in line
+    )
+    demo = first.split("&&")[-1].strip()
+    assert f"\n{demo}" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_tour_works_with_a_capture_of_one_s_own(tmp_path):
+    """Each line as it stands, in a folder with a capture and an environment; servers run beside."""
+    write_splats(tmp_path / "garden.ply", three_balls(600, 1000))
+    (tmp_path / ".venv").symlink_to(sys.prefix)
+    beside = []
+    try:
+        for line in tour():
+            command = line.split()
+            assert (tmp_path / command[0]).exists(), line
+            if command[0].endswith(("cags-server", "cags-shaper")):
+                beside.append(subprocess.Popen([*command, "--json"], cwd=tmp_path, stdout=subprocess.PIPE, text=True))
+                assert json.loads(beside[-1].stdout.readline())["ready"]
+                continue
+            done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False)
+            assert done.returncode == 0, f"{line}\n{done.stderr}"
+    finally:
+        for process in reversed(beside):
+            process.terminate()
+            process.communicate(timeout=20)
+    summary = json.loads((tmp_path / "garden.jsonl").read_text(encoding="utf-8").splitlines()[-1])
+    assert summary["frames"] > 0
+    assert summary["psnr_restored_db"] > 20
+    assert (tmp_path / "garden.mp4").stat().st_size > 1000
 
 
 def test_the_development_install_is_the_documented_one():
