@@ -7,23 +7,18 @@ sending of a packet and its acknowledgement, over the longer of the send and the
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from cags_common.errors import ProtocolError
 from cags_protocol import limits
 from cags_protocol.messages import SeqRange
+from cags_protocol.round_trips import RoundTrips
 from cags_protocol.sendqueue import Entry
 
 REORDER_PACKETS = 64
 """A packet is lost when one sent this much later is acknowledged; over TCP that never happens."""
-
-MIN_RTT_WINDOW_US = 10_000_000
-"""The shortest round trip is taken over this long, as BBR does."""
-
-JITTER_GAIN, MAX_JITTER_US = 4.0, 80_000
-"""The change between neighbouring round trips, smoothed as in RFC 3550, counts this many times, up to a bound."""
 
 MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
 """Least credit: one packet on the wire, one to follow it."""
@@ -66,9 +61,7 @@ class FlowControl:
         self._next_seq = 1
         self._app_limited_until = 0
         self._delivered_us = self._first_sent_us = now_us
-        self._rtts: deque[tuple[int, int]] = deque()  # (time, rtt), rising rtt: the front is the minimum
-        self._last_rtt_us: int | None = None
-        self._jitter_us = 0.0
+        self._round_trips = RoundTrips()
         self._window_full = False
         self.in_flight_bytes = 0
         self.delivered_bytes = 0
@@ -83,7 +76,7 @@ class FlowControl:
     @property
     def min_rtt_us(self) -> int:
         """Shortest round trip seen of late; 0 before the first."""
-        return self._rtts[0][1] if self._rtts else 0
+        return self._round_trips.shortest_us
 
     @property
     def window_bytes(self) -> int:
@@ -91,7 +84,7 @@ class FlowControl:
 
         Without that room a busy machine, whose round trips jump by tens of milliseconds, would never fill its link.
         """
-        jitter_us = min(JITTER_GAIN * self._jitter_us, MAX_JITTER_US)
+        jitter_us = self._round_trips.jitter_us
         return max(MIN_WINDOW_BYTES, int(self.rate_bps * (self._window_us + self.min_rtt_us + jitter_us) / 8e6))
 
     def has_credit(self, extra_bytes: int = 0) -> bool:
@@ -129,7 +122,7 @@ class FlowControl:
         self.delivered_bytes += sum(flight.size for _, flight in acked)
         newest = acked[-1][1]
         rtt_us = max(now_us - newest.sent_us - delay_us, 0)
-        self._note_rtt(rtt_us, now_us)
+        self._round_trips.note(now_us, rtt_us)
         rate = self._rate_sample(newest, now_us)
         self._delivered_us, self._first_sent_us = now_us, newest.sent_us
         return AckResult(acked, self._take_lost(largest), rtt_us, rate, newest.app_limited, newest.window_limited)
@@ -166,14 +159,3 @@ class FlowControl:
         flight = self._flights.pop(seq)
         self.in_flight_bytes -= flight.size
         return flight
-
-    def _note_rtt(self, rtt_us: int, now_us: int) -> None:
-        if self._last_rtt_us is not None:
-            # Falls alone: jitter falls as much as it rises, a queue that builds up only rises.
-            self._jitter_us += (2 * max(self._last_rtt_us - rtt_us, 0) - self._jitter_us) / 16
-        self._last_rtt_us = rtt_us
-        while self._rtts and self._rtts[-1][1] >= rtt_us:
-            self._rtts.pop()
-        self._rtts.append((now_us, rtt_us))
-        while self._rtts[0][0] < now_us - MIN_RTT_WINDOW_US:
-            self._rtts.popleft()

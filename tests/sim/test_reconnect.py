@@ -18,8 +18,10 @@ from cags_client.settings import ClientSettings
 from cags_common.errors import NetworkError
 from cags_encoder import EncodeSettings
 from cags_protocol import events as ev
+from cags_server.settings import ServerSettings
 
 FRAMES = 60
+SERVER = ServerSettings(reference_width=96, reference_height=72)
 CLIENT = ClientSettings(width=96, height=72, restore="none")
 
 
@@ -27,7 +29,7 @@ CLIENT = ClientSettings(width=96, height=72, restore="none")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     settings = EncodeSettings(frames=FRAMES, gof_frames=20, train_splats=4096)
     bundle = cached_bundle("procedural:size=1500,frames=60", str(tmp_path_factory.mktemp("bundles")), settings)
-    return Scenario(bundle, "generated:steady-10", "synthetic:walking", client=CLIENT, score_every=5)
+    return Scenario(bundle, "generated:steady-10", "synthetic:walking", SERVER, CLIENT, score_every=5)
 
 
 @pytest.fixture

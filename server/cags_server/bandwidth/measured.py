@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import deque
 
 from cags_protocol.events import AckSample
+from cags_protocol.round_trips import RoundTrips
 
 INITIAL_BPS = 8e6
 """Planned for until the first acknowledgement."""
@@ -23,9 +24,11 @@ MIN_BPS, MAX_BPS = 64e3, 10e9
 STARTUP_GAIN, PROBE_GAIN, LOADED_GAIN = 2.0, 1.15, 0.95
 MIN_WINDOW_US = 120_000
 QUEUE_US = 15_000
-"""A round trip longer than the shortest by this much has a queue in it."""
+"""A round trip longer than the shortest by this much has a queue in it, unless round trips jump about by as much.
 
-MIN_RTT_WINDOW_US = 10_000_000
+Without regard to jitter a busy machine, whose round trips come late at random, would look like a loaded link for ever:
+each sample of what little was sent would replace the estimate, and nothing would raise it again.
+"""
 
 
 class MeasuredEstimator:
@@ -36,15 +39,16 @@ class MeasuredEstimator:
         self._startup = True
         self._loaded = False
         self._samples: deque[tuple[int, int, float]] = deque()  # (time, bytes, rate) of samples that show the link
-        self._rtts: deque[tuple[int, int]] = deque()  # (time, rtt) rising: the front is the shortest of the window
+        self._round_trips = RoundTrips()
 
     def on_ack(self, sample: AckSample) -> None:
         """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
-        self._note_rtt(sample.now_us, sample.rtt_us)
+        trips = self._round_trips
+        trips.note(sample.now_us, sample.rtt_us)
         rate = sample.delivery_rate_bps
         if rate is None or rate <= 0 or sample.newly_delivered_bytes <= 0:
             return
-        queued = sample.rtt_us > self._rtts[0][1] + QUEUE_US
+        queued = sample.rtt_us > trips.shortest_us + QUEUE_US + trips.jitter_us
         self._loaded = queued and not sample.app_limited
         shows_link = queued and not sample.app_limited
         if not shows_link and rate <= self._rate_bps:
@@ -65,10 +69,3 @@ class MeasuredEstimator:
         """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
         gain = LOADED_GAIN if self._loaded else STARTUP_GAIN if self._startup else PROBE_GAIN
         return min(max(self._rate_bps * gain, MIN_BPS), MAX_BPS)
-
-    def _note_rtt(self, now_us: int, rtt_us: int) -> None:
-        while self._rtts and self._rtts[-1][1] >= rtt_us:
-            self._rtts.pop()
-        self._rtts.append((now_us, rtt_us))
-        while self._rtts[0][0] < now_us - MIN_RTT_WINDOW_US:
-            self._rtts.popleft()

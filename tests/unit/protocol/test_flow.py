@@ -1,8 +1,9 @@
 import pytest
 
 from cags_common.errors import ProtocolError
-from cags_protocol.flow import MIN_RTT_WINDOW_US, MIN_WINDOW_BYTES, REORDER_PACKETS, FlowControl
+from cags_protocol.flow import MIN_WINDOW_BYTES, REORDER_PACKETS, FlowControl
 from cags_protocol.messages import SeqRange
+from cags_protocol.round_trips import MIN_RTT_WINDOW_US
 from cags_protocol.sendqueue import Entry
 from support.wire_pair import tile
 

@@ -77,3 +77,14 @@ def test_the_oracle_reads_the_trace_ahead() -> None:
     oracle = OracleEstimator(Step(), origin_us=1_000_000, share=0.5)
     assert oracle.estimate_bps(5_000_000) == 2_000_000
     assert oracle.estimate_bps(0) == 1000  # before the trace, and never zero
+
+
+def test_a_busy_machine_does_not_look_like_a_loaded_link() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    busy(estimator, 20, 5, 1000)
+    for number, t in enumerate(range(1005, 6005, 5)):  # round trips jump by 60 ms, whatever is sent
+        rtt_us = RTT_US + (60_000 if number % 3 == 0 else 0)
+        rate = max(allowance(estimator) * 0.6, 1.0)
+        estimator.on_ack(AckSample(t * 1000, int(rate * 625), rtt_us, False, delivery_rate_bps=rate * 1e6))
+    assert mbps(estimator) >= 0.8 * 20
