@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from cags_common.effects import NEEDED, POLICIES
 from cags_common.geometry import Intrinsics
@@ -13,6 +14,8 @@ from cags_common.settings import check_settings, setting
 @dataclass(frozen=True)
 class ClientSettings:
     """How the client looks at the scene, what it does to a picture, and how it plays."""
+
+    SECTION: ClassVar[str] = "client"
 
     width: int = setting(800, "picture width in pixels", low=1, high=8192)
     height: int = setting(600, "picture height in pixels", low=1, high=8192)

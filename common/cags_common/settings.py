@@ -72,12 +72,20 @@ def add_settings(parser: argparse.ArgumentParser, cls: type[DataclassInstance]) 
             )
 
 
+SECTIONS = ("encoder", "server", "client")
+"""Tables of a configuration file that several commands share."""
+
+
 def load_settings(cls: type[S], arguments: argparse.Namespace) -> S:
-    """Build ``cls`` from parsed flags over the TOML file over the defaults. Raises :class:`ConfigError`."""
+    """Build ``cls`` from parsed flags over the TOML file over the defaults. Raises :class:`ConfigError`.
+
+    A file may serve several commands: of the tables named in :data:`SECTIONS` each reads its own (its settings' class
+    variable ``SECTION``), over the keys outside of any.
+    """
     values: dict[str, Any] = {}
     names = {f.name for f in fields(cast("Any", cls)) if "help" in f.metadata}
     if getattr(arguments, "config", None):
-        values.update(_read_toml(Path(arguments.config), names))
+        values.update(_read_toml(Path(arguments.config), names, getattr(cls, "SECTION", None)))
     for name in names:
         given = getattr(arguments, name, None)
         if given is not None:
@@ -85,13 +93,15 @@ def load_settings(cls: type[S], arguments: argparse.Namespace) -> S:
     return cls(**values)
 
 
-def _read_toml(path: Path, names: set[str]) -> dict[str, Any]:
+def _read_toml(path: Path, names: set[str], section: str | None) -> dict[str, Any]:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); give an existing TOML file") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: is not TOML ({error})") from error
+    parts = {name: table.pop(name) for name in SECTIONS if isinstance(table.get(name), dict)}
+    table.update(parts.get(section or "", {}))
     unknown = sorted(set(table) - names)
     if unknown:
         raise ConfigError(f"{path}: unknown key {unknown[0]!r}; known: {', '.join(sorted(names))}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from typing import ClassVar
 
 from cags_common.settings import check_settings, setting
 
@@ -12,6 +13,8 @@ QUANTISERS = ("layered", "layered-fine", "paper-66", "paper-76")
 @dataclass(frozen=True)
 class EncodeSettings:
     """How a scene is encoded; the names are the command's flags and the TOML file's keys."""
+
+    SECTION: ClassVar[str] = "encoder"
 
     fps: float | None = setting(None, "frames a second; the scene's own when not given", low=0.1, high=240)
     frames: int | None = setting(None, "encode this many frames at most; all when not given", low=1)

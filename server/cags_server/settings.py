@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
@@ -11,6 +12,8 @@ from cags_common.settings import check_settings, setting
 @dataclass(frozen=True)
 class ServerSettings:
     """What one server does for each of its clients."""
+
+    SECTION: ClassVar[str] = "server"
 
     predictor: str = setting("autoregressive", "how the viewer's pose is predicted")
     fov: str = setting("lstm", "how the field of view of the reference is chosen")

@@ -1,37 +1,72 @@
-"""From the measured client frame to settings that fit a frame time."""
+"""From the measured frames to settings that fit a frame time, for the client and for the server."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cags_bench.cost.command import CostSettings
 from cags_bench.cost.engine import Measured
 from cags_common.errors import ConfigError
 
+CLIENT_STAGE, SERVER_STAGE = "client frame", "reference size"
+"""Stages that proposals are made from: all that a client does for a frame, and drawing and coding a reference."""
+
 HEADROOM = 0.8
 """Share of the frame time that drawing may take: decoding, the network and the display need the rest."""
 
 
-def propose(frames: Sequence[Measured], budget_ms: float) -> Measured:
-    """The best picture that fits ``HEADROOM`` of the budget. Raises :class:`ConfigError` when none fits."""
-    fitting = [one for one in frames if one.median_ms <= HEADROOM * budget_ms]
+@dataclass(frozen=True)
+class Proposal:
+    """The best points that fit."""
+
+    client: Measured
+    server: Measured
+
+    def line(self) -> dict[str, Any]:
+        """For the summary."""
+        return {
+            side: {"point": one.point.label, "median_ms": one.median_ms, one.stage.quality: _quality(one)}
+            for side, one in (("client", self.client), ("server", self.server))
+        }
+
+
+def propose(client: Sequence[Measured], server: Sequence[Measured], budget_ms: float) -> Proposal:
+    """The best pictures within ``HEADROOM`` of the budget. Raises :class:`ConfigError` when nothing fits."""
+    return Proposal(_best(client, budget_ms), _best(server, budget_ms))
+
+
+def _best(points: Sequence[Measured], budget_ms: float) -> Measured:
+    fitting = [one for one in points if one.median_ms <= HEADROOM * budget_ms]
     if not fitting:
-        fastest = min(one.median_ms for one in frames)
+        fastest = min(one.median_ms for one in points)
         raise ConfigError(
-            f"budget_ms = {budget_ms}: the fastest settings take {fastest:.1f} ms here, and {HEADROOM:.0%} of the "
-            "budget is for drawing; give more, or a smaller picture by --width and --height"
+            f"budget_ms = {budget_ms}: the fastest {points[0].stage.name} takes {fastest:.1f} ms here, and "
+            f"{HEADROOM:.0%} of the budget is for drawing; give more, or a smaller picture by --width and --height"
         )
-    return max(fitting, key=lambda one: (one.outcome[one.stage.quality], -one.median_ms))
+    return max(fitting, key=lambda one: (_quality(one), -one.median_ms))
 
 
-def write_config(path: Path, proposal: Measured, settings: CostSettings) -> None:
-    """Write the proposal as TOML that ``cags-client --config`` accepts."""
-    exactness, iterations, tier = proposal.point.label.split(" / ")
+def _quality(one: Measured) -> float:
+    return one.outcome[one.stage.quality]
+
+
+def write_config(path: Path, proposal: Proposal, settings: CostSettings) -> None:
+    """Write the proposal as TOML that ``cags-client --config`` and ``cags-server --config`` both accept."""
+    exactness, iterations, tier = proposal.client.point.label.split(" / ")
+    width, height = proposal.server.point.label.split("x")
     path.write_text(
-        f"# proposed by cags-bench cost --budget-ms {settings.budget_ms:g}: "
-        f"{proposal.median_ms:.1f} ms a frame, {proposal.outcome[proposal.stage.quality]:.2f} dB\n"
+        f"# proposed by cags-bench cost --budget-ms {settings.budget_ms:g}\n\n"
+        f"[client]  # {_worth(proposal.client)}\n"
         f"width = {settings.width}\nheight = {settings.height}\n"
-        f'exactness = "{exactness}"\nerosion = {"true" if iterations != "0" else "false"}\nrestore = "{tier}"\n',
+        f'exactness = "{exactness}"\nerosion = {"true" if iterations != "0" else "false"}\nrestore = "{tier}"\n\n'
+        f"[server]  # {_worth(proposal.server)}\n"
+        f"reference_width = {width}\nreference_height = {height}\n",
         encoding="utf-8",
     )
+
+
+def _worth(one: Measured) -> str:
+    return f"{one.median_ms:.1f} ms a frame, {_quality(one):.2f} dB"

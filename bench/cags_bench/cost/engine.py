@@ -32,14 +32,14 @@ class Stage:
     side: str
     """Who pays: ``encoder``, ``server`` or ``client``."""
     quality: str
-    """Key of the figure in what ``judge`` returns; one that ends in ``_db`` or is a share is better when higher."""
+    """Key of the figure in what ``judge`` returns; ``error*`` and ``bytes*`` are better when lower, others higher."""
     points: tuple[Point, ...]
     repetitions: int = 5
 
     @property
     def higher_is_better(self) -> bool:
-        """Whether the figure grows with quality; errors shrink."""
-        return not self.quality.startswith("error")
+        """Whether the figure grows with quality; errors and bytes shrink."""
+        return not self.quality.startswith(("error", "bytes"))
 
 
 @dataclass

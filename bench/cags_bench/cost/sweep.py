@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from cags_bench.bundles import cached_bundle
-from cags_bench.cost.budget import propose, write_config
+from cags_bench.cost.budget import CLIENT_STAGE, SERVER_STAGE, propose, write_config
 from cags_bench.cost.coding import coding_stages
 from cags_bench.cost.command import CostSettings
 from cags_bench.cost.drawing import drawing_stages
+from cags_bench.cost.effects import effect_stages
 from cags_bench.cost.engine import Measured, Stage, marginal_ms_per_db, measure, pareto
 from cags_bench.cost.looking import looking_stages
 from cags_bench.cost.moments import capture
 from cags_bench.cost.restoring import restoring_stages
+from cags_bench.cost.shrinking import shrinking_stages
 from cags_bench.jsonl import check, provenance, summary
 from cags_common.errors import ConfigError
 from cags_encoder import EncodeSettings
@@ -35,6 +37,8 @@ def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
         *drawing_stages(bench),
         *looking_stages(settings.poses, bench.moment.camera.intrinsics),
         *restoring_stages(bench),
+        *effect_stages(bench),
+        *shrinking_stages(bench),
         *coding_stages(bench),
     ]
     measured = list(measure(stages, _progress))
@@ -43,7 +47,8 @@ def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
     by_stage = [list(group) for _, group in groupby(measured, key=lambda one: one.stage.name)]
     proposal = None
     if settings.budget_ms is not None:
-        proposal = propose([one for one in measured if one.stage.name == "client frame"], settings.budget_ms)
+        stages_by_name = {group[0].stage.name: group for group in by_stage}
+        proposal = propose(stages_by_name[CLIENT_STAGE], stages_by_name[SERVER_STAGE], settings.budget_ms)
         if settings.config_out:
             write_config(Path(settings.config_out), proposal, settings)
     if settings.out:
@@ -59,7 +64,7 @@ def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
             group[0].stage.name: [[a, b, round(ms, 3)] for a, b, ms in marginal_ms_per_db(pareto(group))]
             for group in by_stage
         },
-        proposal=None if proposal is None else proposal.point.label,
+        proposal=None if proposal is None else proposal.line(),
     )
 
 

@@ -20,7 +20,7 @@ TREE_DIMS = 4
 """Up to this many dimensions a k-d tree finds nearest centres five times faster than comparing with all of them."""
 
 
-def kmeans(points: F32, clusters: int, seed: int) -> F32:
+def kmeans(points: F32, clusters: int, seed: int, iterations: int = ITERATIONS) -> F32:
     """At most ``clusters`` centres [k, dim] of ``points`` [n, dim], n >= 1; fewer when there are fewer distinct points.
 
     Deterministic for a seed. Each axis' units count as they are.
@@ -31,7 +31,7 @@ def kmeans(points: F32, clusters: int, seed: int) -> F32:
     machine = faiss.Kmeans(
         points.shape[1],
         clusters,
-        niter=ITERATIONS,
+        niter=iterations,
         seed=seed,
         min_points_per_centroid=1,
         max_points_per_centroid=2**30,

@@ -49,34 +49,46 @@ def test_points_run_in_rounds_after_one_warm_up():
     assert [len(one.times_ms) for one in measured] == [2, 2]
 
 
+SERVER = stage("restored_psnr_db", ("200x150", 2, 26), ("400x300", 6, 28), ("800x600", 30, 29))
+
+
 def test_the_proposal_is_the_best_that_fits_with_headroom(tmp_path):
     frames = stage(
         "restored_psnr_db", ("fast / 0 / none", 5, 25), ("balanced / 8 / affine", 12, 30), ("exact / 8 / lite", 40, 31)
     )
-    chosen = propose(frames, 16.7)
-    assert chosen.point.label == "balanced / 8 / affine"
+    chosen = propose(frames, SERVER, 16.7)
+    assert (chosen.client.point.label, chosen.server.point.label) == ("balanced / 8 / affine", "400x300")
+    assert propose(frames, SERVER, 60).client.point.label == "exact / 8 / lite"
     write_config(tmp_path / "c.toml", chosen, CostSettings(budget_ms=16.7))
-    table = tomllib.loads((tmp_path / "c.toml").read_text())
-    assert table == {"width": 800, "height": 600, "exactness": "balanced", "erosion": True, "restore": "affine"}
+    assert tomllib.loads((tmp_path / "c.toml").read_text()) == {
+        "client": {"width": 800, "height": 600, "exactness": "balanced", "erosion": True, "restore": "affine"},
+        "server": {"reference_width": 400, "reference_height": 300},
+    }
 
 
-def test_the_client_accepts_the_proposal(tmp_path):
+def test_client_and_server_both_accept_the_one_file(tmp_path):
     import argparse
 
     from cags_client.settings import ClientSettings
     from cags_common.settings import add_settings, load_settings
+    from cags_server.settings import ServeSettings
 
-    chosen = stage("restored_psnr_db", ("fast / 0 / none", 5, 25))[0]
+    chosen = propose(stage("restored_psnr_db", ("fast / 0 / none", 5, 25)), SERVER[:1], 16.7)
     write_config(tmp_path / "c.toml", chosen, CostSettings(budget_ms=16.7))
-    parser = argparse.ArgumentParser()
-    add_settings(parser, ClientSettings)
-    settings = load_settings(ClientSettings, parser.parse_args(["--config", str(tmp_path / "c.toml")]))
-    assert (settings.exactness, settings.erosion, settings.restore) == ("fast", False, "none")
+
+    def loaded(settings, *more):
+        parser = argparse.ArgumentParser()
+        add_settings(parser, settings)
+        return load_settings(settings, parser.parse_args(["--config", str(tmp_path / "c.toml"), *more]))
+
+    client, server = loaded(ClientSettings), loaded(ServeSettings, "--bundle", "somewhere")
+    assert (client.exactness, client.erosion, client.restore, client.width) == ("fast", False, "none", 800)
+    assert (server.reference_width, server.reference_height) == (200, 150)
 
 
 def test_a_budget_that_nothing_fits_is_refused_with_the_way_out():
     with pytest.raises(ConfigError, match=r"budget_ms = 1.*5\.0 ms"):
-        propose(stage("restored_psnr_db", ("fast / 0 / none", 5, 25)), 1)
+        propose(stage("restored_psnr_db", ("fast / 0 / none", 5, 25)), SERVER, 1)
 
 
 def test_the_page_shows_every_point_and_escapes(tmp_path):

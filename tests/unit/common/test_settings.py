@@ -2,6 +2,7 @@
 
 import argparse
 from dataclasses import dataclass
+from typing import ClassVar
 
 import pytest
 
@@ -16,6 +17,8 @@ class Example:
     mode: str = setting("fast", "how", choices=("fast", "exact"))
     token: str | None = setting(None, "secret")
     loop: bool = setting(False, "play again")
+
+    SECTION: ClassVar[str] = "client"
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -79,3 +82,15 @@ def test_help_shows_defaults_and_survives_percent_signs(capsys):
     add_settings(parser, Example)
     parser.print_help()
     assert "100 % of the link (default: 1.5)" in " ".join(capsys.readouterr().out.split())
+
+
+def test_one_file_may_serve_several_commands(tmp_path):
+    config = tmp_path / "c.toml"
+    config.write_text('port = 1\nmode = "exact"\n[server]\nanything = 3\n[client]\nport = 2\n')
+    assert parse("--config", str(config)) == Example(port=2, mode="exact")
+    config.write_text("[client]\nprot = 2\n")
+    with pytest.raises(ConfigError, match="unknown key 'prot'"):
+        parse("--config", str(config))
+    config.write_text("[clients]\nport = 2\n")
+    with pytest.raises(ConfigError, match="unknown key 'clients'"):
+        parse("--config", str(config))

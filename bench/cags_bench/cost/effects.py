@@ -1,0 +1,62 @@
+"""What the effects of a frame cost when they are on, and what deciding them saves: the client's own pipeline, timed."""
+
+from __future__ import annotations
+
+from cags_bench.cost.engine import Outcome, Point, Stage
+from cags_bench.cost.moments import JUDGED_LOD, Workbench
+from cags_client.pipeline import ClientPipeline, PresentedFrame
+from cags_client.settings import ClientSettings
+from cags_common.bundle import BundleReader
+from cags_common.effects import ALWAYS, NEEDED
+from cags_common.geometry import Camera
+from cags_common.metrics import psnr
+from cags_common.raster import create
+from cags_common.raster.base import Footprint, RenderOptions
+from cags_common.video.h264 import H264Encoder
+from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+
+
+def effect_stages(bench: Workbench) -> list[Stage]:
+    """The first key frame at a low level and whole, with everything on and with what is needed."""
+    reader = BundleReader.open(str(bench.bundle))
+    depths = {"in part": min(JUDGED_LOD, reader.manifest.lods - 1) + 1, "whole": reader.manifest.lods}
+    points = tuple(
+        _point(bench, reader, f"{policy}, {held}", policy, lods)
+        for held, lods in depths.items()
+        for policy in (ALWAYS, NEEDED)
+    )
+    return [Stage("effects", "policy, what is held", "client", "restored_psnr_db", points)]
+
+
+def _point(bench: Workbench, reader: BundleReader, label: str, policy: str, lods: int) -> Point:
+    i = bench.moment.camera.intrinsics
+    settings = ClientSettings(width=i.width_px, height=i.height_px, effects=policy)
+    pipeline = ClientPipeline(reader.manifest, reader.codebooks(), settings)
+    _fill(pipeline, reader, lods)
+    _refer(pipeline, reader, bench)
+    camera = bench.moment.camera
+    truth = create("auto").load(reader.source(0).splats).render(camera, RenderOptions()).rgb.clip(0, 1)
+
+    def judge(shown: PresentedFrame) -> Outcome:
+        return {"restored_psnr_db": psnr(shown.rgb, truth), "effects_on": len(shown.effects.on)}
+
+    return Point(label, lambda: pipeline.present(0, camera), judge, default=label == f"{NEEDED}, in part")
+
+
+def _fill(pipeline: ClientPipeline, reader: BundleReader, lods: int) -> None:
+    """Hand over the first frame up to LoD ``lods`` - 1."""
+    for entry in reader.frame(0).tiles:
+        parts = [reader.payload(0, entry.tile, lod) for lod in range(lods)]
+        message = TileLayers(0, entry.tile, 0, lods, tuple(map(len, parts)), entry.crcs[:lods])
+        pipeline.on_tiles([(message, memoryview(b"".join(parts)))])
+    pipeline.on_frame_end(FrameEnd(0), memoryview(reader.removed_payload(0)))
+
+
+def _refer(pipeline: ClientPipeline, reader: BundleReader, bench: Workbench) -> None:
+    """Hand over a reference of the first frame, seen from where the moment's was."""
+    camera = bench.moment.reference.camera
+    there = Camera(camera.intrinsics, camera.pose, reader.manifest.near)
+    options = RenderOptions(footprint=Footprint.of(bench.moment.camera.intrinsics, there.intrinsics))
+    rgb = create("auto").load(reader.source(0).splats).render(there, options).rgb.clip(0, 1)
+    unit = H264Encoder(there.width_px, there.height_px, reader.manifest.fps).encode(rgb, idr=True)
+    pipeline.on_reference(ReferenceFrame(0, 1, there.pose, there.intrinsics, idr=True), memoryview(unit))
