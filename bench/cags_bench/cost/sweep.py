@@ -45,16 +45,16 @@ def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
     for one in measured:
         yield one.line() | provenance()
     by_stage = [list(group) for _, group in groupby(measured, key=lambda one: one.stage.name)]
+    if settings.out:
+        from cags_bench.cost.page import write_page
+
+        write_page(Path(settings.out), by_stage, settings)
     proposal = None
     if settings.budget_ms is not None:
         stages_by_name = {group[0].stage.name: group for group in by_stage}
         proposal = propose(stages_by_name[CLIENT_STAGE], stages_by_name[SERVER_STAGE], settings.budget_ms)
         if settings.config_out:
             write_config(Path(settings.config_out), proposal, settings)
-    if settings.out:
-        from cags_bench.cost.page import write_page
-
-        write_page(Path(settings.out), by_stage, settings)
     yield summary(
         "cost",
         _checks(by_stage),

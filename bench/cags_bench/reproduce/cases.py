@@ -82,14 +82,15 @@ class Runner:
 
     def run(self, case: StreamCase) -> JsonObject:
         """Summary, per-frame series and a picture of one case."""
-        return self.results.get(case.key(self.device), lambda: self._simulate(case))
+        return self.results.get(case.key(self.device), lambda: self.compute(case))
 
     def bundle(self, case: StreamCase) -> Path:
         """The scene, encoded as the method wants it."""
         folder = self.bundles or str(default_cache() / f"code-{code_digest()}")
         return cached_bundle(case.scene, folder, case.encoding, progress=self.progress)
 
-    def _simulate(self, case: StreamCase) -> JsonObject:
+    def compute(self, case: StreamCase) -> JsonObject:
+        """:meth:`run` without looking for an earlier result."""
         method = METHODS[case.method]
         bundle = self.bundle(case)
         server = ServerSettings(rasteriser=self.device, render_threads=self.threads)

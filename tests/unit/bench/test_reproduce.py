@@ -169,3 +169,13 @@ def test_streamed_experiments_ask_only_for_what_was_run_ahead():
         context = Context(plan, runner, print)
         runner.prepared = set(EXPERIMENTS[name].cases(context))
         assert EXPERIMENTS[name].run(context).rows
+
+
+def test_the_same_session_gives_the_same_bytes_with_any_threads(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    plan = replace(PLAN, scenes=("procedural:size=500,frames=3",), frames=3)
+    section = EXPERIMENTS["determinism"].run(Context(plan, Runner(ResultCache(tmp_path / "r")), lambda _: None))
+    assert [row[1] for row in section.rows] == [1, 2, 2]
+    assert len({row[2] for row in section.rows}) == 1
+    assert section.checks[0]["ok"]
+    assert not (tmp_path / "r").exists(), "computed, and not found"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cags_bench.reproduce.experiments import coding, looking, rivals, streaming, timing
+from cags_bench.reproduce.experiments import coding, determinism, looking, rivals, streaming, timing
 from cags_bench.reproduce.plan import Experiment
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -46,6 +46,7 @@ EXPERIMENTS: dict[str, Experiment] = {
             looking.precision,
             cases=looking.precision_cases,
         ),
+        Experiment("determinism", "table", "The same bytes every time", determinism.determinism),
         Experiment("layers", "figure", "Quality against size of each attribute's layers", coding.layers),
         Experiment("ladder", "figure", "Quality against size along the LoD ladder", coding.ladder),
     )
