@@ -18,6 +18,7 @@ from cags_common.raster.base import RenderOptions
 from cags_common.splats import Splats
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.pipeline import SplatSequence
+from cags_encoder.quantiser.configs import quantiser_config
 from cags_encoder.settings import QUANTISERS
 
 SPLATS = 20_000
@@ -64,7 +65,8 @@ def coding_stages(bench: Workbench) -> list[Stage]:
     coder = Coder(source.take(slice(None, None, max(1, len(source) // SPLATS))), bench, Path(tempfile.mkdtemp()))
     shipped = EncodeSettings()
     quantisers = [(name, replace(shipped, quantiser=name)) for name in QUANTISERS]
-    steps = [(f"1/{n}", replace(shipped, position_step=1 / n)) for n in (1, 2, 4, 8, 16)]
+    own = quantiser_config(shipped.quantiser).position_step
+    steps = [(f"1/{n}", shipped if 1 / n == own else replace(shipped, position_step=1 / n)) for n in (1, 2, 4, 8, 16)]
     samples = [(str(n), replace(shipped, train_splats=n)) for n in (1024, 4096, 16_384, 65_536)]
     return [
         _encoding(coder, "positions", "step in splat radii", steps, shipped),
