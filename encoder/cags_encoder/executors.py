@@ -27,6 +27,9 @@ AHEAD = 2
 ATTEMPTS = 3
 """How often a cluster runs a task again whose worker went away."""
 
+CONNECT_TIMEOUT = "5s"
+"""How long a scheduler may take to answer."""
+
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -167,6 +170,3 @@ def _cluster(scheduler: str) -> Iterator[Workers]:
         if not cores:
             raise NetworkError(f"scheduler {scheduler}: has no workers; start some: dask worker {scheduler}")
         yield Workers(client.get_executor(pure=False, retries=ATTEMPTS), cores)
-
-
-CONNECT_TIMEOUT = "10s"
