@@ -17,8 +17,14 @@ from cags_common.metrics import psnr
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Decoder, H264Encoder
+from cags_server.settings import ServerSettings
 
 BEST_DB = 99.0
+
+SHIPPED = ServerSettings()
+SHIPPED_SIZE = SHIPPED.reference_width, SHIPPED.reference_height
+SHIPPED_CHROMA = Chroma(SHIPPED.reference_chroma)
+"""What the server does when it is not told otherwise."""
 
 
 def drawing_stages(bench: Workbench) -> list[Stage]:
@@ -152,7 +158,9 @@ def _reference_point(
     used = footprint or Footprint.of(bench.moment.camera.intrinsics, camera.intrinsics)
 
     def run() -> tuple[bytes, F32]:
-        return _sent(camera, scene.render(camera, RenderOptions(footprint=used)).rgb, 20.0, Chroma.HALF)
+        return _sent(
+            camera, scene.render(camera, RenderOptions(footprint=used)).rgb, SHIPPED.reference_crf, SHIPPED_CHROMA
+        )
 
     def judge(sent: tuple[bytes, F32]) -> Outcome:
         return {"bytes": len(sent[0]), "restored_psnr_db": _restored(bench, camera, sent[1])}
@@ -163,7 +171,7 @@ def _reference_point(
 def _reference_size(bench: Workbench, scene: RasterScene) -> Stage:
     sizes = ((200, 150), (400, 300), (800, 600))
     points = tuple(
-        _reference_point(bench, scene, f"{w}x{h}", (w, h), None, default=(w, h) == (400, 300)) for w, h in sizes
+        _reference_point(bench, scene, f"{w}x{h}", (w, h), None, default=(w, h) == SHIPPED_SIZE) for w, h in sizes
     )
     return Stage("reference size", "width x height", "server", "restored_psnr_db", points)
 
@@ -171,14 +179,14 @@ def _reference_size(bench: Workbench, scene: RasterScene) -> Stage:
 def _reference_footprint(bench: Workbench, scene: RasterScene) -> Stage:
     kinds = {"plain": Footprint.classic(), "antialiased": Footprint.antialiased(), "client": None}
     points = tuple(
-        _reference_point(bench, scene, name, (400, 300), footprint, default=footprint is None)
+        _reference_point(bench, scene, name, SHIPPED_SIZE, footprint, default=footprint is None)
         for name, footprint in kinds.items()
     )
     return Stage("reference footprint", "footprint", "server", "restored_psnr_db", points)
 
 
 def _coded(bench: Workbench, scene: RasterScene, label: str, crf: float, chroma: Chroma, *, default: bool) -> Point:
-    camera = _reference_camera(bench, 400, 300)
+    camera = _reference_camera(bench, *SHIPPED_SIZE)
     options = RenderOptions(footprint=Footprint.of(bench.moment.camera.intrinsics, camera.intrinsics))
     drawn = scene.render(camera, options).rgb
 
@@ -190,7 +198,7 @@ def _coded(bench: Workbench, scene: RasterScene, label: str, crf: float, chroma:
 
 def _reference_quality(bench: Workbench, scene: RasterScene) -> Stage:
     points = tuple(
-        _coded(bench, scene, f"crf {crf:g}", crf, Chroma.HALF, default=crf == 20)
+        _coded(bench, scene, f"crf {crf:g}", crf, SHIPPED_CHROMA, default=crf == SHIPPED.reference_crf)
         for crf in (34.0, 28.0, 24.0, 20.0, 16.0)
     )
     return Stage("reference H.264 quality", "crf", "server", "restored_psnr_db", points)
@@ -201,8 +209,10 @@ def _reference_chroma(bench: Workbench, scene: RasterScene) -> Stage:
         ("4:2:0 crf 24", 24.0, Chroma.HALF),
         ("4:2:0 crf 20", 20.0, Chroma.HALF),
         ("4:4:4 crf 20", 20.0, Chroma.FULL),
+        ("4:4:4 crf 24", 24.0, Chroma.FULL),
     )
     points = tuple(
-        _coded(bench, scene, label, crf, chroma, default=label == "4:2:0 crf 20") for label, crf, chroma in choices
+        _coded(bench, scene, label, crf, chroma, default=(crf, chroma) == (SHIPPED.reference_crf, SHIPPED_CHROMA))
+        for label, crf, chroma in choices
     )
     return Stage("reference colour sampling", "chroma", "server", "restored_psnr_db", points)

@@ -11,6 +11,7 @@ from cags_bench.cost.moments import Moment, Workbench
 from cags_bench.seeing import available_restorers, see
 from cags_client import align, restore
 from cags_client.align import Aligned, AlignSettings
+from cags_client.settings import ClientSettings
 from cags_common.geometry import F32
 from cags_common.metrics import psnr
 from cags_common.raster.base import Exactness, RenderOptions
@@ -49,7 +50,9 @@ def _restoration(bench: Workbench) -> Stage:
 
     def point(name: str) -> Point:
         restorer = restore.create(name)
-        return Point(name, lambda: [restorer.restore(one) for one in inputs], judge, default=name == "affine")
+        return Point(
+            name, lambda: [restorer.restore(one) for one in inputs], judge, default=name == ClientSettings().restore
+        )
 
     return Stage(
         "restoration", "tier", "client", "restored_psnr_db", tuple(map(point, available_restorers())), repetitions=3
@@ -79,10 +82,11 @@ def _combination(moment: Moment, exactness: Exactness, iterations: int, tier: st
             return seen.distorted
         return restorer.restore(seen.inputs(moment.reference, seen.aligned(moment.reference, aligner)))
 
-    shipped = (exactness, iterations, tier) == (Exactness.BALANCED, 8, "affine")
+    usual = ClientSettings()
+    ours = usual.exactness, AlignSettings().erosion_iterations if usual.erosion else 0, usual.restore
     return Point(
         f"{exactness.value} / {iterations} / {tier}",
         run,
         lambda rgb: {"restored_psnr_db": psnr(rgb, moment.truth)},
-        default=shipped,
+        default=(exactness.value, iterations, tier) == ours,
     )
