@@ -57,6 +57,25 @@ class _CorrectInput(ctypes.Structure):
     ]
 
 
+class _FeaturesInput(ctypes.Structure):
+    _fields_ = [
+        ("view", _Reprojection),
+        *((name, _Pointer) for name in ("own", "reference", "distorted", "restored", "confidence")),
+        ("threads", _int32),
+    ]
+
+
+class _AddInput(ctypes.Structure):
+    _fields_ = [
+        *((name, _Pointer) for name in ("picture", "change")),
+        *((name, _int32) for name in ("width", "height", "change_width", "change_height", "threads")),
+    ]
+
+
+BLOCK_CHANNELS = 39
+"""Four cells of distorted, evidence and change RGB; confidence, size of the change, and one that is left at 0."""
+
+
 @dataclass(frozen=True, eq=False)
 class Reprojection:
     """Client pixel (u, v) of depth D lies at ``m [u, v, 1] D + b`` (homogeneous) in the reference."""
@@ -147,6 +166,42 @@ def correct(
     restored = _buffers.empty((height, width, 3))
     check(library().cags_correct(ctypes.byref(given), _address(restored)), "correct")
     return restored
+
+
+def features(
+    own: F32, reference: F32, view: Reprojection, *, distorted: F32, restored: F32, confidence: F32, threads: int
+) -> F32:
+    """What a small network sees [h, w, 39] in blocks of 2 x 2 cells of half the resolution, h and w even.
+
+    ``restored`` [H, W, 3] is :func:`correct`'s answer to the same arrays. Raises ``KernelError`` and ``ValueError``.
+    """
+    height, width = view.depth.shape
+    own, reference = _checked(own, (*reference.shape[:2], 3)), _checked(reference, (*reference.shape[:2], 3))
+    distorted, restored = _checked(distorted, (height, width, 3)), _checked(restored, (height, width, 3))
+    confidence, depth = _checked(confidence, (height, width)), _checked(view.depth, (height, width))
+    given = _FeaturesInput(
+        _reprojection(view, depth, reference),
+        *map(_address, (own, reference, distorted, restored, confidence)),
+        threads,
+    )
+    out = _buffers.empty((-(-height // 8) * 2, -(-width // 8) * 2, BLOCK_CHANNELS))
+    check(library().cags_features(ctypes.byref(given), _address(out)), "features")
+    return out
+
+
+def add(picture: F32, change: F32, *, threads: int) -> F32:
+    """``picture`` [H, W, 3] plus ``change`` [>= H / 4, >= W / 4, 12] in blocks, brought up bilinearly; in [0, 1].
+
+    Raises ``KernelError`` and ``ValueError``.
+    """
+    height, width = picture.shape[:2]
+    picture, change = _checked(picture, (height, width, 3)), _checked(change, (*change.shape[:2], 12))
+    given = _AddInput(
+        *(_address(picture), _address(change)), *(width, height, change.shape[1], change.shape[0], threads)
+    )
+    out = _buffers.empty((height, width, 3))
+    check(library().cags_add(ctypes.byref(given), _address(out)), "add")
+    return out
 
 
 def _reprojection(view: Reprojection, depth: F32, reference: F32) -> _Reprojection:

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.restore.networks.inputs import HALF, half_features
+from cags_client.restore.affine import AffineRestorer, AffineSettings
+from cags_client.restore.networks.inputs import HALF, half_features, level_of
 from cags_common.errors import SceneError
 from cags_common.geometry import F32
 from cags_common.metrics import COVERED_ALPHA
@@ -35,10 +36,12 @@ class Crops:
 
     distorted: Bytes  # [N, S, S, 3]
     aligned: Bytes  # [N, S, S, 3]
+    closed_form: Bytes  # [N, S, S, 3] what ``affine`` makes of it
     confidence: Bytes  # [N, S, S]
     truth: Bytes  # [N, S, S, 3]
     covered: Bytes  # [N, S, S] alpha of the truth
-    features: NDArray[np.float16]  # [N, S / 2, S / 2, 7] what ``lite`` sees, cut from the whole picture's
+    features: NDArray[np.float16]  # [N, S / 2, S / 2, 10] what ``lite`` sees, cut from the whole picture's
+    level: F32  # [N] how much the closed form changes the frame that the crop is of
     lod_share: F32  # [N] mean LoD over the highest
 
     def __len__(self) -> int:
@@ -93,7 +96,8 @@ def make_crops(
 def crops_of(pair: Pair, count: int, side: int, rng: np.random.Generator) -> Crops:
     """``count`` crops of a pair at drawn places that show something of the scene."""
     aligned = pair.inputs.aligned
-    features = half_features(pair.inputs)
+    closed_form = AffineRestorer(AffineSettings(threads=1)).restore(pair.inputs)
+    features = half_features(pair.inputs, closed_form)
     places = [_place(pair.truth_alpha, side, rng) for _ in range(count)]
 
     def cut(image: F32) -> Bytes:
@@ -102,10 +106,12 @@ def crops_of(pair: Pair, count: int, side: int, rng: np.random.Generator) -> Cro
     return Crops(
         distorted=cut(pair.inputs.distorted),
         aligned=cut(aligned.rgb),
+        closed_form=cut(closed_form),
         confidence=cut(aligned.confidence),
         truth=cut(pair.truth),
         covered=cut(pair.truth_alpha),
         features=np.stack([_half(features, y, x, side) for y, x in places]),
+        level=np.full(count, level_of(features), np.float32),
         lod_share=np.full(count, pair.lod_share, np.float32),
     )
 

@@ -57,12 +57,12 @@ class Ladder:
         return Splats.concatenate(parts)
 
 
-def draw_lods(rng: np.random.Generator, tiles: int, top: int) -> NDArray[np.int64]:
+def draw_lods(rng: np.random.Generator, tiles: int, top: int, top_share: float = 0.0) -> NDArray[np.int64]:
     """LoDs [tiles] as a stream leaves them: one level for all, uniform over the ladder, and tiles that differ by some.
 
-    One draw in four is level for all tiles.
+    One draw in four is level for all tiles; of ``top_share`` of the draws the middle is the top of the ladder.
     """
-    middle = rng.uniform(0.0, top)
+    middle = float(top) if rng.random() < top_share else rng.uniform(0.0, top)
     spread = 0.0 if rng.random() < 0.25 else rng.uniform(0.0, top / 4)
     drawn = np.rint(rng.normal(middle, spread, tiles)).astype(np.int64)
     return np.clip(drawn, 0, top)

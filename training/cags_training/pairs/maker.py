@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cags_client import align
+from cags_client.adapt import SirtAdapter
 from cags_client.align import Aligned, ReferencePicture
 from cags_client.restore import RestoreInput
 from cags_common import raster
@@ -17,7 +19,7 @@ from cags_common.video.h264 import H264Decoder, H264Encoder
 from cags_common.video.noise import coding_noise
 from cags_training.pairs.ladder import Ladder, draw_lods
 from cags_training.pairs.settings import PairSettings
-from cags_training.pairs.views import View, draw_view
+from cags_training.pairs.views import View, draw_view, nudged
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,18 +46,34 @@ class PairMaker:
 
     def draw(self, rng: np.random.Generator) -> Pair:
         """A pair of a drawn view, LoD and reference quality."""
-        view = draw_view(rng, self.ladder.manifest, self._walks, self._settings)
-        lods = draw_lods(rng, self.ladder.tiles, self.ladder.top)
-        crf = rng.uniform(self._settings.crf_low, self._settings.crf_high)
-        plain = rng.random() < self._settings.plain_share
-        return self.make(view, lods, crf=float(crf), plain=bool(plain))
+        s, manifest = self._settings, self.ladder.manifest
+        view = draw_view(rng, manifest, self._walks, s)
+        lods = draw_lods(rng, self.ladder.tiles, self.ladder.top, s.top_share)
+        crf = rng.uniform(s.crf_low, s.crf_high)
+        plain = rng.random() < s.plain_share
+        adapted = rng.random() < s.adapted_share
+        steps = int(rng.integers(1, s.adapted_steps + 1)) if adapted else 0
+        before = [nudged(rng, view.reference, manifest) for _ in range(steps)]
+        return self.make(view, lods, crf=float(crf), plain=bool(plain), before=before)
 
-    def make(self, view: View, lods: np.ndarray, *, crf: float, plain: bool = False) -> Pair:
-        """The pair of ``view`` with tiles at ``lods`` and a reference coded at ``crf``."""
+    def make(
+        self, view: View, lods: np.ndarray, *, crf: float, plain: bool = False, before: Sequence[Camera] = ()
+    ) -> Pair:
+        """The pair of ``view`` with tiles at ``lods`` and a reference coded at ``crf``.
+
+        The client has adapted its splats to the references seen from ``before``, which come first in the same video.
+        """
         truth = self._render(self._truth, view.client)
-        held = self._rasteriser.load(self.ladder.at(lods))
+        splats = self.ladder.at(lods)
+        held = self._rasteriser.load(splats)
+        video = _Video(view.reference, self.ladder.manifest.fps, crf)
+        adapter = SirtAdapter(len(splats))
+        options = replace(self._reference_options(view, plain=False), contribution=True)
+        for camera in before:
+            seen = self._reference(video, camera, view, plain)
+            adapter.adapt(held, splats, seen, held.render(camera, options), options)
         distorted = self._render(held, view.client)
-        reference = self._reference(view, crf, plain)
+        reference = self._reference(video, view.reference, view, plain)
         own = held.render(view.reference, self._reference_options(view, plain=False))
         assert distorted.depth is not None
         aligned: Aligned = self._aligner.align(reference, distorted.depth, view.client)
@@ -76,10 +94,23 @@ class PairMaker:
         footprint = Footprint.of(view.client.intrinsics, view.reference.intrinsics)
         return RenderOptions(footprint=Footprint() if plain else footprint, depth=DepthKind.NONE, threads=self._threads)
 
-    def _reference(self, view: View, crf: float, plain: bool) -> ReferencePicture:
-        camera = view.reference
+    def _reference(self, video: _Video, camera: Camera, view: View, plain: bool) -> ReferencePicture:
         rgb = np.clip(self._truth.render(camera, self._reference_options(view, plain)).rgb, 0, 1)
-        unit = H264Encoder(camera.width_px, camera.height_px, self.ladder.manifest.fps, crf=crf).encode(rgb, idr=True)
-        decoded = H264Decoder().decode(unit)
-        assert decoded is not None, "the first picture of a video is an IDR picture"
+        decoded = video.coded(rgb)
         return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded))
+
+
+class _Video:
+    """The reference stream: pictures as they come out of H.264."""
+
+    def __init__(self, camera: Camera, fps: float, crf: float) -> None:
+        self._encoder = H264Encoder(camera.width_px, camera.height_px, fps, crf=crf)
+        self._decoder = H264Decoder()
+        self._idr = True
+
+    def coded(self, rgb: F32) -> F32:
+        """The next picture of the video, decoded."""
+        decoded = self._decoder.decode(self._encoder.encode(rgb, idr=self._idr))
+        assert decoded is not None, "the first picture of a video is an IDR picture"
+        self._idr = False
+        return decoded

@@ -12,7 +12,7 @@ from cags_encoder.settings import EncodeSettings
 class PairSettings:
     """The distribution that a restorer is trained on; names are flags and TOML keys."""
 
-    quantisers: str = setting("layered,paper-66", "quantiser configurations that views are shared out to")
+    quantisers: str = setting("layered", "quantiser configurations that views are shared out to")
     views: int = setting(60, "views drawn in each scene", low=1, high=100_000)
     crops: int = setting(8, "crops kept of each view", low=1, high=1000)
     crop: int = setting(160, "side of a crop, client pixels; a multiple of 8", low=32, high=1024)
@@ -21,6 +21,9 @@ class PairSettings:
     margin_high: float = setting(0.35, "largest widening of the reference's field of view", low=0, high=2)
     horizon_ms_high: int = setting(400, "largest prediction horizon in milliseconds", low=0, high=1000)
     plain_share: float = setting(0.0, "share of views whose reference has no client footprint", low=0, high=1)
+    adapted_share: float = setting(0.5, "share of views whose splats the client has adapted before", low=0, high=1)
+    adapted_steps: int = setting(6, "largest number of references that they were adapted by", low=1, high=100)
+    top_share: float = setting(0.1, "share of views with all tiles around the top of the ladder", low=0, high=1)
     reference_width: int = setting(400, "reference width in pixels", low=16, high=4096)
     reference_height: int = setting(300, "reference height in pixels", low=16, high=4096)
     seed: int = setting(0, "seed of everything that is drawn", low=0, high=2**31 - 1)

@@ -69,6 +69,12 @@ def draw_view(rng: np.random.Generator, manifest: Manifest, walks: list[PoseTrac
     return View(Camera(client, pose, manifest.near), Camera(reference, predicted, manifest.near))
 
 
+def nudged(rng: np.random.Generator, camera: Camera, manifest: Manifest) -> Camera:
+    """``camera`` as it was some frames ago: turned by about a degree and a fiftieth of the scene's radius away."""
+    pose = _off(rng, camera.pose, math.radians(rng.rayleigh(1.0)), rng.uniform(0, 0.02) * manifest.focus_radius)
+    return Camera(camera.intrinsics, pose, camera.near)
+
+
 def _predicted(walk: PoseTrace, t_us: int, horizon_us: int) -> Pose:
     seen = t_us - horizon_us
     times = [t for t in range(seen - HISTORY_US, seen + 1, POSE_PERIOD_US) if t >= 0] or [max(seen, 0)]

@@ -17,7 +17,7 @@ from cags_training.pairs.maker import PairMaker
 from cags_training.pairs.settings import PairSettings
 from cags_training.pairs.views import focus_of_manifest, open_walks
 
-PAIRS_VERSION = 1
+PAIRS_VERSION = 3
 """Raised whenever the same scene and settings give other crops."""
 
 Tell = Callable[[str, int, int], None]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.restore.networks.inputs import HALF
+from cags_client.restore.networks.inputs import HALF, blocks_of
 from cags_common.geometry import F32
 from cags_training.pairs.crops import Crops
 
@@ -21,10 +21,11 @@ class Batch:
 
     distorted: F32  # [B, S, S, 3]
     aligned: F32  # [B, S, S, 3]
+    closed_form: F32  # [B, S, S, 3]
     confidence: F32  # [B, S, S]
     truth: F32  # [B, S, S, 3]
     covered: F32  # [B, S, S]
-    features: F32  # [B, S / 2, S / 2, 7]
+    blocks: F32  # [B, S / 4, S / 4, 39]
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -44,9 +45,10 @@ def plain_batch(crops: Crops, rows: NDArray[np.integer], patch: int) -> Batch:
 
 @dataclass(eq=False)
 class _Patch:
-    colours: F32  # [3 pictures, S, S, 3]: distorted, aligned, truth
+    colours: F32  # [4 pictures, S, S, 3]: distorted, aligned, closed form, truth
     masks: F32  # [2, S, S]: confidence, covered
-    features: F32  # [S / 2, S / 2, 7]
+    features: F32  # [S / 2, S / 2, 10]
+    level: np.float32
 
 
 def _patch(crops: Crops, row: int, side: int, rng: np.random.Generator | None) -> _Patch:
@@ -55,11 +57,12 @@ def _patch(crops: Crops, row: int, side: int, rng: np.random.Generator | None) -
         raise ValueError(f"patch = {side} is larger than the crops of side {crops.truth.shape[1]}")
     y, x = (spare // 2, spare // 2) if rng is None else (int(v) for v in rng.integers(spare + 1, size=2))
     area = np.s_[row, HALF * y : HALF * y + side, HALF * x : HALF * x + side]
-    colours = np.stack([crops.distorted[area], crops.aligned[area], crops.truth[area]])
+    colours = np.stack([crops.distorted[area], crops.aligned[area], crops.closed_form[area], crops.truth[area]])
     masks = np.stack([crops.confidence[area], crops.covered[area]])
     features = crops.features[row, y : y + side // HALF, x : x + side // HALF]
     scale = np.float32(1 / 255)
-    return _Patch(colours.astype(np.float32) * scale, masks.astype(np.float32) * scale, features.astype(np.float32))
+    pictures, shares = colours.astype(np.float32) * scale, masks.astype(np.float32) * scale
+    return _Patch(pictures, shares, features.astype(np.float32), crops.level[row])
 
 
 def _augmented(patch: _Patch, rng: np.random.Generator) -> _Patch:
@@ -69,7 +72,7 @@ def _augmented(patch: _Patch, rng: np.random.Generator) -> _Patch:
             colours, masks, features = np.flip(colours, axis + 1), np.flip(masks, axis + 1), np.flip(features, axis)
     if rng.random() < 0.5:
         colours, masks, features = colours.swapaxes(1, 2), masks.swapaxes(1, 2), features.swapaxes(0, 1)
-    return _recoloured(_Patch(colours, masks, features), rng)
+    return _recoloured(_Patch(colours, masks, features, patch.level), rng)
 
 
 def _recoloured(patch: _Patch, rng: np.random.Generator) -> _Patch:
@@ -77,13 +80,14 @@ def _recoloured(patch: _Patch, rng: np.random.Generator) -> _Patch:
     gains = (rng.uniform(GAIN_LOW, 1.0) * rng.uniform(0.8, 1.0, 3)).astype(np.float32)
     order = rng.permutation(3)
     features = np.ascontiguousarray(patch.features)
-    features[..., :3] = features[..., order] * gains
-    features[..., 3:6] = features[..., 3 + order] * gains
-    return _Patch(patch.colours[..., order] * gains, np.ascontiguousarray(patch.masks), features)
+    for first in (0, 3, 6):
+        features[..., first : first + 3] = features[..., first + order] * gains
+    level = patch.level * gains.mean()
+    return _Patch(patch.colours[..., order] * gains, np.ascontiguousarray(patch.masks), features, level)
 
 
 def _stacked(patches: list[_Patch]) -> Batch:
     colours = np.stack([patch.colours for patch in patches], axis=1)
     masks = np.stack([patch.masks for patch in patches], axis=1)
-    features = np.stack([patch.features for patch in patches])
-    return Batch(colours[0], colours[1], masks[0], colours[2], masks[1], features)
+    blocks = blocks_of(np.stack([p.features for p in patches]), np.array([p.level for p in patches], np.float32))
+    return Batch(colours[0], colours[1], colours[2], masks[0], colours[3], masks[1], blocks)

@@ -17,9 +17,9 @@ Task = Callable[[nn.Module, Batch, torch.device], Tensor]
 
 
 def restore_lite(network: nn.Module, batch: Batch, device: torch.device) -> Tensor:
-    """Distorted pictures plus the change that ``lite`` finds."""
-    change: Tensor = network(torch.from_numpy(batch.features).to(device))
-    return torch.from_numpy(batch.distorted).to(device) + brought_up(change)
+    """Pictures of the closed form plus the change that ``lite`` finds."""
+    change: Tensor = network(torch.from_numpy(batch.blocks).to(device))
+    return torch.from_numpy(batch.closed_form).to(device) + brought_up(change)
 
 
 def restore_srresnet(network: nn.Module, batch: Batch, device: torch.device) -> Tensor:
@@ -42,17 +42,32 @@ ERROR_FLOOR = 1e-6
 """Squared error (60 dB) under which pictures count as equal: nothing may be lost at the top of the ladder."""
 
 
-def loss(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
+REGRET = 2.0
+"""How much more a loss against the distorted picture counts than a gain, for networks that may leave it as it is."""
+
+CAUTIOUS = frozenset({"lite"})
+"""Networks that may leave the distorted picture as it is, and shall where they would worsen it."""
+
+
+def loss(restored: Tensor, truth: Tensor, covered: Tensor, distorted: Tensor | None = None) -> Tensor:
     """Mean over patches of the logarithm of the squared error: a decibel counts the same at every LoD.
 
     The error is taken in the displayed range, where values outside [0, 1] are clipped; a twentieth of what was clipped
-    counts still, so that its gradient does not die. Void counts a tenth of what the scene covers.
+    counts still, so that its gradient does not die. Void counts a tenth of what the scene covers. Where ``distorted``
+    is given, every decibel lost against it counts ``REGRET`` times more.
     """
     shown = restored.clamp(0, 1)
     shown = shown + 0.05 * (restored - shown)
     weight = (0.1 + 0.9 * covered)[..., None]
-    squared = ((shown - truth) ** 2 * weight).mean(dim=(1, 2, 3)) / weight.mean(dim=(1, 2, 3))
-    return torch.log(squared + ERROR_FLOOR).mean()
+    error = _log_error(shown, truth, weight)
+    if distorted is None:
+        return error.mean()
+    return (error + REGRET * (error - _log_error(distorted, truth, weight)).relu()).mean()
+
+
+def _log_error(picture: Tensor, truth: Tensor, weight: Tensor) -> Tensor:
+    squared = ((picture - truth) ** 2 * weight).mean(dim=(1, 2, 3)) / weight.mean(dim=(1, 2, 3))
+    return torch.log(squared + ERROR_FLOOR)
 
 
 def covered_psnr(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from cags_training.pairs.crops import Crops
 from cags_training.restore.checkpoint import Checkpoint
 from cags_training.restore.dataset import Batch, draw_batch, plain_batch
 from cags_training.restore.settings import TrainSettings
-from cags_training.restore.tasks import NETWORKS, covered_psnr, loss
+from cags_training.restore.tasks import CAUTIOUS, NETWORKS, covered_psnr, loss
 
 WARM_UP = 0.02
 """Share of the steps over which the learning rate rises."""
@@ -38,6 +38,8 @@ class Progress:
     loss: float  # mean since the line before
     gain_db: float  # mean gain over the distorted picture on held-out crops
     lowest_gain_db: float  # mean gain of the tenth of them where the distorted picture is best
+    over_closed_form_db: float  # mean gain over the closed form's picture on held-out crops
+    worst_gain_db: float  # the least gain of any held-out crop
 
 
 @dataclass(eq=False)
@@ -98,7 +100,8 @@ class Trainer:
         for group in self._optimiser.param_groups:
             group["lr"] = s.rate * _schedule(self._step / s.steps)
         restored = self._task(self._network, batch, self._device)
-        value = loss(restored, self._tensor(batch.truth), self._tensor(batch.covered))
+        spared = self._tensor(batch.distorted) if s.network in CAUTIOUS else None
+        value = loss(restored, self._tensor(batch.truth), self._tensor(batch.covered), spared)
         self._optimiser.zero_grad(set_to_none=True)
         value.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRADIENT_NORM)
@@ -113,27 +116,33 @@ class Trainer:
     def _evaluated(self) -> Progress:
         network = channels_last(NETWORKS[self.settings.network][0](), self._device)
         network.load_state_dict(self._average)
-        gains, before = self._gains(network.eval())
-        top = before >= np.quantile(before, 0.9)
-        mean_loss = float(np.mean(self._losses)) if self._losses else math.nan
-        line = Progress(self._step, mean_loss, float(gains.mean()), float(gains[top].mean()))
+        after, before, closed_form = self._scores(network.eval())
+        gains, top = after - before, before >= np.quantile(before, 0.9)
+        line = Progress(
+            step=self._step,
+            loss=float(np.mean(self._losses)) if self._losses else math.nan,
+            gain_db=float(gains.mean()),
+            lowest_gain_db=float(gains[top].mean()),
+            over_closed_form_db=float((after - closed_form).mean()),
+            worst_gain_db=float(gains.min()),
+        )
         if not self.history or line.gain_db > max(known.gain_db for known in self.history):
             self.best = {name: p.cpu().numpy().copy() for name, p in self._average.items()}
         self.history.append(line)
         self._losses.clear()
         return line
 
-    def _gains(self, network: nn.Module) -> tuple[F32, F32]:
-        """Gain over the distorted picture, and its PSNR, of every held-out crop, dB."""
-        gains, before = [], []
+    def _scores(self, network: nn.Module) -> F32:
+        """PSNR of every held-out crop [3, N] in dB: restored, distorted, and as the closed form has it."""
+        scores = []
         with torch.inference_mode():
             for start in range(0, len(self.held_out), self.settings.batch):
                 rows = np.arange(start, min(start + self.settings.batch, len(self.held_out)))
                 batch = plain_batch(self.held_out, rows, self.settings.patch)
-                after = self._psnr(self._task(network, batch, self._device), batch)
-                before.append(self._psnr(self._tensor(batch.distorted), batch))
-                gains.append(after - before[-1])
-        return np.concatenate(gains), np.concatenate(before)
+                restored = self._task(network, batch, self._device)
+                pictures = (restored, self._tensor(batch.distorted), self._tensor(batch.closed_form))
+                scores.append(np.stack([self._psnr(picture, batch) for picture in pictures]))
+        return np.concatenate(scores, axis=1)
 
     def _psnr(self, pictures: Tensor, batch: Batch) -> F32:
         psnr: F32 = covered_psnr(pictures, self._tensor(batch.truth), self._tensor(batch.covered)).cpu().numpy()
@@ -155,7 +164,7 @@ class Trainer:
                 if moment in state:
                     arrays[f"{moment}/{name}"] = state[moment].cpu().numpy().copy()
         arrays |= {f"best/{name}": array for name, array in self.best.items()}
-        history = [[line.step, line.loss, line.gain_db, line.lowest_gain_db] for line in self.history]
+        history = [list(astuple(line)) for line in self.history]
         facts: dict[str, Any] = {"step": self._step, "history": history, "key": self._key()}
         return Checkpoint(arrays, facts)
 
@@ -167,7 +176,7 @@ class Trainer:
             )
         arrays = checkpoint.arrays
         self._step = int(checkpoint.facts["step"])
-        self.history[:] = [Progress(int(a), b, c, d) for a, b, c, d in checkpoint.facts["history"]]
+        self.history[:] = [Progress(int(step), *scores) for step, *scores in checkpoint.facts["history"]]
         self.best = {name.removeprefix("best/"): a for name, a in arrays.items() if name.startswith("best/")}
         for name, parameter in self._network.named_parameters():
             parameter.data.copy_(torch.from_numpy(arrays[f"network/{name}"]))

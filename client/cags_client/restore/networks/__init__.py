@@ -42,7 +42,7 @@ def from_weights(weights: Weights, runtime: str = "", threads: int | None = None
     ready = runtimes.create(runtime or runtimes.DEFAULT, network_of(weights), threads)
     name = f"{weights.network}@{runtime}" if runtime else weights.network
     if weights.network == "lite":
-        return LiteRestorer(ready, name)
+        return LiteRestorer(ready, name, threads)
     return PictureRestorer(ready, name, fall_back=weights.network == "srresnet")
 
 

@@ -1,20 +1,20 @@
 """``lite``: a small network on an unshuffled image, quick enough for a frame on two CPU cores.
 
-Full-resolution convolutions are what makes restoration slow on a CPU. Here everything is seen at half resolution (see
-:mod:`.inputs`), blocks of 2 x 2 of that - about one reference pixel - become channels (space to depth), and the only
-wide receptive field is at 1/8 resolution:
+It finds what the closed form (:mod:`cags_client.restore.affine`) leaves: an untrained one shows the closed form's
+picture. Full-resolution convolutions are what makes restoration slow on a CPU. Here everything is seen at half
+resolution (see :mod:`.inputs`), blocks of 2 x 2 of that - about one reference pixel - become channels (space to depth),
+and the only wide receptive field is at 1/8 resolution:
 
-    features [h, w, 7] at 1/2 -- blocks of 2 --> 1x1 --> blocks of 2 --> 1x1 --> 3x3 body at 1/8 --> 1x1 --> unblock
-                                                  '---------------------- skip --------------------------------> +
-    change [h, w, 3] at 1/2 <-- times support <-- plus evidence <-- unblock <-- 1x1 <----------------------------'
-    restored = clip(distorted + change, brought up to full resolution)
+    blocks of 2 x 2 of features at 1/2 --> 1x1 --> blocks of 2 --> 1x1 --> 3x3 body at 1/8 --> 1x1 --> unblock
+                                            '---------------------- skip --------------------------------> +
+    blocks of the change at 1/2 <------------------- times gate <------------------------ 1x1 <------------'
+    restored = clip(closed form + change, brought up to full resolution)
 
-So an untrained network takes the reference's low frequencies as they are, and training finds out how far to believe
-them, and along which edges of the distorted picture to lay them down.
-
-``support`` is the confidence at 1/4 resolution, spread by two cells and smoothed: a pixel that the reference does not
-show, but has shown ones beside it, may be corrected like them (an occluded edge); where nothing near is shown, it is 0
-and the distorted picture stays, bit for bit.
+The gate is part of the graph, so that training sees it. The closed form tells signal from the codec's noise by Wiener
+weights and by the evidence of the whole picture; how much it changes, nearby and in the whole frame, says how much of
+either there is. Where it changes nothing at all - near the top of the ladder, or where no reference is - the gate is
+exactly 0 and the distorted picture stays; where it changes half a display code the gate is nearly open. A frame that
+is changed much is badly distorted, also where the reference does not reach: there the gate follows the frame.
 
 Inside, images are [B, H, W, C]: 1x1 convolutions are then plain matrix products, which eager torch runs several times
 faster than its 1x1 convolutions on the CPU, and blocks are copies of whole runs.
@@ -24,16 +24,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cags_client.restore.networks.inputs import CHANNELS
+from cags_client.restore.networks.inputs import BLOCK_CHANNELS, CHANNELS, CONFIDENCE, LEVEL, POWER
 
 SLOPE = 0.1
 """Of the leaky rectifiers."""
 
-_CONFIDENCE = CHANNELS - 1
-_SPREAD_CELLS = 5
+GATE_HALF = 5e-4
+"""Mean change of the closed form, in [0, 1] of display range, at which the gate is half open: an eighth of a code."""
+
+_FRAME_SHARE = 0.25
+"""Of the frame's mean change, that opens the gate where the closed form changes nothing nearby."""
+
+_GATE_CELLS = 5
+
+_FAINT = 8.0
+"""By how much faint channels (evidence, change) count for more than colours in an untrained network."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,7 @@ class LiteShape:
     """Widths and depth: what makes the network dearer or cheaper."""
 
     width: int = 24  # channels at 1/4 resolution
-    body_width: int = 32  # channels at 1/8 resolution
+    body_width: int = 24  # channels at 1/8 resolution
     body_layers: int = 4  # 3x3 convolutions at 1/8 resolution; even
 
 
@@ -51,43 +60,40 @@ class Lite(nn.Module):
     def __init__(self, shape: LiteShape | None = None) -> None:
         super().__init__()
         s = shape or LiteShape()
-        self.head = nn.Linear(4 * CHANNELS, s.width)
+        self.head = nn.Linear(BLOCK_CHANNELS, s.width)
         self.down = nn.Linear(4 * s.width, s.body_width)
         self.body = nn.ModuleList(nn.Conv2d(s.body_width, s.body_width, 3, padding=1) for _ in range(s.body_layers))
         self.up = nn.Linear(s.body_width, 4 * s.width)
         self.tail = nn.Linear(s.width, 4 * 3)
-        nn.init.zeros_(self.tail.weight)  # an untrained network takes the evidence as it is
+        with torch.no_grad():
+            self.head.weight[:, :CONFIDENCE].view(s.width, 4, CHANNELS - 1)[..., 3:] *= _FAINT
+            self.head.weight[:, POWER:] *= 2 * _FAINT
+        nn.init.zeros_(self.tail.weight)  # an untrained network takes the closed form as it is
         nn.init.zeros_(self.tail.bias)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """Change [B, h, w, 3] to add to the distorted picture at half resolution, of ``features`` [B, h, w, 7].
+    def forward(self, blocks: Tensor) -> Tensor:
+        """Change in blocks [B, h, w, 12] to add to the closed form's picture, of ``blocks`` [B, h, w, 39].
 
-        h and w are multiples of 4.
+        h and w, at a quarter of the display's resolution, are even.
         """
-        blocks = to_blocks(features)
         shallow = functional.leaky_relu(self.head(blocks), SLOPE, inplace=True)
         deep = functional.leaky_relu(self.down(to_blocks(shallow)), SLOPE, inplace=True).permute(0, 3, 1, 2)
         for first, second in zip(self.body[::2], self.body[1::2], strict=True):
             inner = functional.leaky_relu(first(deep), SLOPE, inplace=True)
             deep = deep + functional.leaky_relu(second(inner), SLOPE, inplace=True)
         shallow = functional.leaky_relu(shallow + from_blocks(self.up(deep.permute(0, 2, 3, 1))), SLOPE, inplace=True)
-        change = (self.tail(shallow) + evidence_of(blocks)) * support(blocks[..., _CONFIDENCE::CHANNELS])
-        return from_blocks(change)
+        change: Tensor = self.tail(shallow) * gate(blocks)
+        return change
 
 
-def evidence_of(blocks: Tensor) -> Tensor:
-    """The evidence channels [B, h, w, 4 * 3] of blocks of features [B, h, w, 4 * 7]."""
-    b, h, w, _ = blocks.shape
-    return blocks.reshape(b, h, w, 4, CHANNELS)[..., 3:6].reshape(b, h, w, 12)
-
-
-def support(confidence: Tensor) -> Tensor:
-    """How far a change may go [B, h, w, 1], from the confidences [B, h, w, 4] of each block."""
-    cells = confidence.mean(dim=3)[:, None]
-    reach = _SPREAD_CELLS // 2
-    rows = functional.max_pool2d(cells, (_SPREAD_CELLS, 1), stride=1, padding=(reach, 0))
-    spread = functional.max_pool2d(rows, (1, _SPREAD_CELLS), stride=1, padding=(0, reach))
-    return functional.avg_pool2d(spread, 3, stride=1, padding=1, count_include_pad=False)[:, 0, :, :, None]
+def gate(blocks: Tensor) -> Tensor:
+    """How far the network may go [B, h, w, 1] in [0, 1), from blocks of features [B, h, w, 39]."""
+    power, level = blocks[..., POWER], blocks[..., LEVEL]
+    near = functional.avg_pool2d(
+        power[:, None], _GATE_CELLS, stride=1, padding=_GATE_CELLS // 2, count_include_pad=False
+    )[:, 0]
+    size = torch.maximum(near, _FRAME_SHARE * level)[..., None]
+    return size / (size + GATE_HALF)
 
 
 def to_blocks(image: Tensor) -> Tensor:
@@ -104,6 +110,7 @@ def from_blocks(image: Tensor) -> Tensor:
 
 
 def brought_up(change: Tensor) -> Tensor:
-    """A change [B, h, w, 3] at full resolution [B, 2 h, 2 w, 3], as OpenCV's bilinear resizing has it."""
-    full = functional.interpolate(change.permute(0, 3, 1, 2), scale_factor=2, mode="bilinear", align_corners=False)
+    """A change in blocks [B, h, w, 12] at full resolution [B, 4 h, 4 w, 3], as OpenCV's bilinear resizing has it."""
+    half = from_blocks(change).permute(0, 3, 1, 2)
+    full = functional.interpolate(half, scale_factor=2, mode="bilinear", align_corners=False)
     return full.permute(0, 2, 3, 1)

@@ -2,35 +2,34 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from cags_client.restore.affine import AffineRestorer, AffineSettings
 from cags_client.restore.base import ALIGNED, COMPARED, RestoreInput
-from cags_client.restore.networks.inputs import HALF, filled, half_features, reach
+from cags_client.restore.networks.inputs import filled, lite_blocks, plus_change, reach
 from cags_client.restore.networks.runtimes import Runtime
 from cags_common.geometry import F32
 
 
 class LiteRestorer:
-    """Adds the change that :class:`~cags_client.restore.networks.lite.Lite` finds to the distorted picture."""
+    """Adds what :class:`~cags_client.restore.networks.lite.Lite` finds to the picture of the closed form."""
 
     needs = COMPARED
 
-    def __init__(self, runtime: Runtime, name: str = "lite") -> None:
+    def __init__(self, runtime: Runtime, name: str = "lite", threads: int | None = None) -> None:
         self.name = name
         self._runtime = runtime
+        settings = AffineSettings(threads=threads) if threads else AffineSettings()
+        self._closed_form, self._threads = AffineRestorer(settings), settings.threads
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""
         aligned = inputs.aligned
         if not aligned.confidence.any():
             return inputs.distorted
-        h, w = inputs.distorted.shape[:2]
-        change = self._runtime.run(half_features(inputs))
-        size = (HALF * change.shape[1], HALF * change.shape[0])
-        restored = np.asarray(cv2.resize(change, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)[:h, :w]
-        restored += inputs.distorted
-        return np.clip(restored, 0.0, 1.0, out=restored)
+        closed_form = self._closed_form.restore(inputs)
+        change = self._runtime.run(lite_blocks(inputs, closed_form, self._threads))
+        return plus_change(closed_form, change, self._threads)
 
 
 class PictureRestorer:

@@ -195,6 +195,39 @@ void correct(const CagsCorrectInput& in, float* restored) {
   for_rows(threads, in.view.height, [&](int row, int) { stages().correct(in, fields, row, restored); });
 }
 
+// Reference minus the client's own splats, with a border.
+Padded padded_evidence(const CagsFeaturesInput& in, AlignedArray<float>& memory) {
+  const int w = in.view.reference_width, h = in.view.reference_height;
+  Padded out{memory.reserve(size_t(w + 2) * (h + 2) * kColourLanes), w, h};
+  float* to = out.data;
+  for (int row = -1; row <= h; row++) {
+    const int64_t start = int64_t{std::clamp(row, 0, h - 1)} * w;
+    for (int column = -1; column <= w; column++, to += kColourLanes) {
+      const int64_t pixel = 3 * (start + std::clamp(column, 0, w - 1));
+      for (int c = 0; c < 3; c++) to[c] = in.reference[pixel + c] - std::clamp(in.own[pixel + c], 0.0f, 1.0f);
+      to[3] = 0.0f;
+    }
+  }
+  return out;
+}
+
+void features(const CagsFeaturesInput& in, float* out) {
+  ScratchLease scratch;
+  const Padded evidence = padded_evidence(in, scratch->reference);
+  const int64_t stride = int64_t{blocks(in.view.width)} * kBlockLanes;
+  for_rows(std::min(in.threads, kMaxThreads), blocks(in.view.height), [&](int row, int) {
+    stages().features(in, evidence, row, out + row * stride);
+  });
+}
+
+void add(const CagsAddInput& in, float* restored) {
+  ScratchLease scratch;
+  const int threads = std::min(in.threads, kMaxThreads);
+  const size_t line = size_t(in.change_width) * 6;
+  float* lines = scratch->lines.reserve(line * threads);
+  for_rows(threads, in.height, [&](int row, int worker) { stages().add(in, row, lines + line * worker, restored); });
+}
+
 template <typename Body>
 int32_t guarded(const Body& body) {
   try {
@@ -225,4 +258,19 @@ int32_t cags_correct(const CagsCorrectInput* input, float* restored) {
   const CagsCorrectInput& in = *input;
   if (!valid(in.view) || in.threads < 1 || in.radius_cells < 1 || in.radius_cells > kMaxRadius) return CAGS_INVALID;
   return guarded([&] { correct(in, restored); });
+}
+
+int32_t cags_features(const CagsFeaturesInput* input, float* features) {
+  using namespace cags::align;
+  const CagsFeaturesInput& in = *input;
+  if (!valid(in.view) || in.threads < 1) return CAGS_INVALID;
+  return guarded([&] { cags::align::features(in, features); });
+}
+
+int32_t cags_add(const CagsAddInput* input, float* restored) {
+  using namespace cags::align;
+  const CagsAddInput& in = *input;
+  const bool fits = 4 * int64_t{in.change_width} >= in.width && 4 * int64_t{in.change_height} >= in.height;
+  if (!side(in.width) || !side(in.height) || !fits || in.threads < 1) return CAGS_INVALID;
+  return guarded([&] { add(in, restored); });
 }

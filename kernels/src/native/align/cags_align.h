@@ -36,5 +36,25 @@ struct CagsCorrectInput {
   int32_t threads;
 };
 
+struct CagsFeaturesInput {
+  CagsReprojection view;
+  const float* own;         // as in CagsCorrectInput
+  const float* reference;
+  const float* distorted;   // [height, width, 3]
+  const float* restored;    // the same size: what cags_correct made of it
+  const float* confidence;  // [height, width]
+  int32_t threads;
+};
+
+struct CagsAddInput {
+  const float* picture;  // [height, width, 3]
+  const float* change;   // [change_height, change_width, 12] in blocks of 2 x 2 of half the resolution, which cover it
+  int32_t width, height, change_width, change_height, threads;
+};
+
 CAGS_API int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output);
 CAGS_API int32_t cags_correct(const CagsCorrectInput* input, float* restored);  // [height, width, 3] in [0, 1]
+// [h, w, 39] at a quarter of the resolution, h and w even; see cags_client.restore.networks.inputs. The last is left.
+CAGS_API int32_t cags_features(const CagsFeaturesInput* input, float* features);
+// The picture plus the change brought up bilinearly, [height, width, 3] in [0, 1]; `restored` may be the picture.
+CAGS_API int32_t cags_add(const CagsAddInput* input, float* restored);

@@ -17,6 +17,8 @@ constexpr int kColourLanes = 4;  // r, g, b, unused
 constexpr int kFieldLanes = 4;   // factor, offsets r, g, b
 constexpr int kMomentLanes = 16;
 constexpr float kNoiseFloor = 2e-6f;  // variance of rounding to 8 bits
+constexpr int kCellLanes = 9;    // distorted, evidence, change
+constexpr int kBlockLanes = 39;  // four cells, confidence, size of the change, the frame's
 
 // Depth bits above, pixel index below: the minimum is the nearest pixel and, of equally near ones, the first.
 using Nearest = uint64_t;
@@ -50,12 +52,19 @@ struct Stages {
   void (*fit)(const CagsCorrectInput&, int row, const float* sums, const float* trust, const Padded& fields);
   // One row of the client's picture: distorted + confidence (factor distorted + offset), clipped.
   void (*correct)(const CagsCorrectInput&, const Padded& fields, int row, float* restored);
+  // One row of blocks of half-resolution cells: what a network sees.
+  void (*features)(const CagsFeaturesInput&, const Padded& evidence, int row, float* out);
+  // One row of the client's picture plus the change brought up to it; `line` [change_width * 6] is scratch.
+  void (*add)(const CagsAddInput&, int row, float* line, float* restored);
 };
 
 extern const Stages stages_portable;
 #ifdef CAGS_X86
 extern const Stages stages_avx2, stages_avx512;
 #endif
+
+// Blocks that a side of the picture is covered by: an even number of 4 pixels each.
+inline int blocks(int pixels) { return (pixels + 7) / 8 * 2; }
 
 // Index of the pixel that a reflected border repeats (fedcba|abcdef|fedcba), for any distance outside.
 inline int reflected(int i, int n) {

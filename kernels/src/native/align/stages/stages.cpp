@@ -1,10 +1,11 @@
 // Compiled once for each instruction set; CAGS_ALIGN_STAGES names the variant's table.
 #include "align/stages.h"
 #include "align/stages/correct.h"
+#include "align/stages/features.h"
 #include "align/stages/resolve.h"
 
 namespace cags::align {
 
-extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, weigh, fit, correct};
+extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, weigh, fit, correct, features, add};
 
 }  // namespace cags::align
