@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,14 +20,15 @@ from cags_client.align import Aligned, AlignSettings, ReferencePicture
 from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival
 from cags_client.references import References
-from cags_client.restore import RestoreInput
+from cags_client.restore import RestoreInput, Restorer, auto
+from cags_client.restore.networks.weights import Weights
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.tile_store import TileStore
 from cags_common import raster
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import tile_codec
 from cags_common.effects import Effect, EffectPlan, Situation, held_sh_degree, plan_frame
-from cags_common.errors import DecodeError
+from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
@@ -59,6 +61,8 @@ class PresentedFrame:
     """What was done for this frame, and by that what was left out."""
     buffer_ms: float = 0.0
     """Media that has come whole and is not yet due: how long the link may fail unseen."""
+    tier: str = "none"
+    """The restorer in use, whether or not the frame's effects needed it."""
 
 
 class ClientPipeline:
@@ -91,7 +95,9 @@ class ClientPipeline:
         self._own: tuple[ReferencePicture, RenderedView] | None = None
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
-        self._restorer = restore.create(self.live.restore)
+        self._weights: dict[str, Weights] = {}
+        self._restorer_wanted = self.live.restore
+        self._restorer = self._made_restorer()
 
     # -------------------------------------------------------------------------------------------------------- decoding
 
@@ -113,6 +119,16 @@ class ClientPipeline:
         what = f"removed ids of frame {message.frame}"
         removed = decode_ids(payload, what=what, limit=max(capacity, 1)) if len(payload) else np.zeros(0, np.int32)
         self._store.end(message.frame, removed)
+
+    def on_weights(self, data: bytes) -> None:
+        """Weights trained for this content, in place of those of the program. Raises :class:`DecodeError`."""
+        try:
+            weights = Weights.from_bytes(data, "weights of the content")
+            restore.create(weights.network, weights={weights.network: weights})
+        except ConfigError as error:
+            raise DecodeError(str(error)) from error
+        self._weights[weights.network] = weights
+        self._restorer_wanted = ""  # made anew before the next frame
 
     @property
     def last_reference_seq(self) -> int:
@@ -158,6 +174,7 @@ class ClientPipeline:
 
     def present(self, frame: int, camera: Camera) -> PresentedFrame:
         """Draw media frame ``frame`` from ``camera``."""
+        started_s = self._clock()
         watch = _Stopwatch(self._clock)
         with watch("update"):
             store, committed = self._store.commit(frame)
@@ -172,6 +189,8 @@ class ClientPipeline:
         aligned, own, shown = None, None, distorted
         if reference is not None:
             aligned, own, shown = self._with_reference(plan, drawn, reference, frame, watch)
+        tier = self._tier
+        self._observe(started_s, watch.stages_ms)
         return PresentedFrame(
             frame=frame,
             camera=camera,
@@ -186,13 +205,15 @@ class ClientPipeline:
             buffer_ms=self._store.ahead(frame) * 1e3 / self.info.fps,
             stages_ms=watch.stages_ms,
             effects=plan,
+            tier=tier,
         )
 
     def _situation(
         self, store: GofStore, committed: Committed, view: tuple[int, Camera], reference: ReferencePicture | None
     ) -> Situation:
-        if self._restorer.name != self.live.restore:
-            self._restorer = restore.create(self.live.restore)
+        if self._restorer_wanted != self.live.restore:
+            self._restorer_wanted = self.live.restore
+            self._restorer = self._made_restorer()
         frame, camera = view
         there = reference.camera.pose.position if reference is not None else None
         return Situation(
@@ -204,10 +225,28 @@ class ClientPipeline:
             same_place=there == camera.pose.position,
             same_frame=reference is not None and reference.frame == frame,
             restorer=self._restorer.needs,
-            replaces=self.live.restore.partition("@")[0] in restore.REPLACING,
+            replaces=self._tier.partition("@")[0] in restore.REPLACING,
             adapts=self._adapter is not None,
             depth_shown=self.live.depth_shown,
         )
+
+    def _made_restorer(self) -> Restorer:
+        """The restorer that the viewer wants; with ``auto`` the machine is measured first, which takes a second."""
+        s = self.settings
+        make = partial(restore.create, threads=s.threads, weights=self._weights)
+        if self._restorer_wanted == auto.NAME:
+            return auto.measured(make, s.intrinsics, 1e3 / self.info.fps, self._clock)
+        return make(self._restorer_wanted)
+
+    @property
+    def _tier(self) -> str:
+        return self._restorer.tier if isinstance(self._restorer, auto.AutoRestorer) else self._restorer.name
+
+    def _observe(self, started_s: float, stages_ms: dict[str, float]) -> None:
+        """Tell ``auto`` what the frame took."""
+        if isinstance(self._restorer, auto.AutoRestorer):
+            now_s = self._clock()
+            self._restorer.controller.observe(now_s, stages_ms.get("restore"), (now_s - started_s) * 1e3)
 
     def _with_reference(
         self, plan: EffectPlan, drawn: _Drawn, reference: ReferencePicture, frame: int, watch: _Stopwatch

@@ -37,6 +37,7 @@ from cags_protocol.messages import Control, HeldTile, Hello, PoseSample, Refusal
 from cags_protocol.session import SessionTimers
 
 CODEBOOKS_BLOB = "codebooks"
+WEIGHTS_BLOB = "weights"
 DECODE_BATCH = 32
 """Messages decoded in one go: enough to dequantise a tile once for all its layers, few enough to stay prompt."""
 
@@ -99,6 +100,7 @@ class Player:
         self._welcome: Welcome | None = None
         self._resume_at: Control | None = None
         self._codebooks: bytes | None = None
+        self._weights: bytes | None = None
         self._decodes: deque[DataEvent] = deque()
         self._decoding: tuple[DataEvent, ...] = ()
         self._presenting = False
@@ -217,6 +219,9 @@ class Player:
                 self.stats.bytes_other += len(data)
                 if name == CODEBOOKS_BLOB:
                     self._on_codebooks(data, now_us)
+                elif name == WEIGHTS_BLOB:
+                    self._weights = data
+                    self._take_weights()
             case ev.TileReceived(_, payload):
                 self._tiles_bytes += len(payload)
                 self.stats.bytes_tiles += len(payload)
@@ -318,10 +323,22 @@ class Player:
         except CagsError as error:
             self._fail(error)
             return
+        self._take_weights()
         last = self.info.frames
         if self.settings.duration is not None:
             last = min(last, self.settings.start_frame + max(1, round(self.settings.duration * self.info.fps)))
         self._end_frame = max(last, self.settings.start_frame + 1)
+
+    def _take_weights(self) -> None:
+        """Hand the content's own weights to the pipeline, once both are there; damaged ones are only reported."""
+        if self.pipeline is None or self._weights is None:
+            return
+        data, self._weights = self._weights, None
+        try:
+            self.pipeline.on_weights(data)
+        except DecodeError as error:
+            self.stats.decode_errors += 1
+            self.stats.notices.append(str(error))
 
     def _play(self, now_us: int) -> None:
         """The first key frame is there: fix when it is shown, and tell the server."""

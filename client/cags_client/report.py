@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -39,6 +40,7 @@ def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> di
         there, here = reference.camera.pose, presented.camera.pose
         record["prediction_error_deg"] = math.degrees(angle_between(there.rotation, here.rotation))
         record["prediction_error_m"] = math.dist(there.position, here.position)
+    record["restorer"] = presented.tier
     record["effects"] = sorted(presented.effects.on)
     record |= {f"{STAGE}{stage}": value for stage, value in presented.stages_ms.items()}
     return record
@@ -66,6 +68,7 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         "goodput_mbps": received * 8 / seconds / 1e6 if seconds > 0 else 0.0,
         **means,
         "effects": tally(map(_effects, records)),
+        "restorers": dict(Counter(str(record["restorer"]) for record in records)),
         "latency_p95_ms": float(np.percentile(latencies, 95)) if latencies else None,
     }
 

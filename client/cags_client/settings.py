@@ -24,7 +24,10 @@ class ClientSettings:
     exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
     align: str = setting("auto", "aligner: auto, cpu, fast, reference, unaligned or rotation")
     erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
-    restore: str = setting("affine", "restorer: none, reference, affine, lite, srresnet (or NETWORK@RUNTIME)")
+    restore: str = setting(
+        "affine",
+        "restorer: none, reference, affine, lite, srresnet (or NETWORK@RUNTIME), or auto: what this machine affords",
+    )
     adapt: str = setting("none", "colour corrections that stay with the splats", choices=("none", "sirt"))
     effects: str = setting(
         NEEDED, "work of a frame: what the scene and the moment need, or always everything", choices=POLICIES

@@ -41,6 +41,8 @@ class SceneLibrary:
     def __init__(self, reader: BundleReader, rasteriser: Rasteriser) -> None:
         self.reader = reader
         self.scenes = SourceScenes(reader, rasteriser)
+        self.weights = reader.weights()
+        """Of a restorer, trained for this content; clients are offered them."""
         self._owners: OrderedDict[tuple[int, int], NDArray[np.int32]] = OrderedDict()  # by (group, frame)
         self._lock = threading.Lock()
         self.digest = hashlib.sha256(reader.manifest.to_json()).hexdigest()[:12]

@@ -34,6 +34,9 @@ from cags_server.timeline import Timeline
 BLOB_PRIORITY = 0
 """Decoders' tables: nothing can be shown without them."""
 
+WEIGHTS_PRIORITY = 2
+"""A restorer's weights: playing goes on without them, so that base layers go first."""
+
 BLIND_GRACE_PERIODS = 1.0
 """Frames that a running job may be overdue before media goes on without it."""
 
@@ -105,7 +108,8 @@ class Streamer:
     def opening(self, now_us: int) -> list[ev.Outgoing]:
         """What a client gets first: codebooks, then the base layers of the start frame, the ones in view first.
 
-        One that resumes has the codebooks: it could not hold a tile without them.
+        One that resumes has the codebooks: it could not hold a tile without them. A restorer's weights come last: playing
+        does not wait for them.
         """
         out = (
             []
@@ -124,6 +128,9 @@ class Streamer:
             if each.priority == BASE_PRIORITY and isinstance(m := each.message, TileLayers)
         ]
         self._opening = Opening(frame, in_view, now_us)
+        if self._library.weights is not None and not self._resumed:
+            chunks = blob_chunks("weights", self._library.weights)
+            tiles += [ev.Outgoing(blob, chunk, WEIGHTS_PRIORITY) for blob, chunk in chunks]
         return self._counted(out + tiles, now_us)
 
     def opening_due_us(self) -> int | None:

@@ -56,6 +56,9 @@ class FakeReader:
     def codebooks(self) -> bytes:
         return b"codebooks"
 
+    def weights(self) -> bytes | None:
+        return None
+
     def frame(self, frame: int) -> FrameEntry:
         return self._entries[frame]
 

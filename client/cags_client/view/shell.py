@@ -15,7 +15,7 @@ import numpy as np
 from cags_client.app import Playback, Shell, now_us
 from cags_client.dial import Dial
 from cags_client.present.base import FrameSink
-from cags_client.restore import RESTORERS
+from cags_client.restore import RESTORERS, auto
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.view.controls import SplatDetail
 from cags_client.view.interactive import InteractivePlayer
@@ -65,7 +65,7 @@ class PlayerControls:
     @property
     def restorers(self) -> tuple[str, ...]:
         """Restorations to choose from."""
-        return tuple(RESTORERS)
+        return (auto.NAME, *RESTORERS)
 
     @property
     def exactness(self) -> str:

@@ -87,6 +87,8 @@ class Manifest:
     """Point to look at when a walk is placed in the scene."""
     focus_radius: float = 1.0
     near: float = DEFAULT_NEAR
+    weights_crc: int | None = None
+    """CRC-32 of the restorer's weights that were trained for this content; None where there are none."""
     gofs: tuple[GofFiles, ...] = ()
     """One entry a group, or none in the public part."""
     pruning: Pruning | None = None
@@ -156,6 +158,7 @@ def _checked(fields: _Fields) -> Manifest:
         focus_radius=fields.number("focus_radius", 0.0, 1e12),
         near=fields.number("near", 1e-9, 1e9),
         pruning=_pruning(fields.inner("pruning")) if fields.has("pruning") else None,
+        weights_crc=fields.optional("weights_crc", lambda f: f.integer("", 0, 2**32 - 1)),
         gofs=fields.many("gofs", lambda f: GofFiles(_file(f.inner("tiles")), _file(f.inner("source"))), MAX_FRAMES),
     )
     starts = manifest.gof_starts
@@ -222,6 +225,13 @@ class _Fields:
 
     def inner(self, name: str) -> _Fields:
         return _Fields(*self._get(name))
+
+    def optional(self, name: str, read: Callable[[_Fields], T]) -> T | None:
+        """``read`` of a field that may be missing or null."""
+        table = self._value
+        if not isinstance(table, dict) or table.get(name) is None:
+            return None
+        return read(self.inner(name))
 
     def text(self, name: str) -> str:
         value, path = self._get(name)

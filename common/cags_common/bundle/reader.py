@@ -19,6 +19,14 @@ from cags_common.svq import MAX_CODEBOOK_BYTES
 
 MANIFEST_NAME = "manifest.json"
 CODEBOOKS_NAME = "codebooks.bin"
+MAX_WEIGHTS_BYTES = 4 << 20
+
+
+def weights_name(crc: int) -> str:
+    """The file of a restorer's weights, by their CRC-32: new ones lie beside the old until the manifest names them."""
+    return f"weights-{crc:08x}.npz"
+
+
 CACHED_FRAMES = 16
 """Frames whose payloads stay in memory: one read fetches a frame, the streamer then picks layers from it."""
 
@@ -69,6 +77,16 @@ class BundleReader:
         if not self._store.has(QUALITY_NAME):
             return None
         return LodQuality.from_json(self._store.read_all(QUALITY_NAME, MAX_QUALITY_BYTES))
+
+    def weights(self) -> bytes | None:
+        """Weights of a restorer that were trained for this content, or None. Raises :class:`DecodeError`."""
+        crc = self.manifest.weights_crc
+        if crc is None:
+            return None
+        name = weights_name(crc)
+        data = self._store.read_all(name, MAX_WEIGHTS_BYTES)
+        check_crc(data, crc, name)
+        return data
 
     def frame(self, frame: int) -> FrameEntry:
         """What ``frame`` holds. Raises :class:`BundleError` outside the bundle."""

@@ -5,6 +5,7 @@ import pytest
 
 from cags_common.bundle import BundleReader, BundleWriter, LodLayer, Manifest, SourceDelta, TilePayloads
 from cags_common.bundle.source import decode_source, encode_source
+from cags_common.bundle.weights import store_weights
 from cags_common.errors import BundleError, CagsError, DecodeError
 from cags_common.tiles import PositionGrid, encode_base, encode_layer
 from support.codec_scenes import books, cloud
@@ -152,3 +153,26 @@ def test_source_frames_of_every_sh_degree_and_of_no_splats() -> None:
                 assert np.array_equal(a, b) and a.shape == b.shape
     with pytest.raises(DecodeError):
         decode_source(encode_source(delta)[:-3], "x")
+
+
+def test_weights_are_added_replaced_and_checked(url: str) -> None:
+    write(url)
+    with BundleReader.open(url) as reader:
+        assert reader.weights() is None
+    for data in (b"first weights", b"second", b"second"):
+        store_weights(url, data)
+        with BundleReader.open(url) as reader:
+            assert reader.weights() == data
+    read_everything(url)
+
+
+def test_damaged_weights_are_noticed_and_too_many_refused(tmp_path: Path) -> None:
+    url = str(tmp_path / "bundle")
+    write(url)
+    store_weights(url, b"weights")
+    (file,) = (tmp_path / "bundle").glob("weights-*.npz")
+    file.write_bytes(b"weighty")
+    with BundleReader.open(url) as reader, pytest.raises(DecodeError, match="weights-.*CRC"):
+        reader.weights()
+    with pytest.raises(BundleError, match="more than the allowed"):
+        store_weights(url, bytes(5 << 20))

@@ -5,11 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import cags_kernels
 from cags_client import align
 from cags_client.align import AlignSettings, ReferencePicture
 from cags_client.restore import RestoreInput
+from cags_client.restore import create as create_tier
 from cags_client.restore.networks import NETWORKS, Weights, create, from_weights, network_of, runtimes
-from cags_client.restore.networks.inputs import CHANNELS, filled, half_features, padded, reach
+from cags_client.restore.networks.inputs import (
+    BLOCK_CHANNELS,
+    CHANNELS,
+    filled,
+    half_features,
+    level_of,
+    lite_blocks,
+    padded,
+    reach,
+)
 from cags_client.restore.networks.lite import Lite
 from cags_client.restore.networks.srresnet import Sees, SrResNet
 from cags_common.errors import ConfigError
@@ -44,22 +55,46 @@ def silent(inputs):
     return replace(inputs, aligned=replace(inputs.aligned, confidence=np.zeros_like(inputs.aligned.confidence)))
 
 
-def test_features_are_the_picture_the_evidence_and_the_confidence():
+def test_features_are_the_picture_the_evidence_the_change_and_the_confidence():
     inputs, _ = scene()
-    features = half_features(inputs)
+    features = half_features(inputs, inputs.distorted + np.float32(0.05))
     assert features.shape == (24, 32, CHANNELS)
     np.testing.assert_allclose(features[..., 3:6], 0.1, atol=1e-6)
-    np.testing.assert_allclose(features[..., 6], 1.0)
+    np.testing.assert_allclose(features[..., 6:9], 0.05, atol=1e-6)
+    np.testing.assert_allclose(features[..., 9], 1.0)
+    assert level_of(features) == pytest.approx(0.05, abs=1e-6)
+
+
+@pytest.mark.parametrize("size", [(48, 64), (31, 17), (1, 1), (9, 8)])
+def test_the_kernel_sees_what_numpy_sees(size, monkeypatch):
+    if not cags_kernels.native_available():
+        pytest.skip(cags_kernels.why_unavailable())
+    inputs, _ = scene(*size)
+    closed_form = np.random.default_rng(3).random((*size, 3)).astype(np.float32)
+    fast = lite_blocks(inputs, closed_form, 2).copy()
+    monkeypatch.setattr(cags_kernels, "native_available", lambda: False)
+    np.testing.assert_allclose(fast, lite_blocks(inputs, closed_form), atol=2e-5)
 
 
 def test_features_without_own_splats_compare_with_the_picture_itself():
     inputs, _ = scene()
-    np.testing.assert_allclose(half_features(replace(inputs, own=None))[..., 3:6], 0.1, atol=0.03)
+    features = half_features(replace(inputs, own=None), inputs.distorted)
+    np.testing.assert_allclose(features[..., 3:6], 0.1, atol=0.03)
 
 
-def test_untrained_lite_puts_a_wrong_brightness_right():
-    inputs, truth = scene()
-    assert np.abs(lite_untrained().restore(inputs) - truth).max() < 1e-5
+def test_untrained_lite_shows_the_closed_form():
+    inputs, _ = scene()
+    np.testing.assert_allclose(lite_untrained().restore(inputs), create_tier("affine").restore(inputs), atol=1e-6)
+
+
+def test_splats_as_good_as_the_reference_are_left_alone_by_any_weights():
+    """The gate is part of the graph: no weights can open it where there is no evidence."""
+    torch = pytest.importorskip("torch")
+    inputs, _ = scene(error=0.0)
+    network = Lite()
+    torch.nn.init.normal_(network.tail.weight)
+    restorer = from_weights(weights_of(network, "lite"))
+    np.testing.assert_array_equal(restorer.restore(inputs), inputs.distorted)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (3, 2), (31, 17), (48, 64), (50, 66)])
@@ -108,7 +143,7 @@ def test_every_runtime_says_the_same(name, network):
     made = network()
     torch.nn.init.normal_(made.tail.weight, std=0.1)
     rng = np.random.default_rng(2)
-    channels, count = (CHANNELS, 1) if network is Lite else (3, 2)
+    channels, count = (BLOCK_CHANNELS, 1) if network is Lite else (3, 2)
     for shape in ((24, 32), (16, 8)):
         images = [rng.uniform(size=(*shape, channels)).astype(np.float32) for _ in range(count)]
         expected = runtimes.create("torch", made).run(*images)

@@ -27,18 +27,22 @@ def crops(count=12, seed=0):
     rng = np.random.default_rng(seed)
     truth = rng.integers(60, 180, (count, SIDE // 8, SIDE // 8, 3)).repeat(8, 1).repeat(8, 2)
     off = rng.integers(-40, 40, (count, 1, 1, 3))
-    half = np.zeros((count, SIDE // 2, SIDE // 2, 7), np.float16)
+    half = np.zeros((count, SIDE // 2, SIDE // 2, 10), np.float16)
     half[..., :3] = (truth + off)[:, ::2, ::2] / 255
     half[..., 3:6] = -off / 255
-    half[..., 6] = 1
+    half[..., 6:9] = -off / 510
+    half[..., 9] = 1
+    closed_form = truth + off - off // 2
     full = np.full((count, SIDE, SIDE), 255, np.uint8)
     return Crops(
         (truth + off).astype(np.uint8),
         truth.astype(np.uint8),
+        closed_form.astype(np.uint8),
         full,
         truth.astype(np.uint8),
         full,
         half,
+        np.full(count, 0.02, np.float32),
         np.zeros(count, np.float32),
     )
 
@@ -77,9 +81,12 @@ def test_a_batch_depends_on_seed_and_step_alone():
 def test_augmentation_treats_pictures_and_features_alike():
     batch = draw_batch(crops(), 32, 16, 0, 0)
     half = batch.distorted.reshape(32, 8, 2, 8, 2, 3)[:, :, 0, :, 0]
-    np.testing.assert_allclose(batch.features[..., :3], half, atol=2e-3)
-    evidence = (batch.truth - batch.distorted)[:, ::2, ::2]
-    np.testing.assert_allclose(batch.features[..., 3:6], evidence, atol=2e-3)
+    first = batch.blocks[..., :9]  # the top left cell of each block
+    np.testing.assert_allclose(first[..., :3], half[:, ::2, ::2], atol=2e-3)
+    evidence = (batch.truth - batch.distorted)[:, ::4, ::4]
+    np.testing.assert_allclose(first[..., 3:6], evidence, atol=2e-3)
+    change = (batch.closed_form - batch.distorted)[:, ::4, ::4]
+    np.testing.assert_allclose(first[..., 6:9], change, atol=4e-3)
 
 
 def test_patches_must_fit_the_crops():
@@ -108,12 +115,19 @@ def test_psnr_is_over_covered_pixels():
     assert covered_psnr(restored, torch.zeros(1, 2, 2, 3), covered).item() == pytest.approx(20.0, abs=1e-4)
 
 
-def test_an_untrained_lite_takes_the_evidence():
+def test_a_loss_against_the_distorted_picture_counts_more_than_a_gain():
+    truth, covered = torch.zeros(1, 4, 4, 3), torch.ones(1, 4, 4)
+    better, worse, distorted = (torch.full((1, 4, 4, 3), value) for value in (0.1, 0.3, 0.2))
+    assert loss(better, truth, covered, distorted) == loss(better, truth, covered)
+    assert loss(worse, truth, covered, distorted) > loss(worse, truth, covered) + 1
+
+
+def test_an_untrained_lite_shows_the_closed_form():
     batch = plain_batch(crops(), np.arange(4), 16)
     make, task = NETWORKS["lite"]
     with torch.no_grad():
         restored = task(make(), batch, torch.device("cpu"))
-    np.testing.assert_allclose(restored.numpy(), batch.truth, atol=2e-3)
+    np.testing.assert_array_equal(restored.numpy(), batch.closed_form)
 
 
 @pytest.mark.parametrize("name", list(NETWORKS))

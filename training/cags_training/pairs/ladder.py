@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.bundle import BundleReader, Manifest
+from cags_common.bundle.reader import MANIFEST_NAME
 from cags_common.splats import Splats
 from cags_encoder.pipeline import encode
 from cags_encoder.scenes import open_scene
@@ -29,7 +30,13 @@ class Ladder:
 
     @classmethod
     def of_scene(cls, spec: str, settings: EncodeSettings) -> Ladder:
-        """Encode the first frame of the scene that ``spec`` names. Raises what opening and encoding raise."""
+        """Encode the first frame of the scene that ``spec`` names; a bundle's is taken as it is.
+
+        Raises what opening and encoding raise.
+        """
+        if is_bundle(spec):
+            with BundleReader.open(spec) as reader:
+                return cls(reader)
         with tempfile.TemporaryDirectory(prefix="cags-pairs-") as folder:
             url = str(Path(folder) / "scene.cags")
             encode(open_scene(spec), replace(settings, frames=1), url)
@@ -55,6 +62,11 @@ class Ladder:
                 tile.add_layer(level, payloads[level])
             parts.append(tile.dequantise())
         return Splats.concatenate(parts)
+
+
+def is_bundle(spec: str) -> bool:
+    """Whether ``spec`` names a bundle on this machine, rather than a scene."""
+    return (Path(spec) / MANIFEST_NAME).is_file()
 
 
 def draw_lods(rng: np.random.Generator, tiles: int, top: int, top_share: float = 0.0) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from cags_common import raster
 from cags_common.geometry import F32, Camera, angle_between
 from cags_common.poses import PoseTrace
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
+from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Decoder, H264Encoder
 from cags_common.video.noise import coding_noise
 from cags_training.pairs.ladder import Ladder, draw_lods
@@ -104,7 +105,7 @@ class _Video:
     """The reference stream: pictures as they come out of H.264."""
 
     def __init__(self, camera: Camera, fps: float, crf: float) -> None:
-        self._encoder = H264Encoder(camera.width_px, camera.height_px, fps, crf=crf)
+        self._encoder = H264Encoder(camera.width_px, camera.height_px, fps, crf=crf, chroma=Chroma.FULL)
         self._decoder = H264Decoder()
         self._idr = True
 

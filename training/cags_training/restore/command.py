@@ -16,6 +16,7 @@ from cags_training.pairs.settings import PairSettings
 from cags_training.restore.settings import TrainSettings
 
 if TYPE_CHECKING:
+    from cags_client.restore.networks.weights import Weights
     from cags_training.pairs.crops import Crops
     from cags_training.restore.trainer import Trainer
 
@@ -25,6 +26,7 @@ EXAMPLES = """\
   cags-train restore --scene procedural:seed=5 --held-out procedural:seed=9 --out lite/
   cags-train restore --scene a.ply --scene b.splat --held-out c.sog --poses walk.csv --steps 12000 --out lite/
   cags-train restore --network srresnet --patch 96 --batch 8 --scene a.ply --held-out c.sog --out srresnet/
+  cags-train restore --bundle mine.cags --rate 3e-4 --steps 800 --out fine/   # fine-tune; clients fetch the weights
   cags-train restore --start lite/lite.npz --rate 3e-4 --steps 800 --scene mine.ply --held-out mine.ply --out fine/"""
 
 HELD_OUT_VIEWS_SHARE = 0.5
@@ -35,6 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", action="append", default=[], metavar="SCENE", help="scene to train on; repeatable")
     parser.add_argument(
         "--held-out", action="append", default=[], metavar="SCENE", help="scene to score on; repeatable"
+    )
+    parser.add_argument(
+        "--bundle",
+        default=None,
+        metavar="DIR",
+        help="fine-tune for this encoded scene, from --start or the program's weights, and store the weights in it",
     )
     parser.add_argument(
         "--poses", action="append", default=[], metavar="FILE", help="head-motion trace to look along; repeatable"
@@ -55,6 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     settings = load_settings(TrainSettings, _only(arguments, TrainSettings))
     pairs = load_settings(PairSettings, _only(arguments, PairSettings))
+    if arguments.bundle:
+        _aim_at_bundle(arguments)
     if not arguments.scene or not arguments.held_out:
         raise ConfigError("give at least one --scene to train on and one --held-out to score on")
     if settings.patch > pairs.crop:
@@ -65,8 +75,31 @@ def run(arguments: argparse.Namespace) -> int:
     trainer = Trainer(settings, train, held_out, pairs.seed)
     _prepare(trainer, arguments, out)
     _train(trainer, settings, out, as_json=arguments.json)
-    _finish(trainer, settings, arguments, out)
+    weights = _finish(trainer, settings, arguments, out)
+    if arguments.bundle:
+        _store(weights, trainer, arguments.bundle)
     return 0
+
+
+def _aim_at_bundle(arguments: argparse.Namespace) -> None:
+    """Train on the bundle; score on other views of it, unless other scenes are named."""
+    from cags_training.pairs.ladder import is_bundle
+
+    if not is_bundle(arguments.bundle):
+        raise ConfigError(f"--bundle {arguments.bundle}: is no encoded scene on this machine; run cags-encode first")
+    arguments.scene = [*arguments.scene, arguments.bundle]
+    arguments.held_out = arguments.held_out or [arguments.bundle]
+
+
+def _store(weights: Weights, trainer: Trainer, bundle: str) -> None:
+    """Put the weights into the bundle, if they are better than those that training began with."""
+    from cags_common.bundle.weights import store_weights
+
+    if trainer.best_line.step == 0:
+        print(f"{bundle}: no step was better than the weights at the start; nothing is stored", file=sys.stderr)
+        return
+    store_weights(bundle, weights.to_bytes())
+    print(f"{bundle}: holds the weights now; servers that open it offer them", file=sys.stderr)
 
 
 def _add_pair_flags(group: Any) -> None:
@@ -102,6 +135,8 @@ def _prepare(trainer: Trainer, arguments: argparse.Namespace, out: Path) -> None
 
     if arguments.start:
         trainer.start_from(Weights.load(Path(arguments.start)))
+    elif arguments.bundle:
+        trainer.start_from(Weights.shipped(trainer.settings.network))
     checkpoint = out / "checkpoint.npz"
     if checkpoint.exists() and not arguments.restart:
         trainer.resume(Checkpoint.load(checkpoint))
@@ -120,11 +155,11 @@ def _train(trainer: Trainer, settings: TrainSettings, out: Path, *, as_json: boo
         trainer.run(told, lambda checkpoint: checkpoint.save(out / "checkpoint.npz"))
 
 
-def _finish(trainer: Trainer, settings: TrainSettings, arguments: argparse.Namespace, out: Path) -> None:
+def _finish(trainer: Trainer, settings: TrainSettings, arguments: argparse.Namespace, out: Path) -> Weights:
     from cags_client.restore.networks.weights import Weights
     from cags_training.restore.report import write_report
 
-    best = max(trainer.history, key=lambda line: line.gain_db)
+    best = trainer.best_line
     about = {
         "network": settings.network,
         "command": "cags-train " + shlex.join(sys.argv[1:]),
@@ -135,12 +170,12 @@ def _finish(trainer: Trainer, settings: TrainSettings, arguments: argparse.Names
         "best": asdict(best),
         "crops": {"train": len(trainer.train), "held_out": len(trainer.held_out)},
     }
-    Weights(settings.network, trainer.best, {k: v for k, v in about.items() if k != "network"}).save(
-        out / f"{settings.network}.npz"
-    )
+    weights = Weights(settings.network, trainer.best, {k: v for k, v in about.items() if k != "network"})
+    weights.save(out / f"{settings.network}.npz")
     page = write_report(out, trainer.history, about)
     print(
         f"{out / settings.network}.npz: {best.gain_db:+.2f} dB over the distorted picture on held-out crops "
         f"(step {best.step}); {page}",
         file=sys.stderr,
     )
+    return weights

@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
+from cags_common.bundle.reader import MANIFEST_NAME
 from cags_encoder.cache import content_key
 from cags_encoder.settings import EncodeSettings
 from cags_training.pairs.crops import Crops, make_crops
-from cags_training.pairs.ladder import Ladder
+from cags_training.pairs.ladder import Ladder, is_bundle
 from cags_training.pairs.maker import PairMaker
 from cags_training.pairs.settings import PairSettings
 from cags_training.pairs.views import focus_of_manifest, open_walks
 
-PAIRS_VERSION = 3
+PAIRS_VERSION = 4
 """Raised whenever the same scene and settings give other crops."""
 
 Tell = Callable[[str, int, int], None]
@@ -46,6 +47,7 @@ def _made(spec: str, walks: Sequence[str], settings: PairSettings, tell: Tell) -
     names = settings.quantiser_list
     share = replace(settings, views=-(-settings.views // len(names)))
     parts: list[Crops] = []
+    names = names[:1] if is_bundle(spec) else names  # a bundle has been quantised
     for number, name in enumerate(names):
         ladder = Ladder.of_scene(spec, EncodeSettings(seed=settings.seed, quantiser=name))
         placed = open_walks(tuple(walks), focus_of_manifest(ladder.manifest), settings.seed)
@@ -59,6 +61,9 @@ def _made(spec: str, walks: Sequence[str], settings: PairSettings, tell: Tell) -
 
 
 def _key(spec: str, walks: Sequence[str], settings: PairSettings) -> str:
-    scene = content_key(spec, EncodeSettings(frames=1, seed=settings.seed))
+    if is_bundle(spec):
+        scene = hashlib.sha256((Path(spec) / MANIFEST_NAME).read_bytes()).hexdigest()
+    else:
+        scene = content_key(spec, EncodeSettings(frames=1, seed=settings.seed))
     facts = repr((PAIRS_VERSION, scene, tuple(Path(walk).name for walk in walks), sorted(asdict(settings).items())))
     return hashlib.sha256(facts.encode()).hexdigest()[:16]

@@ -42,7 +42,7 @@ ERROR_FLOOR = 1e-6
 """Squared error (60 dB) under which pictures count as equal: nothing may be lost at the top of the ladder."""
 
 
-REGRET = 2.0
+REGRET = 1.0
 """How much more a loss against the distorted picture counts than a gain, for networks that may leave it as it is."""
 
 CAUTIOUS = frozenset({"lite"})

@@ -62,12 +62,14 @@ class Trainer:
         self._optimiser = torch.optim.Adam(self._network.parameters(), lr=self.settings.rate)
         self._step = 0
         self._losses: list[float] = []
+        self._started = False
 
     def start_from(self, weights: Weights) -> None:
         """Begin with known weights (fine-tuning). Raises :class:`ConfigError` where they are of another network."""
         if weights.network != self.settings.network:
             raise ConfigError(f"weights are of {weights.network!r}, training is of {self.settings.network!r}")
         self._network.load_state_dict(network_of(weights).state_dict())
+        self._started = True
         self._average = {name: p.detach().clone() for name, p in self._network.named_parameters()}
 
     @property
@@ -83,9 +85,16 @@ class Trainer:
         gains = [line.gain_db for line in self.history]
         return bool(gains) and len(gains) - 1 - int(np.argmax(gains)) >= self.settings.patience
 
+    @property
+    def best_line(self) -> Progress:
+        """The evaluation whose weights are kept."""
+        return max(self.history, key=lambda line: line.gain_db)
+
     def run(self, tell: Callable[[int, int, Progress | None], None], save: Callable[[Checkpoint], None]) -> None:
         """Train to the end; ``save`` is called after each evaluation, ``tell`` after each step."""
         torch.set_num_threads(self.settings.threads)
+        if self._step == 0 and self._started:
+            self._evaluated()  # what is there already must be beaten
         while not self.finished:
             self._advance()
             line = None

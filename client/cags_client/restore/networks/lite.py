@@ -11,10 +11,10 @@ and the only wide receptive field is at 1/8 resolution:
     restored = clip(closed form + change, brought up to full resolution)
 
 The gate is part of the graph, so that training sees it. The closed form tells signal from the codec's noise by Wiener
-weights and by the evidence of the whole picture; how much it changes, nearby and in the whole frame, says how much of
-either there is. Where it changes nothing at all - near the top of the ladder, or where no reference is - the gate is
-exactly 0 and the distorted picture stays; where it changes half a display code the gate is nearly open. A frame that
-is changed much is badly distorted, also where the reference does not reach: there the gate follows the frame.
+weights and by the evidence of the whole picture; how much it changes nearby says how much of either there is. Where it
+changes nothing - near the top of the ladder, or where no reference is - the gate is exactly 0 and the distorted picture
+stays, bit for bit; where it changes half a display code the gate is nearly open. How much the whole frame is changed is
+one of the features: it tells a badly distorted frame from a good one with a noisy reference.
 
 Inside, images are [B, H, W, C]: 1x1 convolutions are then plain matrix products, which eager torch runs several times
 faster than its 1x1 convolutions on the CPU, and blocks are copies of whole runs.
@@ -28,16 +28,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cags_client.restore.networks.inputs import BLOCK_CHANNELS, CHANNELS, CONFIDENCE, LEVEL, POWER
+from cags_client.restore.networks.inputs import BLOCK_CHANNELS, CHANNELS, CONFIDENCE, POWER
 
 SLOPE = 0.1
 """Of the leaky rectifiers."""
 
 GATE_HALF = 5e-4
 """Mean change of the closed form, in [0, 1] of display range, at which the gate is half open: an eighth of a code."""
-
-_FRAME_SHARE = 0.25
-"""Of the frame's mean change, that opens the gate where the closed form changes nothing nearby."""
 
 _GATE_CELLS = 5
 
@@ -88,12 +85,9 @@ class Lite(nn.Module):
 
 def gate(blocks: Tensor) -> Tensor:
     """How far the network may go [B, h, w, 1] in [0, 1), from blocks of features [B, h, w, 39]."""
-    power, level = blocks[..., POWER], blocks[..., LEVEL]
-    near = functional.avg_pool2d(
-        power[:, None], _GATE_CELLS, stride=1, padding=_GATE_CELLS // 2, count_include_pad=False
-    )[:, 0]
-    size = torch.maximum(near, _FRAME_SHARE * level)[..., None]
-    return size / (size + GATE_HALF)
+    power = blocks[..., POWER][:, None]
+    near = functional.avg_pool2d(power, _GATE_CELLS, stride=1, padding=_GATE_CELLS // 2, count_include_pad=False)
+    return (near / (near + GATE_HALF))[:, 0, :, :, None]
 
 
 def to_blocks(image: Tensor) -> Tensor:
