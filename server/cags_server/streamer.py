@@ -108,8 +108,8 @@ class Streamer:
     def opening(self, now_us: int) -> list[ev.Outgoing]:
         """What a client gets first: codebooks, then the base layers of the start frame, the ones in view first.
 
-        One that resumes has the codebooks: it could not hold a tile without them. A restorer's weights come last: playing
-        does not wait for them.
+        One that resumes has the codebooks: it could not hold a tile without them. A restorer's weights come last:
+        playing does not wait for them.
         """
         out = (
             []

@@ -116,6 +116,8 @@ class Manifest:
         table["lod_order"] = [[item.attribute, item.layer] for item in self.lod_order]
         if self.pruning is None:
             del table["pruning"]
+        if self.weights_crc is None:
+            del table["weights_crc"]
         return json.dumps(table, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
 
     def public_json(self) -> bytes:
@@ -158,7 +160,7 @@ def _checked(fields: _Fields) -> Manifest:
         focus_radius=fields.number("focus_radius", 0.0, 1e12),
         near=fields.number("near", 1e-9, 1e9),
         pruning=_pruning(fields.inner("pruning")) if fields.has("pruning") else None,
-        weights_crc=fields.optional("weights_crc", lambda f: f.integer("", 0, 2**32 - 1)),
+        weights_crc=fields.integer("weights_crc", 0, 2**32 - 1) if fields.has("weights_crc") else None,
         gofs=fields.many("gofs", lambda f: GofFiles(_file(f.inner("tiles")), _file(f.inner("source"))), MAX_FRAMES),
     )
     starts = manifest.gof_starts
@@ -225,13 +227,6 @@ class _Fields:
 
     def inner(self, name: str) -> _Fields:
         return _Fields(*self._get(name))
-
-    def optional(self, name: str, read: Callable[[_Fields], T]) -> T | None:
-        """``read`` of a field that may be missing or null."""
-        table = self._value
-        if not isinstance(table, dict) or table.get(name) is None:
-            return None
-        return read(self.inner(name))
 
     def text(self, name: str) -> str:
         value, path = self._get(name)

@@ -172,7 +172,7 @@ def test_damaged_weights_are_noticed_and_too_many_refused(tmp_path: Path) -> Non
     store_weights(url, b"weights")
     (file,) = (tmp_path / "bundle").glob("weights-*.npz")
     file.write_bytes(b"weighty")
-    with BundleReader.open(url) as reader, pytest.raises(DecodeError, match="weights-.*CRC"):
+    with BundleReader.open(url) as reader, pytest.raises(DecodeError, match=r"weights-.*CRC"):
         reader.weights()
     with pytest.raises(BundleError, match="more than the allowed"):
         store_weights(url, bytes(5 << 20))
