@@ -27,7 +27,7 @@ from cags_client.play_stats import PlayStats
 from cags_client.reconnect import Reconnect
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_common.bundle.manifest import Manifest
-from cags_common.errors import CagsError, NetworkError
+from cags_common.errors import CagsError, DecodeError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
 from cags_protocol import events as ev
 from cags_protocol.client import ClientSession, ClientSessionSettings

@@ -24,8 +24,8 @@ from cags_common.raster.base import RenderedView
 
 NAME = "auto"
 
-LADDER = ("none", "affine", "lite", "srresnet")
-"""Tiers to choose from, cheapest first."""
+LADDER = ("none", "affine", "lite")
+"""Tiers to choose from, cheapest first; none is both dearer and worse than another."""
 
 DOWN_SHARE = 1.0
 """Of the frame time: frames that take longer are late, and the tier is stepped down."""
