@@ -30,6 +30,9 @@ ATTEMPTS = 3
 CONNECT_TIMEOUT = "5s"
 """How long a scheduler may take to answer."""
 
+WORKER_TIMEOUT_S = 30
+"""How long the first worker may take to come."""
+
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -166,7 +169,9 @@ def _cluster(scheduler: str) -> Iterator[Workers]:
             f"scheduler {scheduler}: cannot be reached ({error or 'no answer'}); is it running?"
         ) from error
     with client:
+        try:
+            client.wait_for_workers(1, timeout=WORKER_TIMEOUT_S)
+        except TimeoutError as error:
+            raise NetworkError(f"scheduler {scheduler}: has no workers; start some: dask worker {scheduler}") from error
         cores = sum(client.nthreads().values())
-        if not cores:
-            raise NetworkError(f"scheduler {scheduler}: has no workers; start some: dask worker {scheduler}")
         yield Workers(client.get_executor(pure=False, retries=ATTEMPTS), cores)

@@ -54,7 +54,9 @@ class Journal:
             self._lock.close()
             raise BundleError(f"{folder}: another process encodes this bundle; wait for it or stop it") from error
         except OSError as error:
-            raise BundleError(f"{folder}: cannot be written ({error.strerror or error})") from error
+            raise BundleError(
+                f"{folder}: cannot be written ({error.strerror or error}); --no-resume keeps no records"
+            ) from error
         self._belongs_to("input", key)
 
     def __enter__(self) -> Journal:
