@@ -16,6 +16,9 @@ import cags_kernels
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.raster.command import RasterSettings
 from cags_bench.raster.contenders import Contender, Frame, backend_contenders, prototype_contender
+from cags_bench.raster.peers import peer_contenders
+from cags_bench.raster.shortcuts import shortcut_lines, walk
+from cags_bench.raster.upkeep import upkeep_checks, upkeep_line
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster import Exactness, RenderedView, RenderOptions, create
 from cags_common.splats import Splats
@@ -27,6 +30,12 @@ VIEW_RADII = 2.0
 
 GROWTH = (50_000, 100_000, 200_000, 400_000, 800_000)
 
+REFERENCE_SIZE = (400, 300)
+"""Pixels of the frame that a server draws for each client."""
+
+LEAST_TIMES_FASTER = 50.0
+"""Than any peer."""
+
 MULTIPLY_ADDS_A_PAIR = 13.0
 """Multiplier operations that blending takes for a pixel of a splat: 1.5 for s (half a block's rows share one), 1 for t,
 2 for the exponent, 3 for exp2, 1 for the weight, 4 for the sums of colour and depth, and half of one for the rest."""
@@ -37,6 +46,8 @@ Line = dict[str, Any]
 def measure(settings: RasterSettings) -> Iterator[Line]:
     """All lines of the benchmark."""
     ratios: list[float] = []
+    peer_ratios: list[float] = []
+    upkeep: list[Line] = []
     psnr: dict[str, list[float]] = {level: [] for level in Exactness}
     for spec in settings.scene_list:
         source = open_scene(spec)
@@ -44,7 +55,8 @@ def measure(settings: RasterSettings) -> Iterator[Line]:
         contenders = backend_contenders(splats)
         prototype = prototype_contender(splats, Path(settings.shared))
         contenders += [prototype] if prototype else []
-        for size in settings.size_list:
+        peers = peer_contenders(splats) if settings.peers else []
+        for size in settings.size_list if settings.views else []:
             camera = view_of(source, *size)
             errors = errors_of(splats, camera) if settings.reference else {}
             for level, figures in errors.items():
@@ -56,11 +68,24 @@ def measure(settings: RasterSettings) -> Iterator[Line]:
                 if prototype:
                     ratios.append(lines[0]["ratio_to_prototype"])  # of the first contender, balanced
                 yield from lines
+            times = interleaved([c.frame(camera, max(settings.thread_list)) for c in [contenders[0], *peers]], settings)
+            for peer, taken in zip(peers, times[1:], strict=True):
+                peer_ratios.append(_ratio(taken, times[0]))
+                view = {"scene": source.name, "splats": len(splats), "size": size_text(size)}
+                line = {"case": "peer", **view, "peer": peer.name, **_spread(taken), "balanced": _spread(times[0])}
+                yield line | {"times_slower": peer_ratios[-1], **provenance()}
+        if settings.shortcuts:
+            yield from _shortcuts(settings, source, splats)
+            upkeep.append(upkeep_line(source.name, splats, view_of(source, *REFERENCE_SIZE), settings.repetitions))
+            yield upkeep[-1]
     growth = list(_growth(settings)) if settings.growth else []
     yield from growth
     limit = _limit(settings)
     yield limit
-    yield _summary(settings, ratios, psnr, limit)
+    checks = _checks(ratios, psnr) + _growth_checks(growth) + _peer_checks(peer_ratios)
+    checks += [judged for line in upkeep for judged in upkeep_checks(line)]
+    figures = {"repetitions": settings.repetitions, "warm_up": settings.warm_up}
+    yield summary("raster", checks, times_over_the_limit=limit["times_over_the_limit"], **figures)
 
 
 def view_of(source: FrameSource, width: int, height: int) -> Camera:
@@ -132,6 +157,14 @@ def _spread(taken: list[float]) -> Line:
     return {"ms": round(statistics.median(taken), 2), "ms_quartiles": [round(float(low), 2), round(float(high), 2)]}
 
 
+def _shortcuts(settings: RasterSettings, source: FrameSource, splats: Splats) -> Iterator[Line]:
+    size, threads = settings.size_list[-1], max(settings.thread_list)
+    centre, up = np.asarray(source.focus.centre), np.asarray(source.up, np.float64)
+    cameras = walk(view_of(source, *size), centre, up, settings.repetitions + 1)
+    view: Line = {"scene": source.name, "splats": len(splats), "threads": threads, "size": size_text(size)}
+    yield from shortcut_lines(view, splats, cameras, threads)
+
+
 def _growth(settings: RasterSettings) -> Iterator[Line]:
     threads = max(settings.thread_list)
     for count in GROWTH:
@@ -185,7 +218,7 @@ def _limit(settings: RasterSettings) -> Line:
     }
 
 
-def _summary(settings: RasterSettings, ratios: list[float], psnr: dict[str, list[float]], limit: Line) -> Line:
+def _checks(ratios: list[float], psnr: dict[str, list[float]]) -> list[Line]:
     checks = []
     if ratios:
         median = round(statistics.median(ratios), 3)
@@ -196,5 +229,23 @@ def _summary(settings: RasterSettings, ratios: list[float], psnr: dict[str, list
             checks.append(
                 check(f"PSNR of {level} against the reference, worst view", f">= {least:.0f} dB", worst, worst >= least)
             )
-    figures = {"repetitions": settings.repetitions, "warm_up": settings.warm_up}
-    return summary("raster", checks, times_over_the_limit=limit["times_over_the_limit"], **figures)
+    return checks
+
+
+def _growth_checks(growth: list[Line]) -> list[Line]:
+    """Whether the time of the most splats is at most in proportion to that of the fewest, size by size."""
+    checks = []
+    for size in dict.fromkeys(line["size"] for line in growth):
+        lines = [line for line in growth if line["size"] == size]
+        few, many = lines[0], lines[-1]
+        times, splats = round(many["ms"] / few["ms"], 2), round(many["splats"] / few["splats"], 2)
+        name = f"time at {size}, {many['splats']} / {few['splats']} splats"
+        checks.append(check(name, f"<= {splats}", times, times <= splats))
+    return checks
+
+
+def _peer_checks(ratios: list[float]) -> list[Line]:
+    name, target = "times faster than the fastest peer, worst view", f">= {LEAST_TIMES_FASTER:.0f}"
+    if not ratios:
+        return [check(name, target, "no peer is installed (pip install open3d)", False)]
+    return [check(name, target, min(ratios), min(ratios) >= LEAST_TIMES_FASTER)]

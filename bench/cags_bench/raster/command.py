@@ -19,6 +19,7 @@ EXAMPLES = """\
   cags-bench raster --shared ../shared --json
   cags-bench raster --sizes 400x300 --threads 2 --repetitions 5
   cags-bench raster --scenes procedural:size=100000 --no-growth
+  cags-bench raster --no-views --no-growth --sizes 1600x1200 --threads 2
 """
 
 
@@ -34,6 +35,11 @@ class RasterSettings:
     warm_up: int = setting(2, "frames before them that are not timed", low=0, high=100)
     reference: bool = setting(True, "whether to render the float64 reference and report errors (seconds a view)")
     growth: bool = setting(True, "whether to time 50,000 to 800,000 splats as well")
+    views: bool = setting(True, "whether to time every scene, size and number of threads at each level")
+    shortcuts: bool = setting(
+        True, "whether to walk around the scene with each shortcut, and to time loads and updates"
+    )
+    peers: bool = setting(True, "whether to time peers that are installed (Open3D: seconds a frame)")
 
     def __post_init__(self) -> None:
         check_settings(self)

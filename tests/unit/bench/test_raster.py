@@ -1,0 +1,61 @@
+"""``cags-bench raster`` end to end on a small scene, and its judgements on made-up figures."""
+
+from __future__ import annotations
+
+import pytest
+
+import cags_kernels
+from cags_bench.raster.cases import _growth_checks, _peer_checks, measure
+from cags_bench.raster.command import RasterSettings
+from cags_bench.raster.upkeep import upkeep_checks
+
+SMALL = RasterSettings(
+    shared="nowhere",
+    scenes="procedural:size=2000",
+    sizes="48x32",
+    threads="1",
+    repetitions=1,
+    warm_up=0,
+    growth=False,
+    peers=False,
+)
+
+
+@pytest.mark.skipif(not cags_kernels.native_available(), reason=cags_kernels.why_unavailable())
+def test_a_small_run_has_every_line_and_a_summary_with_checks():
+    lines = list(measure(SMALL))
+    cases = [line.get("case") for line in lines]
+    assert set(cases) == {"view", "shortcut", "upkeep", "limit", None}
+    assert [line["level"] for line in lines if line.get("case") == "view"] == ["balanced", "fast", "exact"]
+    shortcuts = {line["shortcut"]: line for line in lines if line.get("case") == "shortcut"}
+    assert shortcuts["none"]["psnr_db"] > shortcuts["half resolution"]["psnr_db"] > 20
+    assert shortcuts["none"]["ratio"] == 1.0
+    summary = lines[-1]
+    assert summary["summary"]
+    assert {check["name"] for check in summary["checks"]} >= {
+        "PSNR of balanced against the reference, worst view",
+        "times faster than the fastest peer, worst view",
+        "frame with harmonics of zeros / without any",
+    }
+
+
+def test_growth_is_judged_size_by_size():
+    lines = [
+        {"size": size, "splats": splats, "ms": ms}
+        for size, splats, ms in [("a", 10, 1.0), ("a", 100, 9.0), ("b", 10, 1.0), ("b", 100, 11.0)]
+    ]
+    assert [check["ok"] for check in _growth_checks(lines)] == [True, False]
+    assert _growth_checks([]) == []
+
+
+@pytest.mark.parametrize(("ratios", "ok"), [([], False), ([60.0, 49.0], False), ([51.0, 300.0], True)])
+def test_the_slowest_lead_over_a_peer_is_judged(ratios, ok):
+    (check,) = _peer_checks(ratios)
+    assert check["ok"] is ok
+    assert "no peer is installed" in str(check["value"]) or ratios
+
+
+def test_upkeep_is_judged_by_share_zeros_and_frame():
+    line = {"updated": 4000, "splats": 100_000, "load_ms": 10.0, "update_ms": 1.0, "contribution_2_threads_ms": 40.0}
+    line |= {"harmonics_of_zeros_ms": 10.3, "no_harmonics_ms": 10.0}
+    assert [check["ok"] for check in upkeep_checks(line)] == [True, True, False]
