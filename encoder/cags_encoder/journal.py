@@ -65,6 +65,8 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._folder.is_dir() and not any(self._folder.glob("*.npz")):
+            shutil.rmtree(self._folder, ignore_errors=True)  # nothing to go on with
         self._lock.close()
 
     def codebooks(self, data: bytes) -> None:

@@ -83,8 +83,9 @@ def encode(
     source = _as_source(frames)
     tell = progress or (lambda stage, done, total: None)
     with ExitStack() as stack:
-        writer = stack.enter_context(BundleWriter(out_url))
+        # First the journal, which keeps a second run off: only then may what is at the URL be touched.
         journal = stack.enter_context(Journal(resume.folder, resume.key)) if resume else None
+        writer = stack.enter_context(BundleWriter(out_url))
         try:
             manifest = _Encoding(source, settings, workers, journal, tell).run(writer)
         except (SceneError, ConfigError):  # the input must change first, and then nothing of this fits

@@ -18,6 +18,8 @@ from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.errors import BundleError, SceneError
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.cli import main
+from cags_encoder.journal import Journal
+from cags_encoder.pipeline import Resume
 from support.bundle_bytes import files_of
 from support.codec_scenes import cloud
 from support.processes import free_port
@@ -50,6 +52,15 @@ def check_store(url: str, folder: Path) -> None:
 
 def test_memory(tmp_path: Path) -> None:
     check_store(f"memory://{uuid4().hex}/clip", tmp_path / "clip")
+
+
+def test_a_second_run_touches_nothing_of_the_first(tmp_path: Path) -> None:
+    url, resume = f"memory://{uuid4().hex}/clip", Resume(tmp_path / "records", "key")
+    encode([cloud(100)], FAST, url)
+    before = files_at(url)
+    with Journal(resume.folder, resume.key), pytest.raises(BundleError, match="another process"):
+        encode([cloud(100, 1)], FAST, url, resume=resume)
+    assert files_at(url) == before
 
 
 def test_a_scheme_that_nobody_knows_is_named() -> None:

@@ -56,11 +56,19 @@ def test_a_damaged_record_is_none(tmp_path: Path, cut: int) -> None:
 
 
 def test_one_process_at_a_time(tmp_path: Path) -> None:
-    with Journal(tmp_path, "key"), pytest.raises(BundleError, match="another process encodes this bundle"):
-        Journal(tmp_path, "key")
+    with Journal(tmp_path, "key") as journal:
+        journal.add(0, RECORD)
+        with pytest.raises(BundleError, match="another process encodes this bundle"):
+            Journal(tmp_path, "key")
     with Journal(tmp_path, "key") as journal:
         journal.discard()
     assert not tmp_path.exists()
+
+
+def test_a_journal_without_records_leaves_nothing(tmp_path: Path) -> None:
+    with Journal(tmp_path / "journal", "key") as journal:
+        journal.write_note("order", [1])
+    assert not (tmp_path / "journal").exists()
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
