@@ -13,11 +13,15 @@ from typing import Any
 
 import pytest
 
+from cags_bench.demo.run import NATIVE, link_trace
+from cags_bench.demo.settings import DemoSettings
 from cags_bench.jsonl import check, dump, summary
 from support.browser import ARTEFACTS, chromium, keep_screenshot, require_browser
 from support.live_stack import live_stack
 
-SCENE = "procedural:size=60000,frames=60"
+SCENE = NATIVE.scene
+"""The demo's: the link is the demo's too, slow enough that every frame is restored."""
+
 WIDTH, HEIGHT = 800, 600
 WATCHED_S = 10.0
 DRAGS = 4
@@ -41,7 +45,9 @@ def drag(running: Any) -> None:
 def test_frames_a_second_and_drag_to_photon_are_recorded(tmp_path: Path) -> None:
     require_browser()
     profile = tmp_path / "profile"
-    with live_stack(SCENE, tmp_path, width=WIDTH, height=HEIGHT, delay_ms=20.0) as url, chromium(profile) as running:
+    link, more = link_trace(DemoSettings()), ("--exactness", "fast", "--restore", "affine")
+    stack = live_stack(SCENE, tmp_path, width=WIDTH, height=HEIGHT, delay_ms=20.0, trace=link, more=more)
+    with stack as url, chromium(profile) as running:
         running.get(url)
         deadline = time.monotonic() + 60
         while measured(running)["frames"] < 30:

@@ -60,6 +60,7 @@ export class Panel {
     for (const name of ["restorer", "exactness"]) if (document.activeElement !== $(name)) $(name).value = state[name];
     if (document.activeElement !== $("rate")) $("rate").value = String(state.rate);
     if (!state.held && this.rig !== "walk") this.setRig("walk");
+    if (state.held && this.rig === "walk") this.setRig("orbit");
   }
 
   shaper(message) {
