@@ -32,12 +32,13 @@ METHODS: dict[str, Method] = {
     ),
     "sr-align-ref": Method(
         "SR align ref.",
-        "the aligned reference alone; bilinear upsampling stands in for the trained super-resolution network",
+        "the aligned reference alone; bilinear upsampling stands in for the trained super-resolution network: ours, "
+        "trained briefly, has not converged, and a half-trained rival would flatter",
         client={"restore": "reference", "adapt": "none"},
     ),
     "cr-no-ref": Method(
         "CR w/o ref.",
-        "the distorted picture without any reference; its restoration network is left out where no weights are shipped",
+        "the distorted picture without a reference; its restoration network, trained briefly here, adds nothing",
         client={"restore": "none", "adapt": "none"},
     ),
     "lts-f": Method(
