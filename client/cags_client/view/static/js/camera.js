@@ -1,5 +1,6 @@
 // Where the visitor is. Poses are T_world_camera with +X right, +Y down, +Z forward; quaternions are wxyz.
 
+const TAP_S = 1 / 60;
 const add = (a, b, s = 1) => [a[0] + b[0] * s, a[1] + b[1] * s, a[2] + b[2] * s];
 const sub = (a, b) => add(a, b, -1);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -138,9 +139,19 @@ export class Gestures {
     if (!down) this.#keys.delete(event.code);
     else if (!event.ctrlKey && !event.metaKey && !event.altKey) {
       if (!this.#keys.size) this.#step(event.timeStamp);
+      if (!this.#keys.has(event.code)) {
+        this.#press(event.code, TAP_S); // a tap may be over before the next refresh of the screen
+        this.moved(event.timeStamp);
+      }
       this.#keys.add(event.code);
     } else return false;
     return true;
+  }
+
+  #press(code, seconds) {
+    if (code in MOVES) this.camera.move(...MOVES[code].map((m) => m * FLY_PER_S * seconds));
+    if (code in TURNS) this.#turn(...TURNS[code].map((t) => t * TURN_PER_S * seconds));
+    if (code in ZOOMS) this.camera.dolly(Math.exp(-ZOOMS[code] * seconds * 1.5));
   }
 
   #step(from) {
@@ -148,11 +159,7 @@ export class Gestures {
     requestAnimationFrame((now) => {
       if (!this.#keys.size) return;
       const seconds = clamp((now - this.#last) / 1000, 0.004, 0.1);
-      for (const code of this.#keys) {
-        if (code in MOVES) this.camera.move(...MOVES[code].map((m) => m * FLY_PER_S * seconds));
-        if (code in TURNS) this.#turn(...TURNS[code].map((t) => t * TURN_PER_S * seconds));
-        if (code in ZOOMS) this.camera.dolly(Math.exp(-ZOOMS[code] * seconds * 1.5));
-      }
+      for (const code of this.#keys) this.#press(code, seconds);
       this.moved(now);
       this.#step(now);
     });
