@@ -27,8 +27,8 @@ class ServerSettings:
     reference_every: int = setting(
         1, "media frames for one reference picture; more save rendering and cost quality", low=1, high=30
     )
-    reference_width: int = setting(400, "width of reference pictures, pixels, even", low=16, high=4096)
-    reference_height: int = setting(300, "height of reference pictures, pixels, even", low=16, high=4096)
+    reference_width: int = setting(400, "width of reference pictures, pixels (even for yuv420p)", low=16, high=4096)
+    reference_height: int = setting(300, "height of reference pictures, pixels (even for yuv420p)", low=16, high=4096)
     reference_crf: float = setting(20.0, "H.264 quality of reference pictures, lower is better", low=0.0, high=51.0)
     reference_chroma: str = setting("yuv444p", "colour sampling of references", choices=("yuv420p", "yuv444p"))
     reference_kbps: int | None = setting(

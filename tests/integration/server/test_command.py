@@ -24,7 +24,7 @@ def run(*flags: str) -> subprocess.CompletedProcess[str]:
         (("--bundle", "x", "--fov", "fisheye"), 2, "fov = 'fisheye' is unknown"),
         (("--bundle", "x", "--port", "99999"), 2, "port = 99999 must lie in"),
         (("--bundle", "x", "--tls-cert", "cert.pem"), 2, "belong together"),
-        (("--bundle", "x", "--reference-width", "401"), 2, "must be even"),
+        (("--bundle", "x", "--reference-width", "401", "--reference-chroma", "yuv420p"), 2, "must be even"),
     ],
 )
 def test_wrong_use_is_one_line(flags: tuple[str, ...], code: int, words: str) -> None:

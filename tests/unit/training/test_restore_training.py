@@ -1,5 +1,6 @@
 """Training of restorers: data that may be augmented, a loss that does not die, training that resumes where it was."""
 
+import math
 from dataclasses import fields, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from cags_training.restore.checkpoint import Checkpoint  # noqa: E402
 from cags_training.restore.dataset import draw_batch, plain_batch  # noqa: E402
 from cags_training.restore.report import write_report  # noqa: E402
 from cags_training.restore.settings import TrainSettings  # noqa: E402
-from cags_training.restore.tasks import NETWORKS, covered_psnr, loss  # noqa: E402
+from cags_training.restore.tasks import NETWORKS, REGRET, covered_psnr, loss  # noqa: E402
 from cags_training.restore.trainer import Trainer  # noqa: E402
 
 SIDE = 32
@@ -119,7 +120,8 @@ def test_a_loss_against_the_distorted_picture_counts_more_than_a_gain():
     truth, covered = torch.zeros(1, 4, 4, 3), torch.ones(1, 4, 4)
     better, worse, distorted = (torch.full((1, 4, 4, 3), value) for value in (0.1, 0.3, 0.2))
     assert loss(better, truth, covered, distorted) == loss(better, truth, covered)
-    assert loss(worse, truth, covered, distorted) > loss(worse, truth, covered) + 1
+    regretted = loss(worse, truth, covered, distorted) - loss(worse, truth, covered)
+    assert regretted.item() == pytest.approx(REGRET * math.log(0.09 / 0.04), rel=1e-4)
 
 
 def test_an_untrained_lite_shows_the_closed_form():
