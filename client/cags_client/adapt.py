@@ -7,7 +7,7 @@ the client's own splats, seen from the reference's pose, is carried back onto th
 
 with compositing weights w and the difference e divided by the pixel's alpha. Nothing is warped, so occlusion and
 transparency come out right, and many references add up. Only what stands above the reference's own noise is taken
-(:func:`~cags_client.restore.affine.correction_fields`), else the splats would learn H.264's errors.
+(:func:`~cags_client.restore.affine.corrected_there`), else the splats would learn H.264's errors.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_client.align import ReferencePicture
-from cags_client.restore.affine import AffineSettings, correction_fields
+from cags_client.restore.affine import AffineSettings, corrected_there
 from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
 from cags_common.splats import SH_C0, Splats
 
@@ -74,8 +74,8 @@ class SirtAdapter:
     ) -> AdapterStep:
         """What :meth:`apply` would change. Reads the scene beside renders of it, but not beside its updates."""
         shown = np.clip(own.rgb, 0.0, 1.0)
-        fields = correction_fields(shown, reference, self._settings)
-        error = (shown * fields[..., :1] + fields[..., 1:]) / np.maximum(own.alpha, np.float32(LEAST_ALPHA))[..., None]
+        change = corrected_there(shown, reference, self._settings) - shown
+        error = change / np.maximum(own.alpha, np.float32(LEAST_ALPHA))[..., None]
         if not np.abs(error).max() > LEAST_ERROR:
             return AdapterStep(np.zeros(0, np.intp), np.zeros((0, 3), np.float32))
         back = scene.back_project(reference.camera, error.astype(np.float32, copy=False), options)

@@ -101,6 +101,11 @@ class Reprojection:
         """Every how many pixels and rows the client's view is sampled for what hides what: twice a reference pixel."""
         return max(1, int(min(self.cell_px) / 2))
 
+    @property
+    def block_px(self) -> int:
+        """Side of the blocks of the client's view that are about as large as a reference pixel."""
+        return max(1, int(min(self.cell_px) + 0.5))
+
     @cached_property
     def projected(self) -> tuple[F32, F32, F32, NDArray[np.bool_]]:
         """x, y, z [H, W] in the reference, 0 where the pixel is not in it, and where it is."""

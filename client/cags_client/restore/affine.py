@@ -13,12 +13,18 @@ That difference is what is brought to the client's view. In the reference's view
 
 Both fields are sampled through the alignment:
 
-    restored = distorted + confidence * ((gain - 1) * (distorted - own) + correction)
+    restored = distorted + weight * confidence * ((gain - 1) * (distorted - own) + correction)
+
+The weight says how well the alignment fits. Sampled through it, the client's own view should look like the client's
+picture, block by block; where it does not (a wrong depth, half-transparent layers, something hidden, a grazing view),
+the difference lands in the wrong place just as well. Blocks that disagree by much more than the correction is worth
+(:func:`registration`) keep the distorted picture. Splats of few bits need large corrections, which stay.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -32,12 +38,18 @@ from cags_common.geometry import F32
 from cags_common.settings import check_settings, setting
 from cags_common.video.noise import VOID_POWER, YCC_OF_RGB
 
+if TYPE_CHECKING:
+    from cags_kernels.align import CorrectParameters
+
 EVIDENCE_ROWS = 4
 EVIDENCE_MARGIN = 1.05
 """A picture whose errors have no more than this times the power of coding noise holds no evidence of its own."""
 
 NOISE_FLOOR = 2e-6
 """Variance of rounding to 8 bits, in the reference and in what it is compared with."""
+
+LEAST_POWER = 1e-12
+"""Of a correction, where there is none."""
 
 RGB_OF_YCC = np.linalg.inv(YCC_OF_RGB.astype(np.float64)).astype(np.float32)
 
@@ -49,6 +61,12 @@ class AffineSettings:
     threads: int = setting(2, "threads of a restoration", low=1, high=64)
     radius_cells: int = setting(2, "radius of the local fit, in reference pixels", low=1, high=32)
     gain_prior: float = setting(2e-3, "variance that pulls the detail's gain to 1", low=0, high=1)
+    misregistration: float = setting(
+        0.1,
+        "weight of what the alignment gets wrong against what the correction is worth; 0 does not look",
+        low=0,
+        high=10,
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -72,30 +90,46 @@ class AffineRestorer:
         fields = correction_fields(np.clip(own, 0.0, 1.0), inputs.reference, self._settings)
         sampled = sample(fields, aligned.x, aligned.y)
         change = inputs.distorted * sampled[..., :1] + sampled[..., 1:]
-        change *= aligned.confidence[..., None]
+        weight = registration(inputs, np.clip(own, 0.0, 1.0), fields, self._settings.misregistration)
+        change *= (aligned.confidence * weight)[..., None]
         change += inputs.distorted
         return np.clip(change, 0.0, 1.0, out=change)
 
     def _by_kernels(self, inputs: RestoreInput, own: F32) -> F32:
         from cags_kernels import align as kernels
 
-        s, aligned = self._settings, inputs.aligned
-        parameters = kernels.CorrectParameters(
-            radius_cells=s.radius_cells,
-            gain_prior=s.gain_prior,
-            fine_noise=inputs.reference.noise.fine,
-            broad_noise=inputs.reference.noise.broad,
-            threads=s.threads,
-        )
+        aligned = inputs.aligned
+        parameters = replace(_parameters(self._settings, inputs.reference), block_px=aligned.geometry.block_px)
         view = kernels.Reprojection(aligned.geometry.depth, *aligned.geometry.matrix)
-        return kernels.correct(
-            own,
-            inputs.reference.rgb,
-            view,
-            parameters,
-            distorted=inputs.distorted,
-            confidence=aligned.confidence,
-        )
+        pictures = {"distorted": inputs.distorted, "confidence": aligned.confidence}
+        return kernels.correct(own, inputs.reference.rgb, view, parameters, **pictures)
+
+
+def corrected_there(own: F32, reference: ReferencePicture, settings: AffineSettings) -> F32:
+    """``own`` [h, w, 3] in [0, 1], the client's splats seen from the reference, corrected without leaving that view."""
+    if not cags_kernels.native_available():
+        fields = correction_fields(own, reference, settings)
+        return np.clip(own + (own * fields[..., :1] + fields[..., 1:]), 0.0, 1.0)
+    from cags_kernels import align as kernels
+
+    ones = np.ones(own.shape[:2], np.float32)
+    parameters = _parameters(replace(settings, misregistration=0.0), reference)
+    view = kernels.Reprojection(ones, np.eye(3), np.zeros(3))
+    return kernels.correct(own, reference.rgb, view, parameters, distorted=own, confidence=ones)
+
+
+def _parameters(settings: AffineSettings, reference: ReferencePicture) -> CorrectParameters:
+    from cags_kernels import align as kernels
+
+    return kernels.CorrectParameters(
+        radius_cells=settings.radius_cells,
+        gain_prior=settings.gain_prior,
+        fine_noise=reference.noise.fine,
+        broad_noise=reference.noise.broad,
+        block_px=1,
+        misregistration=settings.misregistration,
+        threads=settings.threads,
+    )
 
 
 def _averaged(inputs: RestoreInput) -> F32:
@@ -147,6 +181,33 @@ def correction_fields(own: F32, reference: ReferencePicture, settings: AffineSet
     correction += trust_fine * _wiener(power - broad_power, noise) * (difference - broad)
     factor = ((gain - 1) * _wiener(power[..., 0], noise[..., 0]) * trust_fine[0])[..., None]
     return np.concatenate([factor, correction @ RGB_OF_YCC.T - factor * own], axis=2).astype(np.float32, copy=False)
+
+
+def registration(inputs: RestoreInput, own: F32, fields: F32, misregistration: float) -> F32:
+    """Weight [H, W] of the correction by ``fields`` [h, w, 4], from ``own`` [h, w, 3] against the distorted picture.
+
+    P / (P + misregistration * e): P is the mean power of the correction, e that of the local disagreement, which is
+    averaged over 3 x 3 blocks before it is squared, so that detail that the reference cannot hold does not count.
+    """
+    aligned, block = inputs.aligned, inputs.aligned.geometry.block_px
+    height, width = aligned.confidence.shape
+    rows, columns = height // block, width // block
+    if not (rows and columns and misregistration):
+        return np.ones((height, width), np.float32)
+    central = slice(block // 2, None, block)
+    x, y, c = (a[central, central][:rows, :columns] for a in (aligned.x, aligned.y, aligned.confidence))
+    shape = (rows, block, columns, block, 3)
+    mean = inputs.distorted[: rows * block, : columns * block].reshape(shape).mean(axis=(1, 3))
+    there, field = sample(own, x, y), sample(fields, x, y)
+    power = np.square(c[..., None] * (mean * field[..., :1] + field[..., 1:])).sum(axis=2)
+    seen = (c > 0) & (np.square(mean).sum(axis=2) + np.square(there).sum(axis=2) > VOID_POWER)
+    worth = np.float32(max(power[seen].mean(dtype=np.float64) if seen.any() else 0.0, LEAST_POWER))
+    away = np.asarray(c[..., None] * (mean - there), np.float32)
+    wrong = np.square(cv2.blur(away, (3, 3), borderType=cv2.BORDER_REPLICATE)).reshape(*c.shape, 3).sum(axis=2)
+    weight = worth / (worth + np.float32(misregistration) * wrong)
+    across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(block)
+    down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(block)
+    return sample(weight[..., None], *np.meshgrid(across, down))[..., 0]
 
 
 def _trust(power: F32, noise: F32, shown: NDArray[np.bool_]) -> F32:

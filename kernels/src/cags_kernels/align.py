@@ -53,6 +53,8 @@ class _CorrectInput(ctypes.Structure):
         *((name, _float * 3) for name in ("fine_noise", "broad_noise")),
         ("distorted", _Pointer),
         ("confidence", _Pointer),
+        ("block_px", _int32),
+        ("misregistration", _float),
         ("threads", _int32),
     ]
 
@@ -109,6 +111,8 @@ class CorrectParameters:
     fine_noise: tuple[float, float, float]
     broad_noise: tuple[float, float, float]
     """See ``cags_common.video.noise.CodingNoise``."""
+    block_px: int
+    misregistration: float
     threads: int
 
 
@@ -161,7 +165,7 @@ def correct(
         _reprojection(view, depth, reference),
         *(_address(own), _address(reference), p.radius_cells),
         *(p.gain_prior, (_float * 3)(*p.fine_noise), (_float * 3)(*p.broad_noise)),
-        *(_address(distorted), _address(confidence), p.threads),
+        *(_address(distorted), _address(confidence), p.block_px, p.misregistration, p.threads),
     )
     restored = _buffers.empty((height, width, 3))
     check(library().cags_correct(ctypes.byref(given), _address(restored)), "correct")

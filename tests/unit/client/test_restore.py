@@ -10,7 +10,7 @@ import cags_kernels
 from cags_client import restore
 from cags_client.align import Aligned, ReferencePicture, create
 from cags_client.restore import RESTORERS, RestoreInput
-from cags_client.restore.affine import AffineRestorer, AffineSettings, average_down
+from cags_client.restore.affine import AffineRestorer, AffineSettings, average_down, corrected_there
 from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.metrics import MAX_PSNR_DB, psnr
@@ -153,3 +153,63 @@ def test_an_unknown_restorer_is_named() -> None:
     with pytest.raises(ConfigError, match="'magic' is unknown; known: none"):
         restore.create("magic")
     assert math.isfinite(AffineSettings().gain_prior)
+
+
+def slanted(truth: np.ndarray, distorted: np.ndarray, *, bend: float) -> RestoreInput:
+    """The same pictures under a reference a step to the side; with ``bend`` a ripple of wrong depth."""
+    given = inputs(truth, distorted)
+    camera = Camera(SMALL, Pose((0.4, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+    ripple = np.sin(np.arange(160, dtype=np.float32) / 5)[None] * np.float32(bend)
+    depth = (np.full((120, 160), 2.0, np.float32) * (1 + ripple)).astype(np.float32)
+    reference = ReferencePicture(given.reference.rgb, camera, 0)
+    return RestoreInput(distorted, given.alpha, create("auto").align(reference, depth, CAMERA), reference, given.own)
+
+
+@pytest.mark.parametrize("sigma", [3, 6])
+def test_splats_that_are_nearly_right_are_not_harmed_by_a_wrong_alignment(affine: AffineRestorer, sigma: int) -> None:
+    truth = smooth(120, 160, sigma)
+    distorted = np.clip(truth + 0.2 * (smooth(120, 160, 8, seed=1) - 0.5), 0, 1).astype(np.float32)
+    given = slanted(truth, distorted, bend=0.3)
+    trusting = AffineRestorer(AffineSettings(misregistration=0.0)).restore(given).copy()
+    assert psnr(trusting, truth) < psnr(distorted, truth) - 0.3
+    assert psnr(affine.restore(given), truth) > psnr(distorted, truth) - 0.1
+
+
+def test_large_corrections_outweigh_a_wrong_alignment(affine: AffineRestorer) -> None:
+    truth = smooth(120, 160, 6)
+    distorted = np.clip(truth + np.array([0.2, -0.1, 0.1], np.float32), 0, 1)
+    given = slanted(truth, distorted, bend=0.3)
+    assert psnr(affine.restore(given), truth) > psnr(distorted, truth) + 3
+
+
+@pytest.mark.parametrize("size", [(120, 160), (61, 83), (3, 5)])
+def test_kernels_and_numpy_agree_on_what_the_alignment_gets_wrong(
+    monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
+) -> None:
+    if not cags_kernels.native_available():
+        pytest.skip(cags_kernels.why_unavailable())
+    height, width = size
+    camera = Camera(Intrinsics.of_fov(width, height, 1.0, 0.8), Pose((0.1, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+    depth = (1.5 + smooth(height, width, 4)[..., 0]).astype(np.float32)
+    depth[: height // 4, : width // 3] = np.inf
+    given = inputs(smooth(120, 160, 3), smooth(120, 160, 3, seed=1))
+    aligned = create("fast").align(given.reference, depth, camera)
+    alpha = np.ones(size, np.float32)
+    case = RestoreInput(smooth(height, width, 2, seed=2), alpha, aligned, given.reference, given.own)
+    native = AffineRestorer().restore(case).copy()
+    monkeypatch.setattr(cags_kernels, "native_available", lambda: False)
+    np.testing.assert_allclose(native, AffineRestorer().restore(case), atol=2e-4)
+
+
+def test_the_correction_in_the_references_own_view_is_the_same_by_kernels_and_numpy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if not cags_kernels.native_available():
+        pytest.skip(cags_kernels.why_unavailable())
+    given = inputs(smooth(120, 160, 3), smooth(120, 160, 3, seed=1))
+    assert given.own is not None
+    native = corrected_there(given.own.rgb, given.reference, AffineSettings()).copy()
+    assert np.abs(native - given.own.rgb).max() > 0.1
+    monkeypatch.setattr(cags_kernels, "native_available", lambda: False)
+    numpy = corrected_there(given.own.rgb, given.reference, AffineSettings())
+    np.testing.assert_allclose(native, numpy, atol=2e-4)

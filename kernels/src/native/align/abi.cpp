@@ -17,6 +17,7 @@ namespace {
 
 constexpr int kMaxSide = 16384;  // pixels
 constexpr int kMaxRadius = 64;
+constexpr double kLeastPower = 1e-12;                // of a correction, where there is none
 constexpr int kRowsAPiece = 16;
 constexpr int kEvidenceRows = 4;                     // every fourth row is looked at
 constexpr double kEvidenceMargin = 1.05;             // see cags_client.restore.affine
@@ -33,7 +34,7 @@ const Stages& stages() {
 
 // Memory of one call, kept for the next one: fresh pages cost more than the work on them.
 struct Scratch {
-  AlignedArray<float> nearest_depth, reference, sums, fields, lines;
+  AlignedArray<float> nearest_depth, reference, sums, fields, lines, disagreement, power, weight;
   AlignedArray<uint8_t> clean, shared;
   AlignedArray<Nearest> nearest;
 };
@@ -174,6 +175,26 @@ float trust_of(double power, double noise) {
   return static_cast<float>(std::clamp(2.0 * (power / std::max(noise, 1e-12) / kEvidenceMargin - 1.0), 0.0, 1.0));
 }
 
+// Weighs the correction by how well the client's own two views agree through the alignment. No blocks: all of it counts.
+Blocks registration(const CagsCorrectInput& in, const Padded& fields, Scratch& scratch, int threads) {
+  const int size = in.block_px;
+  Blocks blocks{size, in.view.width / size, in.view.height / size, nullptr, nullptr, nullptr};
+  const size_t count = size_t(blocks.width) * blocks.height;
+  if (count == 0 || in.misregistration == 0) return Blocks{};
+  blocks.disagreement = scratch.disagreement.reserve(3 * count);
+  blocks.power = scratch.power.reserve(count);
+  blocks.weight = scratch.weight.reserve(count);
+  for_rows(threads, blocks.height, [&](int row, int) { stages().compare(in, fields, row, blocks); });
+  double sum = 0;
+  int64_t seen = 0;
+  for (size_t i = 0; i < count; i++) {  // in one thread, so that the sum does not depend on their number
+    if (blocks.power[i] >= 0) sum += blocks.power[i], seen++;
+  }
+  const float power = static_cast<float>(std::max(sum / static_cast<double>(std::max<int64_t>(seen, 1)), kLeastPower));
+  for_rows(threads, blocks.height, [&](int row, int) { stages().settle(in, row, power, blocks); });
+  return blocks;
+}
+
 void correct(const CagsCorrectInput& in, float* restored) {
   ScratchLease scratch;
   const int w = in.view.reference_width, h = in.view.reference_height, threads = std::min(in.threads, kMaxThreads);
@@ -192,7 +213,8 @@ void correct(const CagsCorrectInput& in, float* restored) {
   for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, trust, fields); });
   std::copy_n(fields.data + stride, stride, fields.data);
   std::copy_n(fields.data + stride * h, stride, fields.data + stride * (h + 1));
-  for_rows(threads, in.view.height, [&](int row, int) { stages().correct(in, fields, row, restored); });
+  const Blocks blocks = registration(in, fields, *scratch.operator->(), threads);
+  for_rows(threads, in.view.height, [&](int row, int) { stages().correct(in, fields, blocks, row, restored); });
 }
 
 // Reference minus the client's own splats, with a border.
@@ -256,7 +278,10 @@ int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output) {
 int32_t cags_correct(const CagsCorrectInput* input, float* restored) {
   using namespace cags::align;
   const CagsCorrectInput& in = *input;
-  if (!valid(in.view) || in.threads < 1 || in.radius_cells < 1 || in.radius_cells > kMaxRadius) return CAGS_INVALID;
+  if (!valid(in.view) || in.threads < 1 || in.radius_cells < 1 || in.radius_cells > kMaxRadius || in.block_px < 1 ||
+      !(in.misregistration >= 0)) {
+    return CAGS_INVALID;
+  }
   return guarded([&] { correct(in, restored); });
 }
 

@@ -33,6 +33,8 @@ struct CagsCorrectInput {
   float fine_noise[3], broad_noise[3];  // luma and chromas, see cags_common.video.noise
   const float* distorted;   // [height, width, 3]
   const float* confidence;  // [height, width]
+  int32_t block_px;         // side of the client's blocks that are compared with `own`
+  float misregistration;    // weight of what they disagree by against the correction; 0: not looked at
   int32_t threads;
 };
 

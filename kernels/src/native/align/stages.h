@@ -19,6 +19,7 @@ constexpr int kMomentLanes = 16;
 constexpr float kNoiseFloor = 2e-6f;  // variance of rounding to 8 bits
 constexpr int kCellLanes = 9;    // distorted, evidence, change
 constexpr int kBlockLanes = 39;  // four cells, confidence, size of the change, the frame's
+constexpr float kVoidPower = 1e-4f;   // what has no more is void
 
 // Depth bits above, pixel index below: the minimum is the nearest pixel and, of equally near ones, the first.
 using Nearest = uint64_t;
@@ -36,6 +37,14 @@ struct Evidence {
   int64_t shown;  // pixels that are not void in both
 };
 
+// The client's picture in blocks of about a reference pixel: what alignment gets wrong, against what it is to bring.
+struct Blocks {
+  int size, width, height;  // client pixels a side; blocks
+  float* disagreement;      // [height, width, 3]: the picture less the client's own view through the alignment
+  float* power;             // [height, width]: of the correction; below 0 where there is nothing to compare
+  float* weight;            // [height, width]: of the correction
+};
+
 struct Stages {
   // One row: the nearest pixel of each cell that it touches.
   void (*nearest)(const CagsAlignInput&, int row, Nearest* cells);
@@ -50,8 +59,12 @@ struct Stages {
   void (*weigh)(const CagsCorrectInput&, int row, const float* sums, Evidence& evidence);
   // One row of the reference: factor and offset of the correction; `trust` [6] scales luma and chromas, fine and broad.
   void (*fit)(const CagsCorrectInput&, int row, const float* sums, const float* trust, const Padded& fields);
-  // One row of the client's picture: distorted + confidence (factor distorted + offset), clipped.
-  void (*correct)(const CagsCorrectInput&, const Padded& fields, int row, float* restored);
+  // One row of blocks: disagreement and power.
+  void (*compare)(const CagsCorrectInput&, const Padded& fields, int row, const Blocks& blocks);
+  // One row of blocks: weights, given the mean power of the correction.
+  void (*settle)(const CagsCorrectInput&, int row, float power, const Blocks& blocks);
+  // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.
+  void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* restored);
   // One row of blocks of half-resolution cells: what a network sees.
   void (*features)(const CagsFeaturesInput&, const Padded& evidence, int row, float* out);
   // One row of the client's picture plus the change brought up to it; `line` [change_width * 6] is scratch.

@@ -11,6 +11,8 @@ namespace {
 typedef float Four __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float Eight __attribute__((vector_size(32), aligned(4), may_alias));
 
+inline float clipped(float value) { return std::min(std::max(value, 0.0f), 1.0f); }
+
 // Where the four taps of a continuous pixel (centres at + 0.5; x in [0, width], y in [0, height]) begin, and their weights.
 struct Taps {
   Taps(const Padded& image, float x, float y, int lanes) : stride((image.width + 2) * lanes) {

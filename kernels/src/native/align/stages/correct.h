@@ -1,138 +1,88 @@
-// The local fit of the reference on the client's own view, and the correction that it gives.
+// The correction, brought to the client's view and weighed by how well the alignment fits there.
 #pragma once
 #include "align/stages/bilinear.h"
 #include "align/stages/projection.h"
 
-#include <cmath>
-
 namespace cags::align {
 namespace {
 
-// Lanes of a moment, in luma and chromas: own, reference, own squared, product of the lumas, squared difference.
-constexpr int kOwn = 0, kReference = 3, kOwnSquared = 6, kProduct = 9, kDifference = 10;
-
-inline float clipped(float value) { return std::min(std::max(value, 0.0f), 1.0f); }
-
-// BT.709 luma and chromas of display-referred RGB, and back.
-inline void to_ycc(const float* rgb, float* ycc) {
-  ycc[0] = 0.2126f * rgb[0] + 0.7152f * rgb[1] + 0.0722f * rgb[2];
-  ycc[1] = -0.114572f * rgb[0] - 0.385428f * rgb[1] + 0.5f * rgb[2];
-  ycc[2] = 0.5f * rgb[0] - 0.454153f * rgb[1] - 0.045847f * rgb[2];
-}
-inline void to_rgb(const float* ycc, float* rgb) {
-  rgb[0] = ycc[0] + 1.5748f * ycc[2];
-  rgb[1] = ycc[0] - 0.1873243f * ycc[1] - 0.4681243f * ycc[2];
-  rgb[2] = ycc[0] + 1.8556f * ycc[1];
-}
-
-inline void moment_of(const float* own, const float* reference, float* out) {
-  const float rgb[3] = {clipped(own[0]), clipped(own[1]), clipped(own[2])};
-  to_ycc(rgb, out + kOwn);
-  to_ycc(reference, out + kReference);
-  out[kProduct] = out[kOwn] * out[kReference];
+// Bilinear sample of three lanes without a border, clipped to [0, 1] before it is mixed.
+inline void sample_own(const CagsCorrectInput& in, float x, float y, float* out) {
+  const int w = in.view.reference_width, h = in.view.reference_height;
+  const float px = std::clamp(x - 0.5f, 0.0f, static_cast<float>(w - 1));
+  const float py = std::clamp(y - 0.5f, 0.0f, static_cast<float>(h - 1));
+  const int left = static_cast<int>(px), top = static_cast<int>(py);
+  const int right = std::min(left + 1, w - 1), bottom = std::min(top + 1, h - 1);
+  const float ax = px - static_cast<float>(left), ay = py - static_cast<float>(top);
+  const auto tap = [&](int row, int column, int c) { return clipped(in.own[(int64_t{row} * w + column) * 3 + c]); };
   for (int c = 0; c < 3; c++) {
-    const float o = out[kOwn + c], difference = out[kReference + c] - o;
-    out[kOwnSquared + c] = o * o;
-    out[kDifference + c] = difference * difference;
+    const float a = tap(top, left, c) * (1 - ax) + tap(top, right, c) * ax;
+    const float b = tap(bottom, left, c) * (1 - ax) + tap(bottom, right, c) * ax;
+    out[c] = a * (1 - ay) + b * ay;
   }
-  out[13] = out[14] = out[15] = 0.0f;
 }
 
-void moments(const CagsCorrectInput& in, int row, float* line, float* sums) {
-  const int w = in.view.reference_width, r = in.radius_cells;
-  const int64_t start = int64_t{row} * w * 3;
-  float* centre = line + r * kMomentLanes;
-  for (int i = 0; i < w; i++) moment_of(in.own + start + 3 * i, in.reference + start + 3 * i, centre + i * kMomentLanes);
-  for (int i = 1; i <= r; i++) {
-    const int beyond = w - 1 + i;
-    std::memcpy(centre - i * kMomentLanes, centre + reflected(-i, w) * kMomentLanes, kMomentLanes * sizeof(float));
-    std::memcpy(centre + beyond * kMomentLanes, centre + reflected(beyond, w) * kMomentLanes, kMomentLanes * sizeof(float));
-  }
-  float* out = sums + start / 3 * kMomentLanes;
-  for (int i = 0; i < w; i++, line += kMomentLanes, out += kMomentLanes) {
-    Eight low = eight(line), high = eight(line + 8);
-    for (int j = 1; j <= 2 * r; j++) {
-      low += eight(line + j * kMomentLanes);
-      high += eight(line + j * kMomentLanes + 8);
+inline void block_mean(const CagsCorrectInput& in, const Blocks& blocks, int row, int column, float* mean) {
+  const float share = 1.0f / static_cast<float>(blocks.size * blocks.size);
+  mean[0] = mean[1] = mean[2] = 0.0f;
+  for (int i = 0; i < blocks.size; i++) {
+    const float* pixel = in.distorted + ((int64_t{row} * blocks.size + i) * in.view.width + column * blocks.size) * 3;
+    for (int j = 0; j < blocks.size; j++, pixel += 3) {
+      for (int c = 0; c < 3; c++) mean[c] += pixel[c];
     }
-    std::memcpy(out, &low, sizeof low);
-    std::memcpy(out + 8, &high, sizeof high);
   }
+  for (int c = 0; c < 3; c++) mean[c] *= share;
 }
 
-// Means of the moments over the window around one pixel.
-inline void window_means(const CagsCorrectInput& in, const float* sums, int row, int column, float* m) {
-  const int w = in.view.reference_width, h = in.view.reference_height, r = in.radius_cells;
-  const float share = 1.0f / static_cast<float>((2 * r + 1) * (2 * r + 1));
-  Eight low = {}, high = {};
-  for (int j = -r; j <= r; j++) {
-    const float* at = sums + (int64_t{reflected(row + j, h)} * w + column) * kMomentLanes;
-    low += eight(at);
-    high += eight(at + 8);
+// One block, whose central pixel lies at (x, y) in the reference and counts by `confidence`.
+inline void compare_block(const CagsCorrectInput& in, const Padded& fields, float x, float y, float confidence,
+                          const float* mean, float* disagreement, float* power) {
+  float own[3], shown = 0.0f, sum = 0.0f;
+  sample_own(in, x, y, own);
+  const Four field = bilinear(fields, x, y);
+  for (int c = 0; c < 3; c++) {
+    const float change = confidence * (mean[c] * field[0] + field[1 + c]);
+    disagreement[c] = confidence * (mean[c] - own[c]);
+    shown += mean[c] * mean[c] + own[c] * own[c];
+    sum += change * change;
   }
-  low *= share;
-  high *= share;
-  std::memcpy(m, &low, sizeof low);
-  std::memcpy(m + 8, &high, sizeof high);
+  *power = shown > kVoidPower ? sum : -1.0f;
 }
 
-inline void noise_of(const CagsCorrectInput& in, const float* m, float* variance, float* noise) {
-  for (int c = 0; c < 3; c++) variance[c] = std::max(m[kOwnSquared + c] - m[kOwn + c] * m[kOwn + c], 0.0f);
-  for (int c = 0; c < 3; c++) noise[c] = kNoiseFloor + in.fine_noise[c] * std::sqrt(variance[c]);
-}
-
-void weigh(const CagsCorrectInput& in, int row, const float* sums, Evidence& evidence) {
-  constexpr float kVoidPower = 1e-4f;
-  for (int i = 0; i < in.view.reference_width; i++) {
-    float m[kMomentLanes], variance[3], noise[3];
-    window_means(in, sums, row, i, m);
-    noise_of(in, m, variance, noise);
-    if (m[kDifference] + 2.0f * m[kProduct] <= kVoidPower) continue;  // the sum of both pictures' powers
-    evidence.shown++;
-    for (int c = 0; c < 3; c++) {
-      const float broad = m[kReference + c] - m[kOwn + c];
-      evidence.fine[c] += m[kDifference + c] - broad * broad;
-      evidence.broad[c] += broad * broad;
-      evidence.noise[c] += noise[c];
+void compare(const CagsCorrectInput& in, const Padded& fields, int row, const Blocks& blocks) {
+  Projected p;
+  const int middle = blocks.size / 2, line = row * blocks.size + middle;
+  for (int first = 0; first < blocks.width; first += kRun) {
+    const int count = std::min(kRun, blocks.width - first);
+    project(in.view, line, first * blocks.size + middle, blocks.size, count, p);
+    for (int i = 0; i < count; i++) {
+      const int column = first + i;
+      const int64_t block = int64_t{row} * blocks.width + column;
+      const float confidence = in.confidence[int64_t{line} * in.view.width + column * blocks.size + middle];
+      float* disagreement = blocks.disagreement + 3 * block;
+      blocks.power[block] = -1.0f;
+      disagreement[0] = disagreement[1] = disagreement[2] = 0.0f;
+      if (!(confidence > 0)) continue;
+      float mean[3];
+      block_mean(in, blocks, row, column, mean);
+      compare_block(in, fields, p.x[i], p.y[i], confidence, mean, disagreement, blocks.power + block);
     }
   }
 }
 
-// Weight of a signal whose measured power holds the noise too.
-inline float wiener(float power, float noise) { return clipped(1.0f - noise / std::max(power, 1e-12f)); }
-
-inline void fit_pixel(const CagsCorrectInput& in, const float* m, const float* trust, const float* own, const float* reference,
-                      float* field) {
-  float variance[3], noise[3], o[3], r[3], correction[3], offset[3];
-  noise_of(in, m, variance, noise);
-  const float rgb[3] = {clipped(own[0]), clipped(own[1]), clipped(own[2])};
-  to_ycc(rgb, o);
-  to_ycc(reference, r);
-  for (int c = 0; c < 3; c++) {
-    const float broad = m[kReference + c] - m[kOwn + c], power = m[kDifference + c];
-    const float fine = r[c] - o[c] - broad;
-    correction[c] = trust[3 + c] * wiener(broad * broad, kNoiseFloor + in.broad_noise[c]) * broad +
-                    trust[c] * wiener(power - broad * broad, noise[c]) * fine;
+void settle(const CagsCorrectInput& in, int row, float power, const Blocks& blocks) {
+  for (int column = 0; column < blocks.width; column++) {
+    float sum[3] = {};
+    for (int i = -1; i <= 1; i++) {
+      const int y = std::clamp(row + i, 0, blocks.height - 1);
+      for (int j = -1; j <= 1; j++) {
+        const int x = std::clamp(column + j, 0, blocks.width - 1);
+        for (int c = 0; c < 3; c++) sum[c] += blocks.disagreement[(int64_t{y} * blocks.width + x) * 3 + c];
+      }
+    }
+    const float square = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) / 81.0f;
+    blocks.weight[int64_t{row} * blocks.width + column] = power / (power + in.misregistration * square);
   }
-  to_rgb(correction, offset);
-  const float covariance = m[kProduct] - m[kOwn] * m[kReference];
-  const float gain = clipped((covariance + in.gain_prior) / (variance[0] + in.gain_prior));
-  const float factor = (gain - 1.0f) * wiener(m[kDifference], noise[0]) * trust[0];
-  field[0] = factor;
-  for (int c = 0; c < 3; c++) field[1 + c] = offset[c] - factor * rgb[c];
-}
-
-void fit(const CagsCorrectInput& in, int row, const float* sums, const float* trust, const Padded& fields) {
-  const int w = in.view.reference_width;
-  float* field = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
-  for (int i = 0; i < w; i++) {
-    float m[kMomentLanes];
-    window_means(in, sums, row, i, m);
-    const int64_t pixel = (int64_t{row} * w + i) * 3;
-    fit_pixel(in, m, trust, in.own + pixel, in.reference + pixel, field + i * kFieldLanes);
-  }
-  std::memcpy(field - kFieldLanes, field, kFieldLanes * sizeof(float));
-  std::memcpy(field + w * kFieldLanes, field + (w - 1) * kFieldLanes, kFieldLanes * sizeof(float));
 }
 
 inline void correct_run(const Projected& p, int count, const Padded& fields, const float* confidence, const float* distorted,
@@ -152,13 +102,37 @@ inline void correct_run(const Projected& p, int count, const Padded& fields, con
   }
 }
 
-void correct(const CagsCorrectInput& in, const Padded& fields, int row, float* restored) {
+// Confidences of a run, times the blocks' weights between their centres.
+inline void weigh_run(const Blocks& blocks, int row, int first, int count, const float* confidence, float* out) {
+  const float inverse = 1.0f / static_cast<float>(blocks.size);
+  const float right = static_cast<float>(blocks.width - 1), bottom = static_cast<float>(blocks.height - 1);
+  const float y = std::clamp((static_cast<float>(row) + 0.5f) * inverse - 0.5f, 0.0f, bottom);
+  const int above = static_cast<int>(y), below = std::min(above + 1, blocks.height - 1);
+  const float* top = blocks.weight + int64_t{above} * blocks.width;
+  const float* low = blocks.weight + int64_t{below} * blocks.width;
+  const float ay = y - static_cast<float>(above);
+  for (int i = 0; i < count; i++) {
+    const float x = std::min(std::max((static_cast<float>(first + i) + 0.5f) * inverse - 0.5f, 0.0f), right);
+    const int a = static_cast<int>(x), b = std::min(a + 1, blocks.width - 1);
+    const float ax = x - static_cast<float>(a);
+    const float left = top[a] + (low[a] - top[a]) * ay, other = top[b] + (low[b] - top[b]) * ay;
+    out[i] = confidence[i] * (left + (other - left) * ax);
+  }
+}
+
+void correct(const CagsCorrectInput& in, const Padded& fields, const Blocks& blocks, int row, float* restored) {
   Projected p;
+  float weighed[kRun];
   for (int first = 0; first < in.view.width; first += kRun) {
     const int count = std::min(kRun, in.view.width - first);
     const int64_t start = int64_t{row} * in.view.width + first;
     project(in.view, row, first, 1, count, p);
-    correct_run(p, count, fields, in.confidence + start, in.distorted + 3 * start, restored + 3 * start);
+    const float* confidence = in.confidence + start;
+    if (blocks.width) {
+      weigh_run(blocks, row, first, count, confidence, weighed);
+      confidence = weighed;
+    }
+    correct_run(p, count, fields, confidence, in.distorted + 3 * start, restored + 3 * start);
   }
 }
 

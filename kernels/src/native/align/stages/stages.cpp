@@ -2,10 +2,11 @@
 #include "align/stages.h"
 #include "align/stages/correct.h"
 #include "align/stages/features.h"
+#include "align/stages/fit.h"
 #include "align/stages/resolve.h"
 
 namespace cags::align {
 
-extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, weigh, fit, correct, features, add};
+extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, weigh, fit, compare, settle, correct, features, add};
 
 }  // namespace cags::align
