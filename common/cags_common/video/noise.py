@@ -78,8 +78,8 @@ def _ycc(rgb: F32) -> F32:
 
 
 def _mean(image: F32) -> NDArray[np.float32]:
-    """Means over windows that lie side by side: overlapping ones say the same at five times the cost."""
-    height, width = image.shape[:2]
+    """Means over whole windows that lie side by side: overlapping ones say the same at five times the cost."""
+    height, width = (side // WINDOW_PX * WINDOW_PX or side for side in image.shape[:2])
     size = (max(width // WINDOW_PX, 1), max(height // WINDOW_PX, 1))
-    mean = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(image[:height, :width], size, interpolation=cv2.INTER_AREA)
     return np.asarray(mean, dtype=np.float32).reshape(*size[::-1], -1)

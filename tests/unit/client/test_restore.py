@@ -179,7 +179,7 @@ def test_large_corrections_outweigh_a_wrong_alignment(affine: AffineRestorer) ->
     truth = smooth(120, 160, 6)
     distorted = np.clip(truth + np.array([0.2, -0.1, 0.1], np.float32), 0, 1)
     given = slanted(truth, distorted, bend=0.3)
-    assert psnr(affine.restore(given), truth) > psnr(distorted, truth) + 3
+    assert psnr(affine.restore(given), truth) > psnr(distorted, truth) + 2.5
 
 
 @pytest.mark.parametrize("size", [(120, 160), (61, 83), (3, 5)])
