@@ -231,6 +231,7 @@ def _checks(records: list[dict[str, Any]], times: dict[str, Any], top: int, size
         value = statistics.mean(middle)
         yield check("gain where distorted is 24-29 dB, dB", ">= 2 (an object), >= 5 (a room)", value, value >= 2)
     yield check("least gain at the top, dB", ">= -0.1", min(gain(top)), min(gain(top)) >= -0.1)
+    yield check("least gain of any view at any LoD, dB", ">= -0.1", min(gain()), min(gain()) >= -0.1)
     kept = statistics.mean(gain(0, 5.0)) / max(statistics.mean(gain(0, 0.0)), 1e-6)
     yield check("gain kept at 5 degrees, base LoD", ">= 0.8", kept, kept >= 0.8)
     hidden = max(r["occluded"] for r in records if r["error_deg"] == 0)

@@ -135,6 +135,27 @@ def test_what_the_reference_cannot_see_is_occluded_and_filled_from_behind(aligne
     assert green > 0.6 > (bare.rgb[out.occluded][:, 1] > 0.6).mean()
 
 
+def test_a_thin_pole_after_a_step_of_30_cm(aligner: Aligner) -> None:
+    """A red pole of three client pixels, less than one of the reference's, 1 m away; a green wall 2 m away."""
+    depth = flat(LARGE, 2.0)
+    depth[:, 79:82] = 1.0
+    rgb = np.zeros((30, 40, 3), np.float32)
+    rgb[..., 1] = 0.8
+    in_reference = 20 + (0.5 / LARGE.fx_px + 0.3) * SMALL.fx_px
+    rgb[:, int(in_reference)] = (0.8, 0, 0)
+    reference = picture(SMALL, Pose((-0.3, 0, 0), (1, 0, 0, 0)), rgb)
+    out = aligner.align(reference, depth, Camera(LARGE, Pose.identity()))
+    behind = 80 + 0.15 * LARGE.fx_px + 0.25  # where the wall lies behind the pole for the reference
+    columns = np.nonzero(out.occluded.any(axis=0))[0]
+    assert 0 < len(columns) <= 2 * LARGE.fx_px / SMALL.fx_px + 1
+    assert np.abs(columns + 0.5 - behind).max() <= 2 * LARGE.fx_px / SMALL.fx_px
+    assert (out.confidence[15:105, 79:82] == 1).all()
+    assert (out.rgb[15:105, 80, 0] > out.rgb[15:105, 80, 1]).all()
+    assert out.rgb.min() >= 0
+    assert out.rgb.max() <= 1
+    assert np.isfinite(out.rgb).all()
+
+
 def test_erosion_does_not_depend_on_the_order_of_pixels(aligner: Aligner) -> None:
     """The mirrored scene gives the mirrored result, which last-writer-wins would not."""
     reference, depth, _ = step_scene()
