@@ -7,9 +7,13 @@ import math
 from pathlib import Path
 
 from cags_bench.bundles import default_cache
+from cags_common.bundle import BundleReader
 from cags_shaper.trace import open_trace
 
 RATE_STEP_US = 100_000
+
+PAPER_SPLATS = 170_000
+"""Splats of the paper's first frames: 2.0 MB at 66 bits and about 28 bits of position each."""
 
 
 def scaled_trace(spec: str, share: float, seconds: float) -> Path:
@@ -25,3 +29,12 @@ def scaled_trace(spec: str, share: float, seconds: float) -> Path:
     if not path.exists():
         path.write_text(text, encoding="utf-8")
     return path
+
+
+def splats_of(bundle: Path) -> int:
+    """Splats of a bundle's first frame."""
+    reader = BundleReader.open(str(bundle))
+    try:
+        return sum(tile.splats for tile in reader.frame(0).tiles)
+    finally:
+        reader.close()

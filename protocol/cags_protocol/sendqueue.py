@@ -107,9 +107,9 @@ class SendQueue:
         while self.queued_bytes > self._max_bytes or len(self._entries) > self._max_messages:
             self.drop(max(self._entries.values(), key=lambda e: (not e.started, e.rank)), "overflow")
 
-    def cancel(self, match: Callable[[Outgoing], bool]) -> None:
-        """Drop every message that ``match`` names, started or not."""
-        for entry in [e for e in self._entries.values() if match(e.outgoing)]:
+    def cancel(self, match: Callable[[Outgoing], bool], *, started: bool = True) -> None:
+        """Drop every message that ``match`` names; without ``started`` only those of which nothing was sent."""
+        for entry in [e for e in self._entries.values() if (started or not e.started) and match(e.outgoing)]:
             self.drop(entry, "cancelled")
 
     def drop(self, entry: Entry, reason: str) -> None:

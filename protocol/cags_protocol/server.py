@@ -88,10 +88,10 @@ class ServerSession(Session[ev.ServerEvent]):
         if self._trace is not None:
             self._trace.queued(now_us, outgoing, self._queue.queued_bytes)
 
-    def cancel(self, match: Callable[[ev.Outgoing], bool], *, now_us: int) -> None:
-        """Drop whatever ``match`` names and is not sent yet (after a seek, say)."""
+    def cancel(self, match: Callable[[ev.Outgoing], bool], *, now_us: int, started: bool = True) -> None:
+        """Drop whatever ``match`` names and is not sent to its end; without ``started``, not begun."""
         self._now_us = now_us
-        self._queue.cancel(match)
+        self._queue.cancel(match, started=started)
 
     def notice(self, code: str, message: str, *, now_us: int) -> None:
         """Tell the viewer something."""

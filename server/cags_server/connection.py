@@ -96,6 +96,7 @@ class Connection:
         """A job has ended well."""
         if self.streamer is not None and not self.closed:
             self._queue(self.streamer.finish(render, now_us), now_us)
+            self._cancel_superseded(self.streamer, now_us)
             self._settle(now_us)
 
     def job_failed(self, job: FrameJob) -> None:
@@ -153,6 +154,10 @@ class Connection:
         session = f"{self._library.digest}-{self.name}"
         self.session.accept(streamer.welcome(session, resumed=resumed), now_us=now_us)
         self._queue(streamer.opening(now_us), now_us)
+
+    def _cancel_superseded(self, streamer: Streamer, now_us: int) -> None:
+        """Newer versions of the same splats go instead of tiles that waited past their frame's display."""
+        self.session.cancel(lambda each: streamer.superseded(each, now_us), now_us=now_us, started=False)
 
     def _queue(self, outgoing: Iterable[ev.Outgoing], now_us: int) -> None:
         for each in outgoing:

@@ -12,17 +12,16 @@ from collections.abc import Iterable
 from cags_common.geometry import F32, Camera
 from cags_protocol import events as ev
 from cags_protocol.blobs import blob_chunks
-from cags_protocol.messages import Control, HeldTile, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.messages import Control, HeldTile, Hello, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.budget import ByteBudget
-from cags_server.clock import ClientClock
-from cags_server.fov import FovObservation, FovOptions, create_fov_policy, widened
+from cags_server.fov import create_fov_policy, widened
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.lingering import Lingering
 from cags_server.opening import Opening
 from cags_server.pace import Pace
-from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
+from cags_server.predict import create_predictor
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
 from cags_server.reference_encoder import ReferenceEncoder
@@ -30,6 +29,7 @@ from cags_server.reference_video import ReferenceVideo
 from cags_server.settings import ServerSettings
 from cags_server.tiles import BASE_PRIORITY, TileSender
 from cags_server.timeline import Timeline
+from cags_server.viewer import Viewer, fov_options
 
 BLOB_PRIORITY = 0
 """Decoders' tables: nothing can be shown without them."""
@@ -45,11 +45,6 @@ MESSAGE_OVERHEAD_BYTES = 160
 
 MAX_LEAD_STRETCH = 3.0
 """A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
-
-
-def fov_options(settings: ServerSettings) -> FovOptions:
-    """The settings that field-of-view policies take."""
-    return FovOptions(settings.fov_margin, settings.fov_quantile, settings.fov_gain)
 
 
 def check_choices(settings: ServerSettings) -> None:
@@ -74,12 +69,9 @@ class Streamer:
         self.stats = StreamStats()
         self._library, self._settings, self._hello = library, settings, hello
         self._estimator = estimator
-        self._predictor = create_predictor(settings.predictor)
-        self._fov = create_fov_policy(settings.fov, fov_options(settings))
+        self._viewer = Viewer(settings, hello)
         self._policy = create_rate_policy(settings.abr)
         self._encoder = ReferenceEncoder(settings, hello.intrinsics, library.manifest.fps)
-        self._clock = ClientClock()
-        self._history = PoseHistory()
         self._tiles = TileSender(library, opening=settings.opening_tiles)
         start = min(hello.start_frame, library.manifest.frames - 1)
         self._timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
@@ -95,7 +87,6 @@ class Streamer:
         self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
         self._blind_tick = -1  # newest frame that was sent without looking
         self._looked_tick: int | None = None  # newest frame that was looked at
-        self._unsettled: list[FrameRecord] = []
         self._started_us = now_us
 
     # ------------------------------------------------------------------------------------------------------- joining
@@ -154,7 +145,7 @@ class Streamer:
         """Take one event of the session."""
         match event:
             case ev.PosesReceived(samples, arrival_us):
-                self._on_poses(samples, arrival_us)
+                self._viewer.observe(samples, arrival_us)
             case ev.Acknowledged(sample, _):
                 self._estimator.on_ack(sample)
                 self.stats.rtt_us = sample.rtt_us
@@ -174,24 +165,9 @@ class Streamer:
             case _:
                 pass
 
-    def _on_poses(self, samples: tuple[PoseSample, ...], arrival_us: int) -> None:
-        if samples:
-            self._clock.observe(samples[-1].t_us, arrival_us)
-        for sample in samples:
-            self._history.add(sample)
-        waiting: list[FrameRecord] = []
-        for record in self._unsettled:
-            actual = self._history.pose_at(record.display_us)
-            if actual is not None:
-                record.settle(actual)
-                self._fov.truth(record.frame, record.predicted, actual, self._hello.intrinsics)
-            elif record.display_us > self._history.newest.t_us:
-                waiting.append(record)
-        self._unsettled = waiting
-
     def _on_control(self, control: Control, now_us: int) -> None:
         # Until a pose tells the time: a frame is asked for about a lead before its display.
-        self._clock.guess(control.at_us - round(self._lead_us), now_us)
+        self._viewer.clock.guess(control.at_us - round(self._lead_us), now_us)
         self._timeline = self._timeline.controlled(control)
         self._controlled = True
         self._generation += 1
@@ -224,7 +200,7 @@ class Streamer:
         """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
         if not self._controlled or self._media_frame(self._next_tick) is None:
             return None
-        due_us = self._clock.to_server(round(self._timeline.display_us(self._next_tick) - self._lead_us))
+        due_us = self._viewer.clock.to_server(round(self._timeline.display_us(self._next_tick) - self._lead_us))
         if not self._job_running:
             return due_us
         return None if self._blind_frame() is None else due_us + round(BLIND_GRACE_PERIODS * self._timeline.period_us)
@@ -276,7 +252,7 @@ class Streamer:
         worth = self._lingering.added_to(self._seen[1], frame)
         visible = self._library.visible_tiles(frame, worth, self._settings.visible_px)
         display_us = self._timeline.display_us(tick)
-        predicted = self._predict(display_us)
+        predicted = self._viewer.predict(display_us)
         plan = FramePlan(self._generation, tick, frame, 1, now_us, display_us, 0, predicted, (0.0, 0.0), False)
         record = self._record(plan)
         record.reference_late = not between
@@ -299,12 +275,8 @@ class Streamer:
 
     def _plan(self, tick: int, frame: int, now_us: int) -> FramePlan:
         display_us = self._timeline.display_us(tick)
-        if not len(self._history):
-            self._history.add(PoseSample(self._clock.to_client(now_us), self._hello.pose))
-        newest = self._history.newest
-        horizon_us = max(0, display_us - newest.t_us)
-        predicted = self._predict(display_us)
-        margins = self._fov.scale(FovObservation(frame, predicted, self._hello.intrinsics, newest.pose))
+        self._viewer.ensure_pose(now_us)
+        predicted = self._viewer.predict(display_us)
         return FramePlan(
             generation=self._generation,
             tick=tick,
@@ -312,14 +284,11 @@ class Streamer:
             ticks_covered=tick - self._next_tick + 1,
             planned_us=now_us,
             display_us=display_us,
-            horizon_us=horizon_us,
+            horizon_us=self._viewer.horizon_us(display_us),
             predicted=predicted,
-            margins=margins,
+            margins=self._viewer.margins(frame, predicted),
             idr=self._video.needs_idr,
         )
-
-    def _predict(self, display_us: int) -> PoseDistribution:
-        return self._predictor.predict(self._history, max(0, display_us - self._history.newest.t_us))
 
     def _media_frame(self, tick: int) -> int | None:
         """While paused the viewer still moves: the same frame is planned again and again."""
@@ -345,12 +314,12 @@ class Streamer:
         self._seen = self._library.manifest.gof_of(plan.frame), render.contribution
         if plan.tick < self._blind_tick:  # its tiles, and later ones, have gone ahead
             record = self._record(plan)
-            record.reference_late = now_us >= self._clock.to_server(plan.display_us)
+            record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
             self.stats.references_late += record.reference_late
             return self._counted(self._reference_if_useful(render, record, now_us), now_us)
         self._tiles.enter(plan.frame)
         record = self._record(plan)
-        record.reference_late = now_us >= self._clock.to_server(plan.display_us)
+        record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
         self.stats.references_late += record.reference_late
         out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
         if self._tiles.from_nothing:
@@ -371,7 +340,7 @@ class Streamer:
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The tiles that the rate policy chooses for a frame, and the frame's end."""
         decision = self._decide(visible, record, now_us)
-        deadline_us = self._clock.to_server(record.display_us) + int(self._settings.tile_deadline_ms * 1000)
+        deadline_us = self._viewer.clock.to_server(record.display_us) + int(self._settings.tile_deadline_ms * 1000)
         return self._counted(self._tiles.upgrades(record.frame, decision.upgrades, deadline_us), now_us)
 
     def _record(self, plan: FramePlan) -> FrameRecord:
@@ -388,7 +357,7 @@ class Streamer:
         self.stats.records.append(record)
         self.stats.frames += 1
         self.stats.frames_skipped += plan.ticks_covered - 1
-        self._unsettled.append(record)
+        self._viewer.expect(record)
         return record
 
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
@@ -413,9 +382,17 @@ class Streamer:
 
     # ------------------------------------------------------------------------------------------------------ messages
 
+    def superseded(self, outgoing: ev.Outgoing, now_us: int) -> bool:
+        """Whether a waiting tile has lost its use: its frame has been displayed, and newer splats are on their way."""
+        message, deadline_us = outgoing.message, outgoing.deadline_us
+        if not isinstance(message, TileLayers) or deadline_us is None:
+            return False
+        displayed_us = deadline_us - int(self._settings.tile_deadline_ms * 1000)
+        return now_us >= displayed_us and self._tiles.replaced(message)
+
     def _reference_deadline_us(self, plan: FramePlan) -> int:
         """A late reference still serves the frames that follow its own."""
-        return self._clock.to_server(plan.display_us) + int(self._settings.reference_deadline_ms * 1000)
+        return self._viewer.clock.to_server(plan.display_us) + int(self._settings.reference_deadline_ms * 1000)
 
     def _counted(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
         for each in outgoing:

@@ -19,6 +19,7 @@ def checks(lines: list[JsonObject]) -> list[JsonObject]:
     for case, judge in (
         ("sending", _sending),
         ("sockets", _sockets),
+        ("first", _first),
         ("content", _content),
         ("realtime", _realtime),
         ("crowd", _crowd),
@@ -54,11 +55,16 @@ def _content(lines: list[JsonObject]) -> list[JsonObject]:
     recovered = [line for line in lines if line["recovery_ms"] is not None]
     if recovered:
         out.append(_most("recovery after an outage, ms", recovered, "recovery_ms", 1000.0))
-    for mbps, limit_ms in ((10, 1000.0), (2, 2000.0)):
-        first = [line for line in lines if line["trace"] == f"{STEADY}{mbps}"]
-        if first:
-            out.append(_most(f"first picture at {mbps} Mbps, ms", first, "first_picture_ms", limit_ms))
     return out + _policies(lines)
+
+
+def _first(lines: list[JsonObject]) -> list[JsonObject]:
+    limits = {f"{STEADY}10": 1000.0, f"{STEADY}2": 2000.0}
+    return [
+        _most(f"first picture at {line['trace'].removeprefix(STEADY)} Mbps, ms", [line], "first_picture_ms", limit_ms)
+        for line in lines
+        if (limit_ms := limits.get(line["trace"])) is not None
+    ]
 
 
 def _policies(lines: list[JsonObject]) -> list[JsonObject]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ EXAMPLES = """\
   cags-bench network --parts soak --soak-minutes 1440
 """
 
-PARTS = ("sending", "sockets", "content", "realtime", "crowd", "soak")
+PARTS = ("sending", "sockets", "first", "content", "realtime", "crowd", "soak")
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,18 @@ class NetworkSettings:
     """What is measured, and how long."""
 
     parts: str = setting(",".join(PARTS), f"parts to run, of {', '.join(PARTS)}")
-    scene: str = setting("procedural:size=160000,frames=60", "scene of the content and real-time parts")
+    scene: str = setting("procedural:size=10000,frames=60", "scene of the content and real-time parts")
+    like_splats: int = setting(
+        170_000,
+        "scale the content part's links to the bits a splat of a scene of so many splats (the paper's); 0: not",
+        low=0,
+        high=100_000_000,
+    )
+    first_scene: str = setting("procedural:size=160000,frames=6", "scene whose first picture is waited for")
+    workers: int = setting(0, "processes of the content part; 0: one a core", low=0, high=256)
     frames: int = setting(210, "media frames to play", low=2, high=1_000_000)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
-    traces: str = setting(
-        "", "traces of the content part, comma separated; empty: all generated ones, and 2 and 10 Mbps"
-    )
+    traces: str = setting("", "traces of the content part, comma separated; empty: all generated ones, and 10 Mbps")
     policies: str = setting("paper,utility,buffer", "rate policies of the content part, comma separated")
     estimator: str = setting("measured", "bandwidth estimator of the content part", choices=("measured", "oracle"))
     restore: str = setting("affine", "restorer")
@@ -89,6 +96,8 @@ def _cases(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
         from cags_bench.network.sockets import socket_lines
 
         yield from socket_lines(round(settings.seconds * 1e6), delay_us)
+    if "first" in parts:
+        yield from _first_pictures(settings)
     if "content" in parts or "realtime" in parts:
         yield from _plays(settings, parts)
     if "crowd" in parts:
@@ -106,13 +115,25 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
     from cags_bench.network.sending import CLIPS, SLOW
     from cags_encoder import EncodeSettings
 
+    workers = settings.workers or os.cpu_count() or 1
     bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
     base: Scenario = scenario(bundle, settings)
     if "content" in parts:
-        traces = settings.traces.split(",") if settings.traces else [*SLOW, *CLIPS]
-        yield from content_lines(bundle, traces, settings.policies.split(","), base)
+        traces = settings.traces.split(",") if settings.traces else [SLOW[-1], *CLIPS]
+        policies = settings.policies.split(",")
+        yield from content_lines(traces, policies, base, like_splats=settings.like_splats, workers=workers)
     if "realtime" in parts:
         yield from realtime_lines(base)
+
+
+def _first_pictures(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
+    from cags_bench.bundles import cached_bundle
+    from cags_bench.network.content import first_picture_lines, scenario
+    from cags_bench.network.sending import SLOW
+    from cags_encoder import EncodeSettings
+
+    bundle = cached_bundle(settings.first_scene, settings.cache, EncodeSettings())
+    yield from first_picture_lines(scenario(bundle, settings), SLOW)
 
 
 def _soak(settings: NetworkSettings) -> dict[str, Any]:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cags_bench.parallel import in_parallel
 from cags_bench.sim.session import Scenario, SessionResult, simulate
+from cags_bench.traces import scaled_trace, splats_of
 from cags_client.settings import ClientSettings
+from cags_common.bundle import BundleReader
 from cags_server.settings import ServerSettings
 from cags_shaper.trace import Trace, open_trace
 
@@ -21,13 +24,62 @@ BLACK_SHARE = 0.1
 SCORE_EVERY = 3
 """Every so many-th frame is compared with the truth."""
 
+SPARE_S = 30.0
+"""Trace beyond the clip's length, for what starts late."""
 
-def content_lines(bundle: Path, traces: list[str], policies: list[str], base: Scenario) -> Iterator[dict[str, Any]]:
-    """One line a trace and policy."""
+
+STEADY_S = 3.0
+"""Nothing changes on a steady link: so much of the clip is enough there."""
+
+
+@dataclass(frozen=True)
+class Play:
+    """One play to be judged: a shipped trace, its rates times ``share``, and what is played over it."""
+
+    trace: str
+    policy: str
+    share: float
+    base: Scenario
+
+    def scenario(self) -> Scenario:
+        """The whole of it."""
+        reader = BundleReader.open(str(self.base.bundle))
+        clip_s = reader.manifest.frames / reader.manifest.fps
+        reader.close()
+        steady = self.trace.startswith("generated:steady-")
+        return replace(
+            self.base,
+            trace=str(scaled_trace(self.trace, self.share, seconds=clip_s + SPARE_S)),
+            server=replace(self.base.server, abr=self.policy),
+            client=replace(self.base.client, duration=min(STEADY_S, clip_s) if steady else None),
+        )
+
+    def line(self) -> dict[str, Any]:
+        """Play it."""
+        scenario = self.scenario()
+        figures = judge(simulate(scenario), open_trace(scenario.trace))
+        return {"case": "content", "trace": self.trace, "share": self.share, "policy": self.policy, **figures}
+
+
+def content_lines(
+    traces: list[str], policies: list[str], base: Scenario, *, like_splats: int, workers: int
+) -> Iterator[dict[str, Any]]:
+    """One line a trace and policy.
+
+    The rates of a trace are scaled so that the scene gets the bits a splat and second that one of ``like_splats``
+    splats would get over the trace as it is; 0: not scaled.
+    """
+    share = splats_of(base.bundle) / like_splats if like_splats else 1.0
+    plays = [Play(trace, policy, share, base) for trace in traces for policy in policies]
+    yield from in_parallel(Play.line, plays, workers)
+
+
+def first_picture_lines(base: Scenario, traces: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+    """One line a trace, which is not scaled: when the first picture of a scene of full size stands."""
     for spec in traces:
-        for policy in policies:
-            scenario = replace(base, bundle=bundle, trace=spec, server=replace(base.server, abr=policy))
-            yield {"case": "content", "trace": spec, "policy": policy, **judge(simulate(scenario), open_trace(spec))}
+        summary = simulate(replace(base, trace=spec, scored=False)).summary
+        splats = splats_of(base.bundle)
+        yield {"case": "first", "trace": spec, "splats": splats, "first_picture_ms": summary["first_picture_ms"]}
 
 
 def scenario(bundle: Path, settings: Any, trace: str = "") -> Scenario:
@@ -45,6 +97,7 @@ def judge(result: SessionResult, trace: Trace) -> dict[str, Any]:
     psnr = [db for record in records if np.isfinite(db := record.get("psnr_restored_db", np.nan))]
     return {
         "frames": summary["frames"],
+        "missed_share": summary["frames_missed"] / max(summary["frames"], 1),
         "frames_missed": summary["frames_missed"],
         "freezes": freezes(records),
         "frozen_ms": sum(record["missed"] for record in records) * 1e3 / summary["fps"],

@@ -13,14 +13,11 @@ from cags_bench.reproduce.cache import ResultCache, code_digest, content_of
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.pictures import Snapshot
 from cags_bench.sim.session import Scenario, simulate
-from cags_bench.traces import scaled_trace
+from cags_bench.traces import PAPER_SPLATS, scaled_trace, splats_of
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_encoder import EncodeSettings, content_key
 from cags_server.settings import ServerSettings
-
-PAPER_SPLATS = 170_000
-"""Splats of the paper's first frames: 2.0 MB at 66 bits and about 28 bits of position each."""
 
 SERIES = ("frame", "psnr_restored_db", "psnr_distorted_db", "ssim_restored", "lod_mean", "bytes_tiles")
 """What is kept of every frame."""
@@ -112,18 +109,10 @@ class Runner:
 
     def link(self, case: StreamCase, bundle: Path) -> str:
         """The trace, scaled so that the scene gets the bits a splat and second that the paper's scenes get."""
-        share = _splats(bundle) / PAPER_SPLATS
+        share = splats_of(bundle) / PAPER_SPLATS
         if case.mbps is not None:
             return f"generated:steady-{max(case.mbps * share, 0.1):.3f}"
         return str(scaled_trace(case.trace, share, seconds=case.frames / 30 + 30))
-
-
-def _splats(bundle: Path) -> int:
-    reader = BundleReader.open(str(bundle))
-    try:
-        return sum(tile.splats for tile in reader.frame(0).tiles)
-    finally:
-        reader.close()
 
 
 def _top_lod(bundle: Path) -> int:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 
+from cags_bench.parallel import single_threaded_libraries
 from cags_bench.reproduce.cases import Runner, StreamCase
-
-LIBRARY_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 Tell = Callable[[str], None]
 
@@ -21,7 +18,7 @@ def prepare(runner: Runner, cases: Iterable[StreamCase], workers: int, tell: Tel
     if workers < 2 or len(missing) < 2:
         return  # the experiments run them one by one
     one_thread = Runner(runner.results, runner.bundles, runner.device, threads=1, progress=False)
-    with _single_threaded_libraries():
+    with single_threaded_libraries():
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(workers, mp_context=context) as pool:
             encodings = {(c.scene, c.encoding): c for c in missing}
@@ -46,18 +43,3 @@ def _await(
 def describe(case: StreamCase) -> str:
     """A case in words."""
     return f"{case.scene}, {case.method}" + ("" if case.mbps is None else f", {case.mbps:g} Mbps")
-
-
-@contextmanager
-def _single_threaded_libraries() -> Iterator[None]:
-    """Workers side by side must not each start a pool of threads as large as the machine."""
-    before = {name: os.environ.get(name) for name in LIBRARY_THREADS}
-    os.environ.update(dict.fromkeys(LIBRARY_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

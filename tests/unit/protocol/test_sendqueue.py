@@ -116,6 +116,17 @@ def test_what_is_half_sent_is_dropped_last_when_the_queue_is_full():
     assert [entry.outgoing.message.tile for entry, _ in q.dropped] == [1]
 
 
+def test_what_is_begun_can_be_spared_from_cancelling():
+    q = Queue()
+    for number in range(2):
+        q.queue.put(tile(0, number, 2 * CHUNK_BYTES))
+    q.send()
+    q.queue.cancel(lambda outgoing: True, started=False)
+    assert [entry.outgoing.message.tile for entry, _ in q.dropped] == [1]
+    q.queue.cancel(lambda outgoing: True)
+    assert [entry.outgoing.message.tile for entry, _ in q.dropped] == [1, 0]
+
+
 def test_deadlines_come_in_order_and_forget_what_is_gone():
     q = Queue()
     for number, deadline in enumerate((300, 100, 200)):

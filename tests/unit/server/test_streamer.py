@@ -166,6 +166,25 @@ def test_dropped_and_evicted_layers_are_sent_again() -> None:
     assert (0, 1, 1) in {(m.frame, m.tile, m.from_lod) for m in of(TileLayers, rig.step())}
 
 
+def test_a_tile_that_waited_past_its_display_gives_way_to_newer_splats() -> None:
+    rig = Rig(splats=3)  # the splat that changes in frame 1 changes again in frame 4
+    rig.play()
+    opening = [each for each in rig.opening if isinstance(each.message, TileLayers)]
+    planned = [rig.step() for _ in range(4)]
+    waiting = next(o for out in planned for o in out if isinstance(o.message, TileLayers) and o.message.frame == 1)
+    assert waiting.deadline_us is not None
+    displayed_us = waiting.deadline_us - int(SETTINGS.tile_deadline_ms * 1000)
+    assert not rig.streamer.superseded(waiting, displayed_us), "nothing newer is on its way"
+    newest = rig.step(deliver=False)
+    assert 4 in {m.frame for m in of(TileLayers, newest)}
+    assert rig.streamer.superseded(waiting, displayed_us)
+    assert not rig.streamer.superseded(waiting, displayed_us - 1), "its own frame is still to be displayed"
+    for each in newest:
+        rig.streamer.on_event(ev.Dropped(each, "stale", 0, 0), 0)
+    assert not rig.streamer.superseded(waiting, displayed_us), "what replaces it was lost"
+    assert not any(rig.streamer.superseded(each, displayed_us) for each in opening + newest)
+
+
 def test_the_budget_is_kept() -> None:
     rig = Rig(initial_bps=200_000)
     rig.play()
@@ -220,7 +239,7 @@ def test_a_late_reference_is_sent_as_long_as_it_serves_and_the_next_is_planned_e
     out = rig.streamer.finish(job.run(), due + 300_000)
     assert [r.frame for r in of(ReferenceFrame, out)] == [0]
     assert rig.streamer.stats.records[0].reference_late
-    lead = rig.streamer._clock.to_server(round(300_000 + PERIOD_US)) - rig.streamer.next_due_us()
+    lead = rig.streamer._viewer.clock.to_server(round(300_000 + PERIOD_US)) - rig.streamer.next_due_us()
     assert 300_000 < lead <= 3 * SETTINGS.lead_frames * PERIOD_US
 
 
