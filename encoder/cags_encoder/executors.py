@@ -5,18 +5,18 @@ All three are :class:`concurrent.futures.Executor`; which one it is changes no b
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import local
 from typing import Any, Generic, TypeVar
 
 from cags_common.errors import BundleError, ConfigError, NetworkError
+from cags_common.processes import process_pool
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -32,8 +32,6 @@ CONNECT_TIMEOUT = "5s"
 
 WORKER_TIMEOUT_S = 30
 """How long the first worker may take to come."""
-
-_THREAD_LIMITS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -97,15 +95,8 @@ def open_workers(count: int | None, scheduler: str | None = None) -> Iterator[Wo
     if count == 1:
         yield INLINE
         return
-    with _single_threaded():
-        context = multiprocessing.get_context("forkserver")
-        pool = ProcessPoolExecutor(count, mp_context=context)
-        done = False
-        try:
-            yield Workers(pool, count)
-            done = True
-        finally:
-            pool.shutdown(wait=done, cancel_futures=True)
+    with process_pool(count, "forkserver") as pool:
+        yield Workers(pool, count)
 
 
 def ahead(
@@ -137,21 +128,6 @@ def ahead(
 def _first(waiting: deque[tuple[T, Future[R]]]) -> tuple[T, R]:
     item, future = waiting.popleft()
     return item, future.result()
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Worker processes inherit these: with one process a core, threads of libraries are in each other's way."""
-    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
-    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 @contextmanager

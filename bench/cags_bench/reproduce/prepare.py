@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 
-from cags_bench.parallel import single_threaded_libraries
 from cags_bench.reproduce.cases import Runner, StreamCase
+from cags_common.processes import process_pool
 
 Tell = Callable[[str], None]
 
@@ -18,12 +17,10 @@ def prepare(runner: Runner, cases: Iterable[StreamCase], workers: int, tell: Tel
     if workers < 2 or len(missing) < 2:
         return  # the experiments run them one by one
     one_thread = Runner(runner.results, runner.bundles, runner.device, threads=1, progress=False)
-    with single_threaded_libraries():
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=context) as pool:
-            encodings = {(c.scene, c.encoding): c for c in missing}
-            _await(pool, one_thread.bundle, list(encodings.values()), "encoded", tell)
-            _await(pool, one_thread.run, missing, "streamed", tell)
+    with process_pool(workers) as pool:
+        encodings = {(c.scene, c.encoding): c for c in missing}
+        _await(pool, one_thread.bundle, list(encodings.values()), "encoded", tell)
+        _await(pool, one_thread.run, missing, "streamed", tell)
 
 
 def _await(
