@@ -164,11 +164,15 @@ class Alignment {
   ScratchLease scratch_;
 };
 
-// In one thread, so that the sums do not depend on their number.
-Evidence weigh(const CagsCorrectInput& in, const float* sums) {
-  Evidence evidence{};
-  for (int row = 0; row < in.view.reference_height; row += kEvidenceRows) stages().weigh(in, row, sums, evidence);
-  return evidence;
+Evidence weigh(const CagsCorrectInput& in, const float* sums, int threads) {
+  std::vector<Evidence> rows((in.view.reference_height + kEvidenceRows - 1) / kEvidenceRows);
+  for_rows(threads, static_cast<int>(rows.size()), [&](int i, int) { stages().weigh(in, i * kEvidenceRows, sums, rows[i]); });
+  Evidence all{};
+  for (const Evidence& row : rows) {  // in one thread, so that the sums do not depend on their number
+    for (int c = 0; c < 3; c++) all.fine[c] += row.fine[c], all.broad[c] += row.broad[c], all.noise[c] += row.noise[c];
+    all.shown += row.shown;
+  }
+  return all;
 }
 
 float trust_of(double power, double noise) {
@@ -198,13 +202,13 @@ Blocks registration(const CagsCorrectInput& in, const Padded& fields, Scratch& s
 void correct(const CagsCorrectInput& in, float* restored) {
   ScratchLease scratch;
   const int w = in.view.reference_width, h = in.view.reference_height, threads = std::min(in.threads, kMaxThreads);
-  const size_t line = size_t(w + 2 * in.radius_cells) * kMomentLanes;
+  const size_t line = size_t(w + 2 * in.radius_cells) * kMoments;
   float* lines = scratch->lines.reserve(line * threads);
-  float* sums = scratch->sums.reserve(size_t(w) * h * kMomentLanes);
+  float* sums = scratch->sums.reserve(size_t(w) * h * kMoments);
   const size_t stride = size_t(w + 2) * kFieldLanes;
   const Padded fields{scratch->fields.reserve(stride * (h + 2)), w, h};
   for_rows(threads, h, [&](int row, int worker) { stages().moments(in, row, lines + line * worker, sums); });
-  const Evidence evidence = weigh(in, sums);
+  const Evidence evidence = weigh(in, sums, threads);
   float trust[6];
   for (int c = 0; c < 3; c++) {
     trust[c] = trust_of(evidence.fine[c], evidence.noise[c]);

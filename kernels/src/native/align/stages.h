@@ -15,7 +15,7 @@ struct Padded {
 
 constexpr int kColourLanes = 4;  // r, g, b, unused
 constexpr int kFieldLanes = 4;   // factor, offsets r, g, b
-constexpr int kMomentLanes = 16;
+constexpr int kMoments = 13;     // see stages/fit.h
 constexpr float kNoiseFloor = 2e-6f;  // variance of rounding to 8 bits
 constexpr int kCellLanes = 9;    // distorted, evidence, change
 constexpr int kBlockLanes = 39;  // four cells, confidence, size of the change, the frame's
@@ -53,7 +53,7 @@ struct Stages {
                   std::vector<int64_t>& holes);
   // One row: which pixels may be averaged from, being seen and not in front of an occluded one (`shared` cells).
   void (*clean)(const CagsAlignInput&, const CagsAlignOutput&, const uint8_t* shared, int row, uint8_t* clean);
-  // One row of the reference: horizontal sums of the moments that the local fit needs.
+  // One row of the reference: horizontal sums [height, kMoments, width] of the moments that the local fit needs.
   void (*moments)(const CagsCorrectInput&, int row, float* line, float* sums);
   // One row of the reference: adds its power of difference and its noise, by component, to `evidence`.
   void (*weigh)(const CagsCorrectInput&, int row, const float* sums, Evidence& evidence);

@@ -1,95 +1,121 @@
 // The local fit of the reference on the client's own view, and the correction that it gives in the reference's view.
+// One array a quantity, so that every loop over pixels runs on whole vectors.
 #pragma once
 #include "align/stages/bilinear.h"
+#include "align/stages/projection.h"
 
 #include <cmath>
 
 namespace cags::align {
 namespace {
 
-// Lanes of a moment, in luma and chromas: own, reference, own squared, product of the lumas, squared difference.
+// Moments, in luma and chromas: own, reference, own squared, product of the lumas, squared difference.
 constexpr int kOwn = 0, kReference = 3, kOwnSquared = 6, kProduct = 9, kDifference = 10;
 
-// BT.709 luma and chromas of display-referred RGB, and back.
-inline void to_ycc(const float* rgb, float* ycc) {
-  ycc[0] = 0.2126f * rgb[0] + 0.7152f * rgb[1] + 0.0722f * rgb[2];
-  ycc[1] = -0.114572f * rgb[0] - 0.385428f * rgb[1] + 0.5f * rgb[2];
-  ycc[2] = 0.5f * rgb[0] - 0.454153f * rgb[1] - 0.045847f * rgb[2];
-}
-inline void to_rgb(const float* ycc, float* rgb) {
-  rgb[0] = ycc[0] + 1.5748f * ycc[2];
-  rgb[1] = ycc[0] - 0.1873243f * ycc[1] - 0.4681243f * ycc[2];
-  rgb[2] = ycc[0] + 1.8556f * ycc[1];
+using Line = float[kRun];
+
+// Pixels of a run of a row of the reference.
+struct Pixels {
+  Line rgb[3];                // own, in [0, 1]
+  Line own[3], reference[3];  // BT.709 luma and chromas of display-referred RGB
+};
+
+inline void to_ycc(const Line* rgb, int count, Line* ycc) {
+  for (int i = 0; i < count; i++) {
+    const float r = rgb[0][i], g = rgb[1][i], b = rgb[2][i];
+    ycc[0][i] = 0.2126f * r + 0.7152f * g + 0.0722f * b;
+    ycc[1][i] = -0.114572f * r - 0.385428f * g + 0.5f * b;
+    ycc[2][i] = 0.5f * r - 0.454153f * g - 0.045847f * b;
+  }
 }
 
-inline void moment_of(const float* own, const float* reference, float* out) {
-  const float rgb[3] = {clipped(own[0]), clipped(own[1]), clipped(own[2])};
-  to_ycc(rgb, out + kOwn);
-  to_ycc(reference, out + kReference);
-  out[kProduct] = out[kOwn] * out[kReference];
-  for (int c = 0; c < 3; c++) {
-    const float o = out[kOwn + c], difference = out[kReference + c] - o;
-    out[kOwnSquared + c] = o * o;
-    out[kDifference + c] = difference * difference;
+inline void read_pixels(const CagsCorrectInput& in, int row, int first, int count, Pixels& out) {
+  const int64_t start = 3 * (int64_t{row} * in.view.reference_width + first);
+  const float* own = in.own + start;
+  const float* reference = in.reference + start;
+  Line other[3];
+  for (int i = 0; i < count; i++) {
+    for (int c = 0; c < 3; c++) out.rgb[c][i] = clipped(own[3 * i + c]);
+    for (int c = 0; c < 3; c++) other[c][i] = reference[3 * i + c];
   }
-  out[13] = out[14] = out[15] = 0.0f;
+  to_ycc(out.rgb, count, out.own);
+  to_ycc(other, count, out.reference);
+}
+
+// Moments of single pixels to `out`, whose quantities lie `stride` apart.
+inline void moments_of(const Pixels& p, int count, float* __restrict out, int stride) {
+  for (int c = 0; c < 3; c++) {
+    const float *own = p.own[c], *reference = p.reference[c];
+    float* __restrict o = out + (kOwn + c) * stride;
+    float* __restrict r = out + (kReference + c) * stride;
+    float* __restrict squared = out + (kOwnSquared + c) * stride;
+    float* __restrict difference = out + (kDifference + c) * stride;
+    for (int i = 0; i < count; i++) {
+      const float apart = reference[i] - own[i];
+      o[i] = own[i], r[i] = reference[i], squared[i] = own[i] * own[i], difference[i] = apart * apart;
+    }
+  }
+  float* __restrict product = out + kProduct * stride;
+  for (int i = 0; i < count; i++) product[i] = p.own[0][i] * p.reference[0][i];
 }
 
 void moments(const CagsCorrectInput& in, int row, float* line, float* sums) {
-  const int w = in.view.reference_width, r = in.radius_cells;
-  const int64_t start = int64_t{row} * w * 3;
-  float* centre = line + r * kMomentLanes;
-  for (int i = 0; i < w; i++) moment_of(in.own + start + 3 * i, in.reference + start + 3 * i, centre + i * kMomentLanes);
-  for (int i = 1; i <= r; i++) {
-    const int beyond = w - 1 + i;
-    std::memcpy(centre - i * kMomentLanes, centre + reflected(-i, w) * kMomentLanes, kMomentLanes * sizeof(float));
-    std::memcpy(centre + beyond * kMomentLanes, centre + reflected(beyond, w) * kMomentLanes, kMomentLanes * sizeof(float));
+  const int w = in.view.reference_width, r = in.radius_cells, stride = w + 2 * r;
+  Pixels pixels;
+  for (int first = 0; first < w; first += kRun) {
+    const int count = std::min(kRun, w - first);
+    read_pixels(in, row, first, count, pixels);
+    moments_of(pixels, count, line + r + first, stride);
   }
-  float* out = sums + start / 3 * kMomentLanes;
-  for (int i = 0; i < w; i++, line += kMomentLanes, out += kMomentLanes) {
-    Eight low = eight(line), high = eight(line + 8);
+  float* __restrict out = sums + int64_t{row} * kMoments * w;
+  for (int moment = 0; moment < kMoments; moment++, line += stride, out += w) {
+    float* centre = line + r;
+    for (int i = 1; i <= r; i++) centre[-i] = centre[reflected(-i, w)], centre[w - 1 + i] = centre[reflected(w - 1 + i, w)];
+    std::copy_n(line, w, out);
     for (int j = 1; j <= 2 * r; j++) {
-      low += eight(line + j * kMomentLanes);
-      high += eight(line + j * kMomentLanes + 8);
+      for (int i = 0; i < w; i++) out[i] += line[i + j];
     }
-    std::memcpy(out, &low, sizeof low);
-    std::memcpy(out + 8, &high, sizeof high);
   }
 }
 
-// Means of the moments over the window around one pixel.
-inline void window_means(const CagsCorrectInput& in, const float* sums, int row, int column, float* m) {
+// Means of the moments over the windows around a run of pixels.
+inline void window_means(const CagsCorrectInput& in, const float* sums, int row, int first, int count, Line* means) {
   const int w = in.view.reference_width, h = in.view.reference_height, r = in.radius_cells;
   const float share = 1.0f / static_cast<float>((2 * r + 1) * (2 * r + 1));
-  Eight low = {}, high = {};
-  for (int j = -r; j <= r; j++) {
-    const float* at = sums + (int64_t{reflected(row + j, h)} * w + column) * kMomentLanes;
-    low += eight(at);
-    high += eight(at + 8);
+  for (int moment = 0; moment < kMoments; moment++) {
+    float* __restrict m = means[moment];
+    std::fill_n(m, count, 0.0f);
+    for (int j = -r; j <= r; j++) {
+      const float* __restrict at = sums + (int64_t{reflected(row + j, h)} * kMoments + moment) * w + first;
+      for (int i = 0; i < count; i++) m[i] += at[i];
+    }
+    for (int i = 0; i < count; i++) m[i] *= share;
   }
-  low *= share;
-  high *= share;
-  std::memcpy(m, &low, sizeof low);
-  std::memcpy(m + 8, &high, sizeof high);
 }
 
-inline void noise_of(const CagsCorrectInput& in, const float* m, float* variance, float* noise) {
-  for (int c = 0; c < 3; c++) variance[c] = std::max(m[kOwnSquared + c] - m[kOwn + c] * m[kOwn + c], 0.0f);
-  for (int c = 0; c < 3; c++) noise[c] = kNoiseFloor + in.fine_noise[c] * std::sqrt(variance[c]);
+inline float variance_of(const Line* m, int c, int i) {
+  return std::max(m[kOwnSquared + c][i] - m[kOwn + c][i] * m[kOwn + c][i], 0.0f);
 }
 
+// What one row tells of the picture, pixel by pixel: 0 where it is void in both.
 void weigh(const CagsCorrectInput& in, int row, const float* sums, Evidence& evidence) {
-  for (int i = 0; i < in.view.reference_width; i++) {
-    float m[kMomentLanes], variance[3], noise[3];
-    window_means(in, sums, row, i, m);
-    noise_of(in, m, variance, noise);
-    if (m[kDifference] + 2.0f * m[kProduct] <= kVoidPower) continue;  // the sum of both pictures' powers
-    evidence.shown++;
+  const int w = in.view.reference_width;
+  Line m[kMoments], shown, fine, broad, noise;
+  for (int first = 0; first < w; first += kRun) {
+    const int count = std::min(kRun, w - first);
+    window_means(in, sums, row, first, count, m);
+    for (int i = 0; i < count; i++) {
+      shown[i] = m[kDifference][i] + 2.0f * m[kProduct][i] > kVoidPower ? 1.0f : 0.0f;  // the sum of both powers
+    }
+    for (int i = 0; i < count; i++) evidence.shown += static_cast<int64_t>(shown[i]);
     for (int c = 0; c < 3; c++) {
-      const float broad = m[kReference + c] - m[kOwn + c];
-      evidence.fine[c] += m[kDifference + c] - broad * broad;
-      evidence.broad[c] += broad * broad;
-      evidence.noise[c] += noise[c];
+      for (int i = 0; i < count; i++) {
+        const float away = m[kReference + c][i] - m[kOwn + c][i];
+        broad[i] = shown[i] * away * away;
+        fine[i] = shown[i] * (m[kDifference + c][i] - away * away);
+        noise[i] = shown[i] * (kNoiseFloor + in.fine_noise[c] * std::sqrt(variance_of(m, c, i)));
+      }
+      for (int i = 0; i < count; i++) evidence.fine[c] += fine[i], evidence.broad[c] += broad[i], evidence.noise[c] += noise[i];
     }
   }
 }
@@ -97,35 +123,53 @@ void weigh(const CagsCorrectInput& in, int row, const float* sums, Evidence& evi
 // Weight of a signal whose measured power holds the noise too.
 inline float wiener(float power, float noise) { return clipped(1.0f - noise / std::max(power, 1e-12f)); }
 
-inline void fit_pixel(const CagsCorrectInput& in, const float* m, const float* trust, const float* own, const float* reference,
-                      float* field) {
-  float variance[3], noise[3], o[3], r[3], correction[3], offset[3];
-  noise_of(in, m, variance, noise);
-  const float rgb[3] = {clipped(own[0]), clipped(own[1]), clipped(own[2])};
-  to_ycc(rgb, o);
-  to_ycc(reference, r);
-  for (int c = 0; c < 3; c++) {
-    const float broad = m[kReference + c] - m[kOwn + c], power = m[kDifference + c];
-    const float fine = r[c] - o[c] - broad;
-    correction[c] = trust[3 + c] * wiener(broad * broad, kNoiseFloor + in.broad_noise[c]) * broad +
-                    trust[c] * wiener(power - broad * broad, noise[c]) * fine;
+// The correction of one component, luma or chroma.
+inline void correct_component(const CagsCorrectInput& in, const Line* m, const Pixels& p, const float* trust, int c, int count,
+                              float* __restrict out) {
+  const float trust_fine = trust[c], trust_broad = trust[3 + c], broad_noise = kNoiseFloor + in.broad_noise[c];
+  const float share = in.fine_noise[c];
+  for (int i = 0; i < count; i++) {
+    const float noise = kNoiseFloor + share * std::sqrt(variance_of(m, c, i));
+    const float broad = m[kReference + c][i] - m[kOwn + c][i], power = m[kDifference + c][i];
+    const float fine = p.reference[c][i] - p.own[c][i] - broad;
+    out[i] = trust_broad * wiener(broad * broad, broad_noise) * broad + trust_fine * wiener(power - broad * broad, noise) * fine;
   }
-  to_rgb(correction, offset);
-  const float covariance = m[kProduct] - m[kOwn] * m[kReference];
-  const float gain = clipped((covariance + in.gain_prior) / (variance[0] + in.gain_prior));
-  const float factor = (gain - 1.0f) * wiener(m[kDifference], noise[0]) * trust[0];
-  field[0] = factor;
-  for (int c = 0; c < 3; c++) field[1 + c] = offset[c] - factor * rgb[c];
+}
+
+// The change of the detail's gain.
+inline void factors(const CagsCorrectInput& in, const Line* m, float trust, int count, float* __restrict out) {
+  const float prior = in.gain_prior, share = in.fine_noise[0];
+  for (int i = 0; i < count; i++) {
+    const float variance = variance_of(m, 0, i), noise = kNoiseFloor + share * std::sqrt(variance);
+    const float covariance = m[kProduct][i] - m[kOwn][i] * m[kReference][i];
+    const float gain = clipped((covariance + prior) / (variance + prior));
+    out[i] = (gain - 1.0f) * wiener(m[kDifference][i], noise) * trust;
+  }
+}
+
+// Factor and offsets, the correction's luma and chromas brought back to RGB.
+inline void write_fields(const Pixels& p, const Line& factor, const Line* change, int count, float* __restrict field) {
+  for (int i = 0; i < count; i++) {
+    const float y = change[0][i], blue = change[1][i], red = change[2][i], f = factor[i];
+    field[kFieldLanes * i] = f;
+    field[kFieldLanes * i + 1] = y + 1.5748f * red - f * p.rgb[0][i];
+    field[kFieldLanes * i + 2] = y - 0.1873243f * blue - 0.4681243f * red - f * p.rgb[1][i];
+    field[kFieldLanes * i + 3] = y + 1.8556f * blue - f * p.rgb[2][i];
+  }
 }
 
 void fit(const CagsCorrectInput& in, int row, const float* sums, const float* trust, const Padded& fields) {
   const int w = in.view.reference_width;
   float* field = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
-  for (int i = 0; i < w; i++) {
-    float m[kMomentLanes];
-    window_means(in, sums, row, i, m);
-    const int64_t pixel = (int64_t{row} * w + i) * 3;
-    fit_pixel(in, m, trust, in.own + pixel, in.reference + pixel, field + i * kFieldLanes);
+  Pixels pixels;
+  Line m[kMoments], factor, change[3];
+  for (int first = 0; first < w; first += kRun) {
+    const int count = std::min(kRun, w - first);
+    window_means(in, sums, row, first, count, m);
+    read_pixels(in, row, first, count, pixels);
+    for (int c = 0; c < 3; c++) correct_component(in, m, pixels, trust, c, count, change[c]);
+    factors(in, m, trust[0], count, factor);
+    write_fields(pixels, factor, change, count, field + int64_t{first} * kFieldLanes);
   }
   std::memcpy(field - kFieldLanes, field, kFieldLanes * sizeof(float));
   std::memcpy(field + w * kFieldLanes, field + (w - 1) * kFieldLanes, kFieldLanes * sizeof(float));
