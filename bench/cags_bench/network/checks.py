@@ -22,6 +22,7 @@ def checks(lines: list[JsonObject]) -> list[JsonObject]:
         ("first", _first),
         ("content", _content),
         ("realtime", _realtime),
+        ("clients", _clients),
         ("crowd", _crowd),
         ("soak", _soak),
     ):
@@ -87,6 +88,10 @@ def _policies(lines: list[JsonObject]) -> list[JsonObject]:
 
 def _realtime(lines: list[JsonObject]) -> list[JsonObject]:
     return [_most("bytes in real time against virtual time", lines, "difference", 0.10)]
+
+
+def _clients(lines: list[JsonObject]) -> list[JsonObject]:
+    return [_most("deadlines missed by the headless clients", lines, "deadlines_missed", 0)]
 
 
 def _crowd(lines: list[JsonObject]) -> list[JsonObject]:

@@ -24,7 +24,7 @@ EXAMPLES = """\
   cags-bench network --parts soak --soak-minutes 1440
 """
 
-PARTS = ("sending", "sockets", "first", "content", "realtime", "crowd", "soak")
+PARTS = ("sending", "sockets", "first", "content", "realtime", "clients", "crowd", "soak")
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class NetworkSettings:
     """What is measured, and how long."""
 
     parts: str = setting(",".join(PARTS), f"parts to run, of {', '.join(PARTS)}")
-    scene: str = setting("procedural:size=10000,frames=60", "scene of the content and real-time parts")
+    scene: str = setting("procedural:size=10000,frames=60", "scene of the content, real-time and clients parts")
     like_splats: int = setting(
         170_000,
         "scale the content part's links to the bits a splat of a scene of so many splats (the paper's); 0: not",
@@ -51,6 +51,7 @@ class NetworkSettings:
     height: int = setting(300, "client height in pixels", low=1, high=8192)
     delay_ms: float = setting(10.0, "one-way propagation delay, ms", low=0, high=1000)
     seconds: float = setting(20.0, "virtual seconds of each sending case", low=5, high=3600)
+    clients: int = setting(16, "headless clients at one server", low=1, high=1000)
     sessions: int = setting(1000, "sessions of the crowd", low=1, high=100_000)
     soak_minutes: float = setting(10.0, "virtual minutes of the soak", low=0.1, high=100_000)
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
@@ -98,7 +99,7 @@ def _cases(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
         yield from socket_lines(round(settings.seconds * 1e6), delay_us)
     if "first" in parts:
         yield from _first_pictures(settings)
-    if "content" in parts or "realtime" in parts:
+    if {"content", "realtime", "clients"} & set(parts):
         yield from _plays(settings, parts)
     if "crowd" in parts:
         from cags_bench.network.crowd import crowd_line
@@ -124,6 +125,10 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
         yield from content_lines(traces, policies, base, like_splats=settings.like_splats, workers=workers)
     if "realtime" in parts:
         yield from realtime_lines(base)
+    if "clients" in parts:
+        from cags_bench.network.clients import clients_line
+
+        yield clients_line(base, settings.clients)
 
 
 def _first_pictures(settings: NetworkSettings) -> Iterator[dict[str, Any]]:

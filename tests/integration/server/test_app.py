@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import json
+import ssl
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
 from aiohttp.test_utils import TestServer
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import NameOID
 
+from cags_bench.network.clients import watch_all
 from cags_common.errors import NetworkError
 from cags_common.geometry import Pose
 from cags_common.transport.base import ConnectionEndedError
@@ -23,9 +32,10 @@ from cags_protocol import events as ev
 from cags_protocol.encoding import encode
 from cags_protocol.limits import MAX_MESSAGE_BYTES
 from cags_protocol.messages import Control, PoseSample
+from cags_server.admission import tls_context
 from cags_server.app import App
 from cags_server.settings import ServeSettings
-from support.server_scene import hello, library
+from support.server_scene import CLIENT, hello, library
 
 
 def now_us() -> int:
@@ -116,6 +126,57 @@ async def test_several_clients_watch_at_once_and_leave() -> None:
     assert health == {"status": "ok", "clients": 0}
     assert "cags_sessions_total 4" in page
     assert 'cags_sent_bytes_total{kind="reference"}' in page
+
+
+async def test_headless_clients_of_the_benchmark_watch_to_the_end() -> None:
+    async with serving() as (_, server):
+        clients = await watch_all(stream_url(server), CLIENT, 2)
+    for client in clients:
+        assert sorted(client.ends) == list(range(12))
+        assert client.references
+
+
+def self_signed(folder: Path) -> tuple[str, str]:
+    """PEM files of a certificate for 127.0.0.1 and its key."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "127.0.0.1")])
+    now = datetime.now(UTC)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - timedelta(days=1))
+        .not_valid_after(now + timedelta(days=1))
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    paths = folder / "cert.pem", folder / "key.pem"
+    paths[0].write_bytes(certificate.public_bytes(Encoding.PEM))
+    paths[1].write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    return str(paths[0]), str(paths[1])
+
+
+async def test_a_session_over_tls(tmp_path: Path) -> None:
+    certificate, key = self_signed(tmp_path)
+    app = App(library(), ServeSettings(bundle="in memory", reference_width=64, reference_height=48))
+    server = TestServer(app.web_app(), host="127.0.0.1")
+    await server.start_server(ssl=tls_context(certificate, key))
+    url, what = f"wss://127.0.0.1:{server.port}/stream", {"max_message_bytes": MAX_MESSAGE_BYTES}
+    try:
+        trusting = ssl.create_default_context(cafile=certificate)
+        client = Client(await connect(url, subprotocol=SUBPROTOCOL, tls=trusting, **what))
+        assert await client.play()
+        await client.transport.close()
+        with pytest.raises(NetworkError, match="cannot connect"):  # nobody vouches for the certificate
+            await connect(url, subprotocol=SUBPROTOCOL, **what)
+        with pytest.raises(NetworkError):  # plain text at a TLS port
+            await connect(url.replace("wss", "ws"), subprotocol=SUBPROTOCOL, **what)
+    finally:
+        await app.drain()
+        await server.close()
+        app.close()
 
 
 async def test_one_place_is_one_client() -> None:

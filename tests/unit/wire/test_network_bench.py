@@ -1,16 +1,20 @@
 """Parts of ``cags-bench network`` that need no scene."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from cags_bench.network.checks import checks
+from cags_bench.network.clients import margins_us, missed
 from cags_bench.network.command import NetworkSettings
-from cags_bench.network.content import freezes, outage_ends, recovery_ms
+from cags_bench.network.content import black_frames, freezes, outage_ends, recovery_ms
 from cags_bench.network.crowd import crowd_line
 from cags_bench.network.load import run_load
 from cags_bench.network.plot import plot_session
 from cags_bench.network.sending import figures
+from cags_bench.parallel import in_parallel
+from cags_bench.traces import scaled_trace
 from cags_common.errors import ConfigError, TraceError
 from cags_protocol import ServerSession
 from cags_protocol.tracing import EventTrace
@@ -71,6 +75,67 @@ def test_checks_name_target_and_value():
     ]
     gains = [c for c in checks(lines) if "utility" in c["name"]]
     assert [c["ok"] for c in gains] == [True, True]
+
+
+@pytest.mark.parametrize(("gain", "ok"), [(-0.11, False), (-0.09, True)])
+def test_a_policy_that_loses_anywhere_is_seen(gain, ok):
+    lines = [
+        {"case": "content", "trace": trace, "policy": policy, "black_frames": 0, "recovery_ms": None}
+        | {"psnr_db": 30.0 + (gain if policy == "utility" and trace == "b" else 0.0)}
+        for trace in ("a", "b")
+        for policy in ("paper", "utility")
+    ]
+    (worst,) = [c for c in checks(lines) if "at worst" in c["name"]]
+    assert worst["value"] == pytest.approx(gain)
+    assert worst["ok"] is ok
+
+
+def test_content_checks_judge_the_worst_trace():
+    line = {
+        "case": "content",
+        "trace": "a",
+        "policy": "paper",
+        "psnr_db": 30.0,
+        "black_frames": 0,
+        "recovery_ms": 900.0,
+    }
+    found = {c["name"]: c for c in checks([line, line | {"black_frames": 2, "recovery_ms": 1100.0}])}
+    assert (found["black frames"]["value"], found["black frames"]["ok"]) == (2, False)
+    assert (found["recovery after an outage, ms"]["value"], found["recovery after an outage, ms"]["ok"]) == (
+        1100,
+        False,
+    )
+
+
+def test_first_pictures_have_a_limit_by_link():
+    lines = [{"case": "first", "trace": f"generated:steady-{mbps}", "first_picture_ms": 1500.0} for mbps in (2, 10, 30)]
+    found = {c["name"]: c["ok"] for c in checks(lines)}
+    assert found == {"first picture at 2 Mbps, ms": True, "first picture at 10 Mbps, ms": False}
+
+
+def test_a_picture_of_next_to_nothing_is_black():
+    records = [{"drawn_share": share} for share in (0.5, 0.6, 0.5, 0.04, 0.0, 0.5)]
+    assert black_frames(records) == 2
+    assert black_frames([]) == 0
+
+
+def test_links_are_scaled_by_the_scenes_splats(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    trace = open_trace(str(scaled_trace("generated:steady-30", 0.1, seconds=4)))
+    assert trace.mean_bps(0, 3_000_000) == pytest.approx(3e6, rel=0.01)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_cases_side_by_side_come_in_their_order(workers):
+    assert list(in_parallel(abs, [-3, 2, -1], workers)) == [3, 2, 1]
+
+
+def test_deadlines_of_headless_clients():
+    client = SimpleNamespace(started_us=1_000_000, due_us=lambda frame: 1_000_000 + 200_000 * frame)
+    margins = [margins_us(client, {0: 900_000, 1: 1_200_001}, 3)]
+    assert margins == [[100_000, -1, None]]
+    assert missed(margins) == 2
+    assert margins_us(SimpleNamespace(started_us=None), {}, 2) == [None, None]
 
 
 def test_an_unknown_part_is_refused():
