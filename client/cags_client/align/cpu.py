@@ -41,11 +41,9 @@ class CpuAligner:
             threads=s.threads,
         )
         view = kernels.Reprojection(depth, *geometry.matrix)
-        image = kernels.align(reference.rgb, view, parameters, rgb=False)
+        image = kernels.align(reference.rgb, view, parameters)
 
         def paint() -> F32:
-            rgb = kernels.align(reference.rgb, view, parameters).rgb
-            assert rgb is not None
-            return rgb
+            return kernels.paint(reference.rgb, view, parameters, image.occluded)
 
         return Aligned(paint, image.confidence, image.occluded, geometry)

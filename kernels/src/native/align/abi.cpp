@@ -84,6 +84,11 @@ bool valid(const CagsReprojection& view) {
   return side(view.width) && side(view.height) && side(view.reference_width) && side(view.reference_height);
 }
 
+bool valid(const CagsAlignInput& in) {
+  return valid(in.view) && in.threads >= 1 && in.stride >= 1 && in.erosion_radius >= 0 && in.erosion_radius <= kMaxRadius &&
+         in.erosion_iterations >= 0;
+}
+
 Padded padded_colours(const CagsAlignInput& in, AlignedArray<float>& memory) {
   const int w = in.view.reference_width, h = in.view.reference_height;
   Padded out{memory.reserve(size_t(w + 2) * (h + 2) * kColourLanes), w, h};
@@ -98,71 +103,58 @@ Padded padded_colours(const CagsAlignInput& in, AlignedArray<float>& memory) {
   return out;
 }
 
-class Alignment {
- public:
-  Alignment(const CagsAlignInput& in, const CagsAlignOutput& out)
-      : in_(in), out_(out), threads_(std::min(in.threads, kMaxThreads)),
-        cells_(size_t(in.view.reference_width + 1) * (in.view.reference_height + 1)) {}
+size_t cells_of(const CagsReprojection& view) { return size_t(view.reference_width + 1) * (view.reference_height + 1); }
 
-  void run() {
-    find_nearest();
-    const Padded reference = out_.rgb ? padded_colours(in_, scratch_->reference) : Padded{nullptr, 0, 0};
-    const Occlusion occlusion{scratch_->nearest.data(), scratch_->nearest_depth.data()};
-    std::vector<std::vector<int64_t>> found(threads_);
-    for_rows(threads_, in_.view.height, [&](int row, int worker) {
-      stages().resolve(in_, out_, occlusion, reference, row, found[worker]);
-    });
-    std::vector<int64_t> holes;
-    for (auto& part : found) holes.insert(holes.end(), part.begin(), part.end());
-    if (out_.rgb && !holes.empty() && in_.erosion_radius > 0 && in_.erosion_iterations > 0) fill(std::move(holes));
+void align(const CagsAlignInput& in, const CagsAlignOutput& out) {
+  ScratchLease scratch;
+  const int threads = std::min(in.threads, kMaxThreads), rows = (in.view.height + in.stride - 1) / in.stride;
+  const size_t cells = cells_of(in.view);
+  Nearest* nearest = scratch->nearest.reserve(cells * threads);
+  float* depth = scratch->nearest_depth.reserve(cells);
+  std::fill_n(nearest, cells * threads, kNobody);
+  for_rows(threads, rows, [&](int row, int worker) { stages().nearest(in, row * in.stride, nearest + cells * worker); });
+  for (size_t i = 0; i < cells; i++) {
+    for (int worker = 1; worker < threads; worker++) nearest[i] = std::min(nearest[i], nearest[i + cells * worker]);
+    depth[i] = std::bit_cast<float>(static_cast<uint32_t>(nearest[i] >> 32));
   }
+  for_rows(threads, in.view.height, [&](int row, int) { stages().resolve(in, out, {nearest, depth}, row); });
+}
 
- private:
-  void find_nearest() {
-    Nearest* nearest = scratch_->nearest.reserve(cells_ * threads_);
-    float* depth = scratch_->nearest_depth.reserve(cells_);
-    std::fill_n(nearest, cells_ * threads_, kNobody);
-    const int rows = (in_.view.height + in_.stride - 1) / in_.stride;
-    for_rows(threads_, rows, [&](int row, int worker) { stages().nearest(in_, row * in_.stride, nearest + cells_ * worker); });
-    for (size_t i = 0; i < cells_; i++) {
-      for (int worker = 1; worker < threads_; worker++) nearest[i] = std::min(nearest[i], nearest[i + cells_ * worker]);
-      depth[i] = std::bit_cast<float>(static_cast<uint32_t>(nearest[i] >> 32));
-    }
-  }
+// The reference pixel that a client's pixel lies in, as the stages number them.
+int cell_of(const CagsReprojection& view, int64_t pixel) {
+  const float d = view.depth[pixel], u = static_cast<float>(pixel % view.width) + 0.5f;
+  const float v = static_cast<float>(pixel / view.width) + 0.5f;
+  float p[3];
+  for (int i = 0; i < 3; i++) p[i] = d * (view.m[3 * i] * u + (view.m[3 * i + 1] * v + view.m[3 * i + 2])) + view.b[i];
+  const int column = static_cast<int>(std::clamp(p[0] / p[2], 0.0f, static_cast<float>(view.reference_width)));
+  const int row = static_cast<int>(std::clamp(p[1] / p[2], 0.0f, static_cast<float>(view.reference_height)));
+  return row * (view.reference_width + 1) + column;
+}
 
-  // Erosion, on the rows that it can reach.
-  void fill(std::vector<int64_t> holes) {
-    const int width = in_.view.width, height = in_.view.height, reach = in_.erosion_radius * in_.erosion_iterations;
-    uint8_t* shared = scratch_->shared.reserve(cells_);
-    std::fill_n(shared, cells_, uint8_t{0});
-    for (int64_t pixel : holes) shared[cell_of(pixel)] = 1;
-    const auto [first, last] = std::minmax_element(holes.begin(), holes.end());
-    const int top = std::max<int>(static_cast<int>(*first / width) - reach, 0);
-    const int bottom = std::min<int>(static_cast<int>(*last / width) + reach + 1, height);
-    uint8_t* clean = scratch_->clean.reserve(size_t(width) * height);
-    for_rows(threads_, bottom - top, [&](int i, int) {
-      stages().clean(in_, out_, shared, top + i, clean + int64_t{top + i} * width);
-    });
-    erode({width, height, in_.erosion_radius, in_.erosion_iterations, threads_}, std::move(holes), clean, out_.rgb);
-  }
+// Erosion, on the rows that it can reach.
+void fill(const CagsAlignInput& in, const uint8_t* occluded, std::vector<int64_t> holes, Scratch& scratch, float* rgb) {
+  const int width = in.view.width, height = in.view.height, reach = in.erosion_radius * in.erosion_iterations;
+  const int threads = std::min(in.threads, kMaxThreads);
+  uint8_t* shared = scratch.shared.reserve(cells_of(in.view));
+  std::fill_n(shared, cells_of(in.view), uint8_t{0});
+  for (int64_t pixel : holes) shared[cell_of(in.view, pixel)] = 1;
+  const int top = std::max<int>(static_cast<int>(holes.front() / width) - reach, 0);
+  const int bottom = std::min<int>(static_cast<int>(holes.back() / width) + reach + 1, height);
+  uint8_t* clean = scratch.clean.reserve(size_t(width) * height + kErosionSlack);
+  for_rows(threads, bottom - top, [&](int i, int) {
+    stages().clean(in, occluded, shared, top + i, clean + int64_t{top + i} * width);
+  });
+  erode({width, height, in.erosion_radius, in.erosion_iterations, threads}, std::move(holes), clean, rgb);
+}
 
-  int cell_of(int64_t pixel) const {
-    const CagsReprojection& view = in_.view;
-    const float d = view.depth[pixel], u = static_cast<float>(pixel % view.width) + 0.5f;
-    const float v = static_cast<float>(pixel / view.width) + 0.5f;
-    float p[3];
-    for (int i = 0; i < 3; i++) p[i] = d * (view.m[3 * i] * u + (view.m[3 * i + 1] * v + view.m[3 * i + 2])) + view.b[i];
-    const int column = static_cast<int>(std::clamp(p[0] / p[2], 0.0f, static_cast<float>(view.reference_width)));
-    const int row = static_cast<int>(std::clamp(p[1] / p[2], 0.0f, static_cast<float>(view.reference_height)));
-    return row * (view.reference_width + 1) + column;
-  }
-
-  const CagsAlignInput& in_;
-  const CagsAlignOutput& out_;
-  const int threads_;
-  const size_t cells_;
-  ScratchLease scratch_;
-};
+void paint(const CagsAlignInput& in, const uint8_t* occluded, float* rgb) {
+  ScratchLease scratch;
+  const Padded reference = padded_colours(in, scratch->reference);
+  for_rows(std::min(in.threads, kMaxThreads), in.view.height, [&](int row, int) { stages().paint(in, reference, row, rgb); });
+  if (in.erosion_radius == 0 || in.erosion_iterations == 0) return;
+  std::vector<int64_t> holes = holes_of(occluded, int64_t{in.view.width} * in.view.height);
+  if (!holes.empty()) fill(in, occluded, std::move(holes), *scratch.operator->(), rgb);
+}
 
 Evidence weigh(const CagsCorrectInput& in, const float* sums, int threads) {
   std::vector<Evidence> rows((in.view.reference_height + kEvidenceRows - 1) / kEvidenceRows);
@@ -218,7 +210,10 @@ void correct(const CagsCorrectInput& in, float* restored) {
   std::copy_n(fields.data + stride, stride, fields.data);
   std::copy_n(fields.data + stride * h, stride, fields.data + stride * (h + 1));
   const Blocks blocks = registration(in, fields, *scratch.operator->(), threads);
-  for_rows(threads, in.view.height, [&](int row, int) { stages().correct(in, fields, blocks, row, restored); });
+  float* weights = scratch->lines.reserve(size_t(blocks.width) * threads);
+  for_rows(threads, in.view.height, [&](int row, int worker) {
+    stages().correct(in, fields, blocks, row, weights + size_t(blocks.width) * worker, restored);
+  });
 }
 
 // Reference minus the client's own splats, with a border.
@@ -272,11 +267,15 @@ int32_t guarded(const Body& body) {
 int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output) {
   using namespace cags::align;
   const CagsAlignInput& in = *input;
-  if (!valid(in.view) || in.threads < 1 || in.stride < 1 || in.erosion_radius < 0 || in.erosion_radius > kMaxRadius ||
-      in.erosion_iterations < 0) {
-    return CAGS_INVALID;
-  }
-  return guarded([&] { Alignment(in, *output).run(); });
+  if (!valid(in)) return CAGS_INVALID;
+  return guarded([&] { cags::align::align(in, *output); });
+}
+
+int32_t cags_paint(const CagsAlignInput* input, const uint8_t* occluded, float* rgb) {
+  using namespace cags::align;
+  const CagsAlignInput& in = *input;
+  if (!valid(in)) return CAGS_INVALID;
+  return guarded([&] { cags::align::paint(in, occluded, rgb); });
 }
 
 int32_t cags_correct(const CagsCorrectInput* input, float* restored) {

@@ -19,7 +19,6 @@ struct CagsAlignInput {
 };
 
 struct CagsAlignOutput {
-  float* rgb;         // [height, width, 3]; null: only the geometry is wanted
   float* confidence;  // [height, width]
   uint8_t* occluded;  // [height, width]: 0 or 1
 };
@@ -54,7 +53,9 @@ struct CagsAddInput {
   int32_t width, height, change_width, change_height, threads;
 };
 
-CAGS_API int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output);
+CAGS_API int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output);  // reads no colours
+// Colours [height, width, 3] of what cags_align told of the same input, with its `occluded` filled by erosion.
+CAGS_API int32_t cags_paint(const CagsAlignInput* input, const uint8_t* occluded, float* rgb);
 CAGS_API int32_t cags_correct(const CagsCorrectInput* input, float* restored);  // [height, width, 3] in [0, 1]
 // [h, w, 39] at a quarter of the resolution, h and w even; see cags_client.restore.networks.inputs. The last is left.
 CAGS_API int32_t cags_features(const CagsFeaturesInput* input, float* features);

@@ -3,6 +3,7 @@
 #include "support/thread_pool.h"
 
 #include <algorithm>
+#include <bit>
 #include <cstring>
 
 namespace cags::align {
@@ -15,13 +16,11 @@ struct Mean {
   int count;
 };
 
-bool any(const uint8_t* bytes, int count) {
-  for (; count >= 8; bytes += 8, count -= 8) {
-    uint64_t eight;
-    std::memcpy(&eight, bytes, sizeof eight);
-    if (eight) return true;
-  }
-  return std::any_of(bytes, bytes + count, [](uint8_t byte) { return byte != 0; });
+// Up to eight bytes of 0 or 1; may read kErosionSlack beyond them.
+uint64_t bytes_at(const uint8_t* bytes, int count) {
+  uint64_t eight;
+  std::memcpy(&eight, bytes, sizeof eight);
+  return count >= 8 ? eight : eight & ((uint64_t{1} << (8 * count)) - 1);
 }
 
 Mean mean_of_clean(const Erosion& how, const uint8_t* clean, const float* rgb, int64_t pixel) {
@@ -30,12 +29,13 @@ Mean mean_of_clean(const Erosion& how, const uint8_t* clean, const float* rgb, i
   const int left = std::max(column - how.radius, 0), right = std::min(column + how.radius, how.width - 1);
   Mean mean{{0, 0, 0}, 0};
   for (int y = top; y <= bottom; y++) {
-    const int64_t start = int64_t{y} * how.width + left;
-    if (!any(clean + start, right - left + 1)) continue;
-    for (int64_t i = start; i <= start + right - left; i++) {
-      if (!clean[i]) continue;
-      for (int c = 0; c < 3; c++) mean.rgb[c] += rgb[3 * i + c];
-      mean.count++;
+    for (int x = left; x <= right; x += 8) {
+      const int64_t start = int64_t{y} * how.width + x;
+      for (uint64_t set = bytes_at(clean + start, right - x + 1); set; set &= set - 1) {
+        const float* colour = rgb + 3 * (start + std::countr_zero(set) / 8);
+        for (int c = 0; c < 3; c++) mean.rgb[c] += colour[c];
+        mean.count++;
+      }
     }
   }
   for (float& value : mean.rgb) value /= static_cast<float>(std::max(mean.count, 1));
@@ -43,6 +43,15 @@ Mean mean_of_clean(const Erosion& how, const uint8_t* clean, const float* rgb, i
 }
 
 }  // namespace
+
+std::vector<int64_t> holes_of(const uint8_t* occluded, int64_t pixels) {
+  std::vector<int64_t> holes;
+  const uint8_t* end = occluded + pixels;
+  for (const uint8_t* at = occluded; (at = static_cast<const uint8_t*>(std::memchr(at, 1, end - at))); at++) {
+    holes.push_back(at - occluded);
+  }
+  return holes;
+}
 
 void erode(const Erosion& how, std::vector<int64_t> holes, uint8_t* clean, float* rgb) {
   std::vector<Mean> means;

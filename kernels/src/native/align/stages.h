@@ -3,7 +3,6 @@
 #include "align/cags_align.h"
 
 #include <cstdint>
-#include <vector>
 
 namespace cags::align {
 
@@ -48,11 +47,12 @@ struct Blocks {
 struct Stages {
   // One row: the nearest pixel of each cell that it touches.
   void (*nearest)(const CagsAlignInput&, int row, Nearest* cells);
-  // One row: confidence, occlusion (appended to `holes`) and, where asked, colours before erosion.
-  void (*resolve)(const CagsAlignInput&, const CagsAlignOutput&, const Occlusion&, const Padded& reference, int row,
-                  std::vector<int64_t>& holes);
+  // One row: confidence and occlusion.
+  void (*resolve)(const CagsAlignInput&, const CagsAlignOutput&, const Occlusion&, int row);
+  // One row: colours before erosion.
+  void (*paint)(const CagsAlignInput&, const Padded& reference, int row, float* rgb);
   // One row: which pixels may be averaged from, being seen and not in front of an occluded one (`shared` cells).
-  void (*clean)(const CagsAlignInput&, const CagsAlignOutput&, const uint8_t* shared, int row, uint8_t* clean);
+  void (*clean)(const CagsAlignInput&, const uint8_t* occluded, const uint8_t* shared, int row, uint8_t* clean);
   // One row of the reference: horizontal sums [height, kMoments, width] of the moments that the local fit needs.
   void (*moments)(const CagsCorrectInput&, int row, float* line, float* sums);
   // One row of the reference: adds its power of difference and its noise, by component, to `evidence`.
@@ -64,7 +64,8 @@ struct Stages {
   // One row of blocks: weights, given the mean power of the correction.
   void (*settle)(const CagsCorrectInput&, int row, float power, const Blocks& blocks);
   // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.
-  void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* restored);
+  // `line` [blocks.width] is scratch.
+  void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored);
   // One row of blocks of half-resolution cells: what a network sees.
   void (*features)(const CagsFeaturesInput&, const Padded& evidence, int row, float* out);
   // One row of the client's picture plus the change brought up to it; `line` [change_width * 6] is scratch.

@@ -85,54 +85,59 @@ void settle(const CagsCorrectInput& in, int row, float power, const Blocks& bloc
   }
 }
 
-inline void correct_run(const Projected& p, int count, const Padded& fields, const float* confidence, const float* distorted,
+// Pixels that are not in the reference have no confidence; the field's corner that they read is multiplied by it.
+inline void correct_run(const Taps& taps, int count, const Padded& fields, const float* confidence, const float* distorted,
                         float* restored) {
+  const Four zero = {}, one = {1.0f, 1.0f, 1.0f, 1.0f};
   for (int i = 0; i < count; i++) {
-    Four field = {};
-    if (confidence[i] > 0) field = bilinear(fields, p.x[i], p.y[i]) * confidence[i];
+    const Four field = bilinear(fields, taps[i]) * confidence[i];
+    const Four factor = __builtin_shufflevector(field, field, 0, 0, 0, 0);
     const Four offset = __builtin_shufflevector(field, field, 1, 2, 3, 0);
-    const float* d = distorted + 3 * i;
-    const Four colour = {d[0], d[1], d[2], 0.0f};
-    Four shown = colour + (colour * field[0] + offset);
-    const Four zero = {}, one = {1.0f, 1.0f, 1.0f, 1.0f};
+    const Four colour = colour_at(distorted + 3 * i, i + 1 < count);
+    Four shown = colour + (colour * factor + offset);
     shown = shown < zero ? zero : shown;
     shown = shown > one ? one : shown;
-    // The fourth float is the next pixel's, which is written next; the last of a run must not touch it.
-    std::memcpy(restored + 3 * i, &shown, i + 1 < count ? sizeof shown : 3 * sizeof(float));
+    put(restored, i, count, shown);
   }
 }
 
-// Confidences of a run, times the blocks' weights between their centres.
-inline void weigh_run(const Blocks& blocks, int row, int first, int count, const float* confidence, float* out) {
+// Confidences of a run, times the blocks' weights between their centres. `line` [blocks.width] are those of this row.
+inline void weigh_run(const float* line, const Blocks& blocks, int first, int count, const float* confidence, float* out) {
   const float inverse = 1.0f / static_cast<float>(blocks.size);
-  const float right = static_cast<float>(blocks.width - 1), bottom = static_cast<float>(blocks.height - 1);
-  const float y = std::clamp((static_cast<float>(row) + 0.5f) * inverse - 0.5f, 0.0f, bottom);
+  const int last = blocks.width - 1;
+  for (int i = 0; i < count; i++) {
+    const float middle = (static_cast<float>(first + i) + 0.5f) * inverse - 0.5f;
+    const float x = std::min(std::max(middle, 0.0f), static_cast<float>(last));
+    const int a = static_cast<int>(x), b = std::min(a + 1, last);
+    out[i] = confidence[i] * (line[a] + (line[b] - line[a]) * (x - static_cast<float>(a)));
+  }
+}
+
+// The blocks' weights at the height of one row of pixels.
+inline void weights_at(const Blocks& blocks, int row, float* __restrict line) {
+  const float middle = (static_cast<float>(row) + 0.5f) / static_cast<float>(blocks.size) - 0.5f;
+  const float y = std::clamp(middle, 0.0f, static_cast<float>(blocks.height - 1));
   const int above = static_cast<int>(y), below = std::min(above + 1, blocks.height - 1);
   const float* top = blocks.weight + int64_t{above} * blocks.width;
   const float* low = blocks.weight + int64_t{below} * blocks.width;
-  const float ay = y - static_cast<float>(above);
-  for (int i = 0; i < count; i++) {
-    const float x = std::min(std::max((static_cast<float>(first + i) + 0.5f) * inverse - 0.5f, 0.0f), right);
-    const int a = static_cast<int>(x), b = std::min(a + 1, blocks.width - 1);
-    const float ax = x - static_cast<float>(a);
-    const float left = top[a] + (low[a] - top[a]) * ay, other = top[b] + (low[b] - top[b]) * ay;
-    out[i] = confidence[i] * (left + (other - left) * ax);
-  }
+  const float share = y - static_cast<float>(above);
+  for (int i = 0; i < blocks.width; i++) line[i] = top[i] + (low[i] - top[i]) * share;
 }
 
-void correct(const CagsCorrectInput& in, const Padded& fields, const Blocks& blocks, int row, float* restored) {
+void correct(const CagsCorrectInput& in, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored) {
   Projected p;
   float weighed[kRun];
+  if (blocks.width) weights_at(blocks, row, line);
   for (int first = 0; first < in.view.width; first += kRun) {
     const int count = std::min(kRun, in.view.width - first);
     const int64_t start = int64_t{row} * in.view.width + first;
     project(in.view, row, first, 1, count, p);
     const float* confidence = in.confidence + start;
     if (blocks.width) {
-      weigh_run(blocks, row, first, count, confidence, weighed);
+      weigh_run(line, blocks, first, count, confidence, weighed);
       confidence = weighed;
     }
-    correct_run(p, count, fields, confidence, in.distorted + 3 * start, restored + 3 * start);
+    correct_run(Taps(fields, p, count), count, fields, confidence, in.distorted + 3 * start, restored + 3 * start);
   }
 }
 

@@ -6,13 +6,6 @@
 namespace cags::align {
 namespace {
 
-// Three floats; the fourth lane is the next pixel's, so the picture's last pixel is read with `whole` false.
-inline Four colour_at(const float* at, bool whole) {
-  Four out = {};
-  std::memcpy(&out, at, 3 * sizeof(float));
-  return whole ? four(at) : out;
-}
-
 // Mean of 2 x 2 pixels that lie side by side.
 inline Four mean_colour(const float* top, const float* bottom) {
   return 0.25f * (four(top) + four(top + 3) + four(bottom) + four(bottom + 3));

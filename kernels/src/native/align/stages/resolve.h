@@ -46,17 +46,7 @@ inline bool hidden(const CagsAlignInput& in, int row, int column, float behind, 
   return behind > in.slope_cells * (in.cell_x * across + in.cell_y * down);
 }
 
-inline void sample_run(const Projected& p, int count, const Padded& reference, float* rgb) {
-  for (int i = 0; i < count; i++) {
-    Four colour = {};
-    if (p.inside[i]) colour = bilinear(reference, p.x[i], p.y[i]);
-    // The fourth float is the next pixel's, which is written next; the last of a run must not touch it.
-    std::memcpy(rgb + 3 * i, &colour, i + 1 < count ? sizeof colour : 3 * sizeof(float));
-  }
-}
-
-void resolve(const CagsAlignInput& in, const CagsAlignOutput& out, const Occlusion& occlusion, const Padded& reference, int row,
-             std::vector<int64_t>& holes) {
+void resolve(const CagsAlignInput& in, const CagsAlignOutput& out, const Occlusion& occlusion, int row) {
   const float tolerance = 1.0f + in.depth_tolerance, fade = 1.0f / std::max(in.border_px, 1e-6f);
   const float w = static_cast<float>(in.view.reference_width), h = static_cast<float>(in.view.reference_height);
   Projected p;
@@ -78,19 +68,28 @@ void resolve(const CagsAlignInput& in, const CagsAlignOutput& out, const Occlusi
       if (behind[i] <= 0 || !hidden(in, row, first + i, behind[i], occlusion.nearest[p.cell[i]])) continue;
       out.occluded[start + i] = 1;
       confidence[i] = 0.0f;
-      holes.push_back(start + i);
     }
-    if (out.rgb) sample_run(p, count, reference, out.rgb + 3 * start);
   }
 }
 
-void clean(const CagsAlignInput& in, const CagsAlignOutput& out, const uint8_t* shared, int row, uint8_t* clean) {
+void paint(const CagsAlignInput& in, const Padded& reference, int row, float* rgb) {
+  Projected p;
+  for (int first = 0; first < in.view.width; first += kRun) {
+    const int count = std::min(kRun, in.view.width - first);
+    project(in.view, row, first, 1, count, p);
+    const Taps taps(reference, p, count);
+    float* run = rgb + 3 * (int64_t{row} * in.view.width + first);
+    for (int i = 0; i < count; i++) put(run, i, count, p.inside[i] ? bilinear(reference, taps[i]) : Four{});
+  }
+}
+
+void clean(const CagsAlignInput& in, const uint8_t* occluded, const uint8_t* shared, int row, uint8_t* clean) {
   Projected p;
   for (int first = 0; first < in.view.width; first += kRun) {
     const int count = std::min(kRun, in.view.width - first);
     const int64_t start = int64_t{row} * in.view.width + first;
     project(in.view, row, first, 1, count, p);
-    for (int i = 0; i < count; i++) clean[first + i] = p.inside[i] & !out.occluded[start + i] & !shared[p.cell[i]];
+    for (int i = 0; i < count; i++) clean[first + i] = p.inside[i] & !occluded[start + i] & !shared[p.cell[i]];
   }
 }
 

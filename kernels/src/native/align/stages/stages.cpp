@@ -7,6 +7,6 @@
 
 namespace cags::align {
 
-extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, weigh, fit, compare, settle, correct, features, add};
+extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, paint, clean, moments, weigh, fit, compare, settle, correct, features, add};
 
 }  // namespace cags::align
