@@ -37,8 +37,8 @@ BLOB_PRIORITY = 0
 WEIGHTS_PRIORITY = 2
 """A restorer's weights: playing goes on without them, so that base layers go first."""
 
-BLIND_GRACE_PERIODS = 1.0
-"""Frames that a running job may be overdue before media goes on without it."""
+BLIND_GRACE_PERIODS, BLIND_GRACE_LEADS = 1.0, 0.25
+"""How long a running job may be overdue before media goes on without it: a frame, but no longer than the lead bears."""
 
 MESSAGE_OVERHEAD_BYTES = 160
 """Header of a tile message and its fragment, about."""
@@ -203,7 +203,8 @@ class Streamer:
         due_us = self._viewer.clock.to_server(round(self._timeline.display_us(self._next_tick) - self._lead_us))
         if not self._job_running:
             return due_us
-        return None if self._blind_frame() is None else due_us + round(BLIND_GRACE_PERIODS * self._timeline.period_us)
+        grace_us = min(BLIND_GRACE_PERIODS * self._timeline.period_us, BLIND_GRACE_LEADS * self._lead_us)
+        return None if self._blind_frame() is None else due_us + round(grace_us)
 
     def begin(self, now_us: int) -> FrameJob | None:
         """Plan the newest frame that is due: where the viewer will be, and how wide to look. None if none is due.

@@ -254,6 +254,17 @@ def test_a_reference_too_late_for_anything_is_not_sent() -> None:
     assert [r.idr for r in of(ReferenceFrame, rig.step())] == [True]
 
 
+def test_at_a_low_rate_media_does_not_wait_a_whole_frame_for_a_slow_job() -> None:
+    rig = Rig()
+    rig.poses(0, 20_000)
+    rig.control("play", rate=1 / 6)
+    rig.step()
+    due = rig.streamer.next_due_us()
+    assert rig.streamer.begin(due) is not None
+    overdue_us = rig.streamer.next_due_us() - (due + 6 * PERIOD_US)
+    assert 0 < overdue_us <= SETTINGS.lead_frames * PERIOD_US / 3, "the frame still reaches its display"
+
+
 def test_one_job_at_a_time_and_a_failed_one_does_not_end_the_stream() -> None:
     rig = Rig()
     rig.play()
