@@ -12,13 +12,14 @@ transparency come out right, and many references add up. Only what stands above 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_client.align import ReferencePicture
 from cags_client.restore.affine import AffineSettings, corrected_there
+from cags_common.geometry import F32
 from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
 from cags_common.splats import SH_C0, Splats
 
@@ -87,9 +88,9 @@ class SirtAdapter:
         rows = step.rows
         if len(rows):
             self._delta[rows] = np.clip(self._delta[rows] + step.change, -MAX_CHANGE, MAX_CHANGE)
-            scene.update(rows, self.corrected(splats.take(rows), rows))
+            scene.recolour(rows, self.corrected(splats.sh0[rows], rows))
         return len(rows)
 
-    def corrected(self, splats: Splats, rows: NDArray[np.intp]) -> Splats:
-        """``splats`` [M], which lie at ``rows`` [M], with their corrections."""
-        return replace(splats, sh0=splats.sh0 + self._delta[rows] / np.float32(SH_C0))
+    def corrected(self, sh0: F32, rows: NDArray[np.intp]) -> F32:
+        """Base colours ``sh0`` [M, 3] of the splats at ``rows`` [M] with their corrections."""
+        return sh0 + self._delta[rows] / np.float32(SH_C0)

@@ -112,6 +112,9 @@ class FakeScene:
         for (_, target), (_, values) in zip(self._splats.arrays(), splats.arrays(), strict=True):
             target[rows] = values
 
+    def recolour(self, rows: Any, sh0: Any) -> None:
+        self._splats.sh0[rows] = sh0
+
     def render(self, camera: Any, options: Any) -> RenderedView:
         rotation, translation = camera.world_to_camera
         x, y, z = (self._splats.means @ rotation.T + translation).T

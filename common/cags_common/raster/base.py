@@ -173,6 +173,10 @@ class RasterScene(Protocol):
         """Replace the splats at ``rows`` [M]; the cost is proportional to M."""
         ...
 
+    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
+        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]: a fraction of :meth:`update`."""
+        ...
+
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view. The result does not depend on ``options.threads``."""
         ...

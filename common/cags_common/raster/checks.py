@@ -53,8 +53,7 @@ def replacements(
     new, indices = drawable(splats), np.ascontiguousarray(rows, dtype=np.int64)
     if indices.shape != (len(new),):
         raise ValueError(f"{len(new)} splats for rows of shape {indices.shape}; give one row for each")
-    if indices.size and (indices.min() < 0 or indices.max() >= count):
-        raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {count} splats")
+    _check_rows(indices, count)
     rest = new.sh_rest
     if rest.shape[1] > harmonics:
         raise ValueError(f"splats of SH degree {new.sh_degree} do not fit a scene with {harmonics} harmonics a channel")
@@ -63,6 +62,16 @@ def replacements(
         padded[:, : rest.shape[1]] = rest
         new = replace(new, sh_rest=padded)
     return new, indices
+
+
+def recolouring(rows: NDArray[np.integer], sh0: F32, count: int) -> tuple[NDArray[np.int64], F32]:
+    """``rows`` and ``sh0`` as they replace the base colours of a scene of ``count`` splats; raises as above."""
+    indices, colours = np.ascontiguousarray(rows, dtype=np.int64), np.ascontiguousarray(sh0, dtype=np.float32)
+    if indices.ndim != 1 or colours.shape != (len(indices), 3):
+        raise ValueError(f"colours of shape {colours.shape} for rows of shape {indices.shape}; give one row for each")
+    _check_rows(indices, count)
+    _check_finite("sh0", colours, "splats")
+    return indices, colours
 
 
 def check_camera(camera: Camera) -> None:
@@ -84,6 +93,11 @@ def check_residual(residual: F32, camera: Camera) -> F32:
     if not np.isfinite(array).all():
         raise ValueError("residual holds values that are not finite")
     return array
+
+
+def _check_rows(indices: NDArray[np.int64], count: int) -> None:
+    if indices.size and (indices.min() < 0 or indices.max() >= count):
+        raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {count} splats")
 
 
 def _check_shapes(arrays: dict[str, F32], source: str) -> None:

@@ -12,7 +12,7 @@ import cags_kernels
 from cags_common.errors import CagsError, ConfigError
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable, replacements
+from cags_common.raster.checks import check_camera, check_residual, drawable, recolouring, replacements
 from cags_common.splats import Splats
 
 if TYPE_CHECKING:
@@ -71,6 +71,10 @@ class CpuScene:
         """Replace the splats at ``rows`` [M]."""
         new, indices = replacements(rows, splats, len(self), self._harmonics)
         self._native.update(indices, _arrays(new))
+
+    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
+        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
+        self._native.recolour(*recolouring(rows, sh0, len(self)))
 
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view over black."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable, replacements
+from cags_common.raster.checks import check_camera, check_residual, drawable, recolouring, replacements
 from cags_common.raster.definition import MAX_DEPTH
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 
@@ -86,6 +86,11 @@ class CudaScene:
         at = self._tensor(indices)
         for name, array in new.arrays():
             self._columns[name][at] = self._tensor(array)
+
+    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
+        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
+        indices, colours = recolouring(rows, sh0, len(self))
+        self._columns["sh0"][self._tensor(indices)] = self._tensor(colours)
 
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view over black. Raises :class:`ConfigError` for the median depth, which gsplat does not give."""

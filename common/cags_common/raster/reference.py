@@ -8,14 +8,14 @@ levels of exactness change nothing here. Slow: about a second for 30,000 splats 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable, replacements
+from cags_common.raster.checks import check_camera, check_residual, drawable, recolouring, replacements
 from cags_common.raster.definition import ALPHA_CUT, ALPHA_MAX, JACOBIAN_MARGIN, MAX_DEPTH, MAX_SCALE, content_hash
 from cags_common.raster.harmonics import harmonics
 from cags_common.splats import SH_C0, SH_REST_OF_DEGREE, Splats
@@ -69,6 +69,13 @@ class ReferenceScene:
         for name, array in new.arrays():
             columns[name][rows] = array
         self._splats = Splats(**columns)
+
+    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
+        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
+        rows, colours = recolouring(rows, sh0, len(self))
+        changed = self._splats.sh0.copy()
+        changed[rows] = colours
+        self._splats = replace(self._splats, sh0=changed)
 
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view over black."""

@@ -139,6 +139,14 @@ class NativeScene:
         update = self._library.cags_raster_scene_update
         check(update(self._handle, _address(rows), ctypes.byref(_splats(splats))), "raster_scene_update")
 
+    def recolour(self, rows: NDArray[np.int64], sh0: F32) -> None:
+        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
+        if sh0.shape != (*rows.shape, 3):
+            raise ValueError(f"colours of shape {sh0.shape} for rows of shape {rows.shape}")
+        rows, sh0 = np.ascontiguousarray(rows, np.int64), np.ascontiguousarray(sh0, np.float32)
+        recolour = self._library.cags_raster_scene_recolour
+        check(recolour(self._handle, _address(rows), ctypes.c_int64(len(rows)), _address(sh0)), "raster_scene_recolour")
+
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
         """Render one view over black; depth as ``options.depth`` says."""
         shape = (camera.height, camera.width)

@@ -61,6 +61,8 @@ CAGS_API int32_t cags_use_instruction_set(const char* name);  // for tests and b
 CAGS_API int32_t cags_raster_scene_create(const CagsSplats* splats, int32_t threads, CagsRasterScene** scene);
 CAGS_API void cags_raster_scene_destroy(CagsRasterScene* scene);
 CAGS_API int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, const CagsSplats* splats);
+// Replaces only the base colours (SH of degree 0) sh0 [count, 3] of the splats at `rows`.
+CAGS_API int32_t cags_raster_scene_recolour(CagsRasterScene* scene, const int64_t* rows, int64_t count, const float* sh0);
 CAGS_API int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,
                                     const CagsRasterTargets* targets, CagsRasterStatistics* statistics);
 CAGS_API int32_t cags_raster_back_project(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,

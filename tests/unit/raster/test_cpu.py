@@ -149,6 +149,32 @@ def test_an_update_of_lower_degree_fills_up_with_zeros(splats, backend):
 
 
 @pytest.mark.parametrize("backend", ["reference", "cpu"])
+def test_new_base_colours_equal_a_fresh_load(splats, backend):
+    rows = np.random.default_rng(5).choice(len(splats), 200, replace=False)
+    colours = random_splats(200, seed=9).sh0
+    changed, cam = create(backend).load(splats), tilted_camera(48, 32)
+    before = changed.render(cam, RenderOptions()).rgb
+    changed.recolour(rows, colours)
+    sh0 = splats.sh0.copy()
+    sh0[rows] = colours
+    loaded = create(backend).load(replace(splats, sh0=sh0))
+    after = changed.render(cam, RenderOptions())
+    np.testing.assert_array_equal(after.rgb, loaded.render(cam, RenderOptions()).rgb)
+    assert np.abs(after.rgb - before).max() > 0.01
+
+
+@pytest.mark.parametrize("backend", ["reference", "cpu"])
+def test_base_colours_that_do_not_fit_are_refused(backend):
+    scene = create(backend).load(random_splats(10, degree=0))
+    with pytest.raises(IndexError, match="rows"):
+        scene.recolour(np.array([3, 10]), np.zeros((2, 3), np.float32))
+    with pytest.raises(ValueError, match="one row for each"):
+        scene.recolour(np.arange(3), np.zeros((2, 3), np.float32))
+    with pytest.raises(SceneError, match=r"sh0\[1\]"):
+        scene.recolour(np.arange(2), np.array([[0, 0, 0], [0, np.nan, 0]], np.float32))
+
+
+@pytest.mark.parametrize("backend", ["reference", "cpu"])
 def test_updates_that_do_not_fit_are_refused(splats, backend):
     scene = create(backend).load(random_splats(10, degree=0))
     with pytest.raises(ValueError, match="degree 3 do not fit"):

@@ -57,6 +57,10 @@ bool valid(const CagsSplats& splats) {
   return splats.count >= 0 && splats.count <= kMaxSplats && (k == 0 || k == 3 || k == 8 || k == 15);
 }
 
+bool inside(const CagsRasterScene& scene, const int64_t* rows, int64_t count) {
+  return std::all_of(rows, rows + count, [&](int64_t row) { return row >= 0 && row < scene.scene.count(); });
+}
+
 bool valid(const CagsCamera& camera, const CagsRasterOptions& options) {
   return camera.width >= 1 && camera.width <= kMaxSide && camera.height >= 1 && camera.height <= kMaxSide && camera.fx > 0 &&
          camera.fy > 0 && camera.near_plane > 0 && options.threads >= 1 && options.exactness >= CAGS_FAST &&
@@ -90,9 +94,14 @@ void cags_raster_scene_destroy(CagsRasterScene* scene) { delete scene; }
 
 int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, const CagsSplats* splats) {
   if (!valid(*splats) || splats->sh_rest_count != scene->scene.data().sh_rest) return CAGS_INVALID;
-  auto inside = [&](int64_t row) { return row >= 0 && row < scene->scene.count(); };
-  if (!std::all_of(rows, rows + splats->count, inside)) return CAGS_INVALID;
+  if (!inside(*scene, rows, splats->count)) return CAGS_INVALID;
   scene->scene.update(rows, *splats);
+  return CAGS_OK;
+}
+
+int32_t cags_raster_scene_recolour(CagsRasterScene* scene, const int64_t* rows, int64_t count, const float* sh0) {
+  if (count < 0 || !inside(*scene, rows, count)) return CAGS_INVALID;
+  scene->scene.recolour(rows, count, sh0);
   return CAGS_OK;
 }
 

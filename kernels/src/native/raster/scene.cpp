@@ -51,6 +51,8 @@ void scaled_axes(const float* quat, const float* log_scale, double out[9]) {
   }
 }
 
+float base_colour(float sh0) { return float(0.5 + kShC0 * sh0); }
+
 float log2_sigmoid(float logit) {
   return float(std::max(-std::log1p(std::exp(-double(logit))) * kLog2E, double(kInvisible)));
 }
@@ -82,6 +84,14 @@ void Scene::update(const int64_t* rows, const CagsSplats& splats) {
   }
 }
 
+void Scene::recolour(const int64_t* rows, int64_t count, const float* sh0) {
+  float* base = geometry_.data() + size_t(kBase) * padded_;
+  for (int64_t i = 0; i < count; i++) {
+    for (int c = 0; c < 3; c++) base[size_t(c) * padded_ + rows[i]] = base_colour(sh0[3 * i + c]);
+    touch(int(rows[i]));
+  }
+}
+
 SceneData Scene::data() const {
   SceneData data{};
   auto plane = [&](int index) { return geometry_.data() + size_t(index) * padded_; };
@@ -102,7 +112,7 @@ void Scene::store(int slot, const CagsSplats& splats, int64_t row) {
   const float* rest = splats.sh_rest + row * coefficients;
   double axes[9];
   scaled_axes(quat, scale, axes);
-  for (int i = 0; i < 3; i++) put(kMean + i, mean[i]), put(kBase + i, 0.5 + kShC0 * sh0[i]);
+  for (int i = 0; i < 3; i++) put(kMean + i, mean[i]), put(kBase + i, base_colour(sh0[i]));
   for (int i = 0; i < 9; i++) put(kAxes + i, axes[i]);
   put(kOpacity, log2_sigmoid(*logit));
   float* block = rest_.data() + size_t(slot / kLanes) * coefficients * kLanes + slot % kLanes;
@@ -110,6 +120,11 @@ void Scene::store(int slot, const CagsSplats& splats, int64_t row) {
   ContentHash hash;
   hash.add(mean, 3), hash.add(quat, 4), hash.add(scale, 3), hash.add(logit, 1), hash.add(sh0, 3), hash.add(rest, coefficients);
   tie_[slot] = hash.value();
+  touch(slot);
+}
+
+// Colours that frames have kept of this block are no longer those of the scene.
+void Scene::touch(int slot) {
   uint32_t& revision = revision_[slot / kLanes];
   if (++revision == 0) revision = 1;
 }

@@ -14,12 +14,17 @@ class Scene {
   // Replaces the splats at `rows`; their number of SH coefficients must be the scene's. Not beside a render.
   void update(const int64_t* rows, const CagsSplats& splats);
 
+  // Replaces the base colours of the splats at `rows`, sh0 [count, 3]. Splats of one depth keep their order. Not beside a
+  // render.
+  void recolour(const int64_t* rows, int64_t count, const float* sh0);
+
   int count() const { return count_; }
   SceneData data() const;
 
  private:
   void store(int slot, const CagsSplats& splats, int64_t row);
   void refresh_degree(int block);
+  void touch(int slot);
 
   int count_, padded_, sh_rest_;
   AlignedArray<float> geometry_;   // mean, axes, log2_opacity, base: planes of padded_
