@@ -38,3 +38,8 @@ def splats_of(bundle: Path) -> int:
         return sum(tile.splats for tile in reader.frame(0).tiles)
     finally:
         reader.close()
+
+
+def link_share(bundle: Path, like_splats: int) -> float:
+    """What a link's rates are multiplied by: the scene's splats over ``like_splats``; 1 where that is 0."""
+    return splats_of(bundle) / like_splats if like_splats else 1.0

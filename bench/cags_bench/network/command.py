@@ -124,7 +124,7 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
         policies = settings.policies.split(",")
         yield from content_lines(traces, policies, base, like_splats=settings.like_splats, workers=workers)
     if "realtime" in parts:
-        yield from realtime_lines(base)
+        yield from realtime_lines(base, settings.like_splats)
     if "clients" in parts:
         from cags_bench.network.clients import clients_line
 

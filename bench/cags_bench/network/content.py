@@ -12,7 +12,7 @@ import numpy as np
 
 from cags_bench.parallel import in_parallel
 from cags_bench.sim.session import Scenario, SessionResult, simulate
-from cags_bench.traces import scaled_trace, splats_of
+from cags_bench.traces import link_share, scaled_trace, splats_of
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_server.settings import ServerSettings
@@ -69,7 +69,7 @@ def content_lines(
     The rates of a trace are scaled so that the scene gets the bits a splat and second that one of ``like_splats``
     splats would get over the trace as it is; 0: not scaled.
     """
-    share = splats_of(base.bundle) / like_splats if like_splats else 1.0
+    share = link_share(base.bundle, like_splats)
     plays = [Play(trace, policy, share, base) for trace in traces for policy in policies]
     yield from in_parallel(Play.line, plays, workers)
 

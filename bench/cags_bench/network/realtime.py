@@ -11,21 +11,30 @@ from typing import Any
 
 from cags_bench.demo.processes import ProcessGroup
 from cags_bench.sim.session import Scenario, simulate
+from cags_bench.traces import link_share, scaled_trace
 from cags_common.errors import NetworkError
 
 TRACES = ("generated:steady-30", "generated:lte-driving", "generated:step")
 CLIENT_TIMEOUT_S = 300.0
+TRACE_S = 60.0
 
 
-def realtime_lines(base: Scenario, traces: tuple[str, ...] = TRACES) -> Iterator[dict[str, Any]]:
-    """One line a trace: bytes that arrived in real and in virtual time."""
+def realtime_lines(base: Scenario, like_splats: int, traces: tuple[str, ...] = TRACES) -> Iterator[dict[str, Any]]:
+    """One line a trace: bytes that arrived in real and in virtual time.
+
+    Links are scaled as those of the content part, so that they decide what is sent. Nothing is restored: what travels
+    does not depend on it, and the processor is left to the parts that are compared.
+    """
+    share = link_share(base.bundle, like_splats)
+    base = replace(base, client=replace(base.client, restore="none"), scored=False)
     for spec in traces:
-        virtual = simulate(replace(base, trace=spec, scored=False)).summary
-        real = play(replace(base, trace=spec))
+        scenario = replace(base, trace=str(scaled_trace(spec, share, seconds=TRACE_S)))
+        virtual, real = simulate(scenario).summary, play(scenario)
         totals = [float(s["bytes_tiles"] + s["bytes_reference"]) for s in (real, virtual)]
         yield {
             "case": "realtime",
             "trace": spec,
+            "share": share,
             "real_bytes": totals[0],
             "virtual_bytes": totals[1],
             "difference": abs(totals[0] - totals[1]) / max(totals[1], 1.0),
