@@ -172,15 +172,15 @@ float trust_of(double power, double noise) {
 }
 
 // Weighs the correction by how well the client's own two views agree through the alignment. No blocks: all of it counts.
-Blocks registration(const CagsCorrectInput& in, const Padded& fields, Scratch& scratch, int threads) {
+Blocks registration(const CagsCorrectInput& in, const Padded& fields, const Padded& own, Scratch& scratch, int threads) {
   const int size = in.block_px;
   Blocks blocks{size, in.view.width / size, in.view.height / size, nullptr, nullptr, nullptr};
   const size_t count = size_t(blocks.width) * blocks.height;
   if (count == 0 || in.misregistration == 0) return Blocks{};
-  blocks.disagreement = scratch.disagreement.reserve(3 * count);
+  blocks.disagreement = scratch.disagreement.reserve(kColourLanes * count);
   blocks.power = scratch.power.reserve(count);
   blocks.weight = scratch.weight.reserve(count);
-  for_rows(threads, blocks.height, [&](int row, int) { stages().compare(in, fields, row, blocks); });
+  for_rows(threads, blocks.height, [&](int row, int) { stages().compare(in, fields, own, row, blocks); });
   double sum = 0;
   int64_t seen = 0;
   for (size_t i = 0; i < count; i++) {  // in one thread, so that the sum does not depend on their number
@@ -199,6 +199,7 @@ void correct(const CagsCorrectInput& in, float* restored) {
   float* sums = scratch->sums.reserve(size_t(w) * h * kMoments);
   const size_t stride = size_t(w + 2) * kFieldLanes;
   const Padded fields{scratch->fields.reserve(stride * (h + 2)), w, h};
+  const Padded own{scratch->reference.reserve(stride * (h + 2)), w, h};
   for_rows(threads, h, [&](int row, int worker) { stages().moments(in, row, lines + line * worker, sums); });
   const Evidence evidence = weigh(in, sums, threads);
   float trust[6];
@@ -206,10 +207,12 @@ void correct(const CagsCorrectInput& in, float* restored) {
     trust[c] = trust_of(evidence.fine[c], evidence.noise[c]);
     trust[3 + c] = trust_of(evidence.broad[c], static_cast<double>(evidence.shown) * (kNoiseFloor + in.broad_noise[c]));
   }
-  for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, trust, fields); });
-  std::copy_n(fields.data + stride, stride, fields.data);
-  std::copy_n(fields.data + stride * h, stride, fields.data + stride * (h + 1));
-  const Blocks blocks = registration(in, fields, *scratch.operator->(), threads);
+  for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, trust, fields, own); });
+  for (const Padded& picture : {fields, own}) {
+    std::copy_n(picture.data + stride, stride, picture.data);
+    std::copy_n(picture.data + stride * h, stride, picture.data + stride * (h + 1));
+  }
+  const Blocks blocks = registration(in, fields, own, *scratch.operator->(), threads);
   float* weights = scratch->lines.reserve(size_t(blocks.width) * threads);
   for_rows(threads, in.view.height, [&](int row, int worker) {
     stages().correct(in, fields, blocks, row, weights + size_t(blocks.width) * worker, restored);

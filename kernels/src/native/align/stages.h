@@ -39,7 +39,7 @@ struct Evidence {
 // The client's picture in blocks of about a reference pixel: what alignment gets wrong, against what it is to bring.
 struct Blocks {
   int size, width, height;  // client pixels a side; blocks
-  float* disagreement;      // [height, width, 3]: the picture less the client's own view through the alignment
+  float* disagreement;      // [height, width, 4], the last unused: the picture less the client's own view through the alignment
   float* power;             // [height, width]: of the correction; below 0 where there is nothing to compare
   float* weight;            // [height, width]: of the correction
 };
@@ -57,10 +57,11 @@ struct Stages {
   void (*moments)(const CagsCorrectInput&, int row, float* line, float* sums);
   // One row of the reference: adds its power of difference and its noise, by component, to `evidence`.
   void (*weigh)(const CagsCorrectInput&, int row, const float* sums, Evidence& evidence);
-  // One row of the reference: factor and offset of the correction; `trust` [6] scales luma and chromas, fine and broad.
-  void (*fit)(const CagsCorrectInput&, int row, const float* sums, const float* trust, const Padded& fields);
+  // One row of the reference: factor and offset of the correction, and the client's own view, clipped; `trust` [6] scales luma and chromas, fine and broad.
+  void (*fit)(const CagsCorrectInput&, int row, const float* sums, const float* trust, const Padded& fields,
+              const Padded& own);
   // One row of blocks: disagreement and power.
-  void (*compare)(const CagsCorrectInput&, const Padded& fields, int row, const Blocks& blocks);
+  void (*compare)(const CagsCorrectInput&, const Padded& fields, const Padded& own, int row, const Blocks& blocks);
   // One row of blocks: weights, given the mean power of the correction.
   void (*settle)(const CagsCorrectInput&, int row, float power, const Blocks& blocks);
   // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.

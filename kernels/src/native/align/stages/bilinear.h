@@ -63,9 +63,8 @@ inline void put(float* run, int i, int count, const Four& colour) {
 
 // Three floats; the fourth lane is the next pixel's, so the picture's last pixel is read with `whole` false.
 inline Four colour_at(const float* at, bool whole) {
-  Four out = {};
-  std::memcpy(&out, at, 3 * sizeof(float));
-  return whole ? four(at) : out;
+  if (whole) return four(at);
+  return Four{at[0], at[1], at[2], 0.0f};
 }
 
 }  // namespace

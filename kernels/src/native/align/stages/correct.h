@@ -6,82 +6,65 @@
 namespace cags::align {
 namespace {
 
-// Bilinear sample of three lanes without a border, clipped to [0, 1] before it is mixed.
-inline void sample_own(const CagsCorrectInput& in, float x, float y, float* out) {
-  const int w = in.view.reference_width, h = in.view.reference_height;
-  const float px = std::clamp(x - 0.5f, 0.0f, static_cast<float>(w - 1));
-  const float py = std::clamp(y - 0.5f, 0.0f, static_cast<float>(h - 1));
-  const int left = static_cast<int>(px), top = static_cast<int>(py);
-  const int right = std::min(left + 1, w - 1), bottom = std::min(top + 1, h - 1);
-  const float ax = px - static_cast<float>(left), ay = py - static_cast<float>(top);
-  const auto tap = [&](int row, int column, int c) { return clipped(in.own[(int64_t{row} * w + column) * 3 + c]); };
-  for (int c = 0; c < 3; c++) {
-    const float a = tap(top, left, c) * (1 - ax) + tap(top, right, c) * ax;
-    const float b = tap(bottom, left, c) * (1 - ax) + tap(bottom, right, c) * ax;
-    out[c] = a * (1 - ay) + b * ay;
-  }
-}
-
-inline void block_mean(const CagsCorrectInput& in, const Blocks& blocks, int row, int column, float* mean) {
-  const float share = 1.0f / static_cast<float>(blocks.size * blocks.size);
-  mean[0] = mean[1] = mean[2] = 0.0f;
+inline Four block_mean(const CagsCorrectInput& in, const Blocks& blocks, int row, int column) {
+  const bool inner = row + 1 < blocks.height || column + 1 < blocks.width;  // does not end where the picture may
+  Four mean = {};
   for (int i = 0; i < blocks.size; i++) {
-    const float* pixel = in.distorted + ((int64_t{row} * blocks.size + i) * in.view.width + column * blocks.size) * 3;
-    for (int j = 0; j < blocks.size; j++, pixel += 3) {
-      for (int c = 0; c < 3; c++) mean[c] += pixel[c];
-    }
+    const int64_t first = (int64_t{row} * blocks.size + i) * in.view.width + column * blocks.size;
+    const float* pixel = in.distorted + 3 * first;
+    for (int j = 0; j + 1 < blocks.size; j++) mean += colour_at(pixel + 3 * j, true);
+    mean += colour_at(pixel + 3 * (blocks.size - 1), inner);
   }
-  for (int c = 0; c < 3; c++) mean[c] *= share;
+  return mean * (1.0f / static_cast<float>(blocks.size * blocks.size));
 }
 
-// One block, whose central pixel lies at (x, y) in the reference and counts by `confidence`.
-inline void compare_block(const CagsCorrectInput& in, const Padded& fields, float x, float y, float confidence,
-                          const float* mean, float* disagreement, float* power) {
-  float own[3], shown = 0.0f, sum = 0.0f;
-  sample_own(in, x, y, own);
-  const Four field = bilinear(fields, x, y);
-  for (int c = 0; c < 3; c++) {
-    const float change = confidence * (mean[c] * field[0] + field[1 + c]);
-    disagreement[c] = confidence * (mean[c] - own[c]);
-    shown += mean[c] * mean[c] + own[c] * own[c];
-    sum += change * change;
-  }
-  *power = shown > kVoidPower ? sum : -1.0f;
+inline float sum_of_squares(const Four& v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
+
+// One block of mean colour `mean`; `own` and `field` are where its central pixel lies in the reference.
+inline void compare_block(const Four& mean, const Four& own, const Four& field, float confidence, float* disagreement,
+                          float* power) {
+  const Four offset = __builtin_shufflevector(field, field, 1, 2, 3, 0);
+  const Four away = confidence * (mean - own), change = confidence * (mean * field[0] + offset);
+  std::memcpy(disagreement, &away, sizeof away);
+  *power = sum_of_squares(mean) + sum_of_squares(own) > kVoidPower ? sum_of_squares(change) : -1.0f;
 }
 
-void compare(const CagsCorrectInput& in, const Padded& fields, int row, const Blocks& blocks) {
+void compare(const CagsCorrectInput& in, const Padded& fields, const Padded& own, int row, const Blocks& blocks) {
   Projected p;
   const int middle = blocks.size / 2, line = row * blocks.size + middle;
   for (int first = 0; first < blocks.width; first += kRun) {
     const int count = std::min(kRun, blocks.width - first);
     project(in.view, line, first * blocks.size + middle, blocks.size, count, p);
+    const Taps taps(fields, p, count);
+    const float* confidence = in.confidence + int64_t{line} * in.view.width + first * blocks.size + middle;
     for (int i = 0; i < count; i++) {
-      const int column = first + i;
-      const int64_t block = int64_t{row} * blocks.width + column;
-      const float confidence = in.confidence[int64_t{line} * in.view.width + column * blocks.size + middle];
-      float* disagreement = blocks.disagreement + 3 * block;
+      const int64_t block = int64_t{row} * blocks.width + first + i;
+      float* disagreement = blocks.disagreement + kColourLanes * block;
       blocks.power[block] = -1.0f;
-      disagreement[0] = disagreement[1] = disagreement[2] = 0.0f;
-      if (!(confidence > 0)) continue;
-      float mean[3];
-      block_mean(in, blocks, row, column, mean);
-      compare_block(in, fields, p.x[i], p.y[i], confidence, mean, disagreement, blocks.power + block);
+      std::fill_n(disagreement, kColourLanes, 0.0f);
+      const float certain = confidence[i * blocks.size];
+      if (!(certain > 0)) continue;
+      const Four mean = block_mean(in, blocks, row, first + i);
+      compare_block(mean, bilinear(own, taps[i]), bilinear(fields, taps[i]), certain, disagreement, blocks.power + block);
     }
   }
 }
 
 void settle(const CagsCorrectInput& in, int row, float power, const Blocks& blocks) {
+  const float* lines[3];
+  for (int i = 0; i < 3; i++) {
+    lines[i] = blocks.disagreement + int64_t{std::clamp(row + i - 1, 0, blocks.height - 1)} * blocks.width * kColourLanes;
+  }
+  const auto down = [&](int column) {
+    const int at = std::clamp(column, 0, blocks.width - 1) * kColourLanes;
+    return four(lines[0] + at) + four(lines[1] + at) + four(lines[2] + at);
+  };
+  float* weight = blocks.weight + int64_t{row} * blocks.width;
+  Four left = down(-1), middle = down(0);
   for (int column = 0; column < blocks.width; column++) {
-    float sum[3] = {};
-    for (int i = -1; i <= 1; i++) {
-      const int y = std::clamp(row + i, 0, blocks.height - 1);
-      for (int j = -1; j <= 1; j++) {
-        const int x = std::clamp(column + j, 0, blocks.width - 1);
-        for (int c = 0; c < 3; c++) sum[c] += blocks.disagreement[(int64_t{y} * blocks.width + x) * 3 + c];
-      }
-    }
-    const float square = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) / 81.0f;
-    blocks.weight[int64_t{row} * blocks.width + column] = power / (power + in.misregistration * square);
+    const Four right = down(column + 1);
+    weight[column] = power / (power + in.misregistration * sum_of_squares(left + middle + right) / 81.0f);
+    left = middle, middle = right;
   }
 }
 

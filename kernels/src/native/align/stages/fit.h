@@ -147,6 +147,20 @@ inline void factors(const CagsCorrectInput& in, const Line* m, float trust, int 
   }
 }
 
+// The client's own view, clipped, in four lanes.
+inline void write_own(const Pixels& p, int count, float* __restrict own) {
+  for (int i = 0; i < count; i++) {
+    for (int c = 0; c < 3; c++) own[kColourLanes * i + c] = p.rgb[c][i];
+    own[kColourLanes * i + 3] = 0.0f;
+  }
+}
+
+// Repeats the outermost pixels of a row of four lanes.
+inline void pad(float* row, int width) {
+  std::memcpy(row - 4, row, 4 * sizeof(float));
+  std::memcpy(row + 4 * width, row + 4 * (width - 1), 4 * sizeof(float));
+}
+
 // Factor and offsets, the correction's luma and chromas brought back to RGB.
 inline void write_fields(const Pixels& p, const Line& factor, const Line* change, int count, float* __restrict field) {
   for (int i = 0; i < count; i++) {
@@ -158,9 +172,10 @@ inline void write_fields(const Pixels& p, const Line& factor, const Line* change
   }
 }
 
-void fit(const CagsCorrectInput& in, int row, const float* sums, const float* trust, const Padded& fields) {
+void fit(const CagsCorrectInput& in, int row, const float* sums, const float* trust, const Padded& fields, const Padded& own) {
   const int w = in.view.reference_width;
-  float* field = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
+  const int64_t start = ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
+  float* field = fields.data + start;
   Pixels pixels;
   Line m[kMoments], factor, change[3];
   for (int first = 0; first < w; first += kRun) {
@@ -170,9 +185,10 @@ void fit(const CagsCorrectInput& in, int row, const float* sums, const float* tr
     for (int c = 0; c < 3; c++) correct_component(in, m, pixels, trust, c, count, change[c]);
     factors(in, m, trust[0], count, factor);
     write_fields(pixels, factor, change, count, field + int64_t{first} * kFieldLanes);
+    write_own(pixels, count, own.data + start + int64_t{first} * kColourLanes);
   }
-  std::memcpy(field - kFieldLanes, field, kFieldLanes * sizeof(float));
-  std::memcpy(field + w * kFieldLanes, field + (w - 1) * kFieldLanes, kFieldLanes * sizeof(float));
+  pad(field, w);
+  pad(own.data + start, w);
 }
 
 }  // namespace
