@@ -7,8 +7,6 @@ import itertools
 import logging
 import os
 import signal
-import sys
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -30,16 +28,7 @@ from cags_server.records import StreamStats
 from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
 
-RENDER_NICENESS = 10
-"""Of the threads that render. A late reference costs quality; a late tile, or acknowledgement, costs the frame."""
-
 log = logging.getLogger(__name__)
-
-
-def _yield_to_sessions() -> None:
-    """Let the event loop go before this thread; only Linux has priorities of single threads."""
-    if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), RENDER_NICENESS)
 
 
 class App:
@@ -47,7 +36,7 @@ class App:
 
     def __init__(self, library: SceneLibrary, settings: ServeSettings) -> None:
         self._library, self._settings = library, settings
-        self._executor = ThreadPoolExecutor(settings.workers, "reference", initializer=_yield_to_sessions)
+        self._executor = ThreadPoolExecutor(settings.workers, thread_name_prefix="reference")
         self._executor.submit(library.warm)
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}

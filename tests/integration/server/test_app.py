@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import ssl
-import sys
-import threading
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -137,15 +134,6 @@ async def test_headless_clients_of_the_benchmark_watch_to_the_end() -> None:
     for client in clients:
         assert sorted(client.ends) == list(range(12))
         assert client.references
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has priorities of single threads")
-async def test_rendering_yields_to_the_sessions() -> None:
-    def niceness() -> int:
-        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
-
-    async with serving() as (app, _):
-        assert app._executor.submit(niceness).result() > niceness()
 
 
 def self_signed(folder: Path) -> tuple[str, str]:
