@@ -15,33 +15,24 @@ import numpy as np
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import check, provenance, summary
+from cags_bench.references import REFERENCE_PX, coded_reference, moved
 from cags_client.adapt import SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture, create
 from cags_client.restore import RestoreInput
 from cags_client.restore.affine import AffineRestorer, AffineSettings
-from cags_client.tile_store import TileStore
 from cags_common import raster
 from cags_common.bundle import BundleReader
-from cags_common.codecs import tile_codec
+from cags_common.bundle.player import BundlePlayer
 from cags_common.errors import ConfigError
-from cags_common.geometry import (
-    F32,
-    Camera,
-    Intrinsics,
-    Pose,
-    multiply_quaternions,
-    quaternion_of_rotation_vector,
-)
+from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.metrics import covered_mask, psnr, ssim
 from cags_common.poses import Focus, synthetic_walk
 from cags_common.raster.base import Footprint, RasterScene, RenderOptions
 from cags_common.splats import Splats
-from cags_common.video.colour import Chroma
-from cags_common.video.h264 import H264Decoder, H264Encoder
-from cags_common.video.noise import coding_noise
 from cags_encoder import EncodeSettings
+from cags_server.settings import ServerSettings
 
-REFERENCE_PX = (400, 300)
+CRF = ServerSettings().reference_crf
 MARGIN = 1.2
 """The reference's field of view against the client's, in tangents."""
 
@@ -113,7 +104,7 @@ class _Bench:
         source = self._rasteriser.load(self._reader.source(0).splats)
         walk = synthetic_walk("walking", Focus(m.focus_centre, m.focus_radius, m.up), seed=self._args.seed)
         lods = sorted({0, *(round(share * self.top) for share in LOD_SHARES), self.top})
-        held = {lod: self._splats(lod) for lod in lods}
+        held = {lod: BundlePlayer(self._reader, lod).frame(0).splats for lod in lods}
         scenes = {lod: self._rasteriser.load(splats) for lod, splats in held.items()}
         rng = np.random.default_rng(self._args.seed)
         for view in range(self._args.views):
@@ -121,8 +112,10 @@ class _Bench:
             seen = source.render(camera, self._options)
             truth, covered = np.clip(seen.rgb, 0, 1), covered_mask(seen.alpha)
             for degrees, radii in POSE_ERRORS:
-                pose = _perturbed(camera.pose, degrees, radii * m.focus_radius, rng)
-                reference = self._reference(source, Camera(self._reference_view, pose, m.near))
+                axis, step = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+                pose = moved(camera.pose, math.radians(degrees), radii * m.focus_radius, axis, step)
+                there = Camera(self._reference_view, pose, m.near)
+                reference = coded_reference(source, there, self._reference_options, fps=m.fps, crf=CRF)
                 for lod in lods:
                     yield _Case(lod, degrees, camera, reference, truth, covered, scenes[lod], held[lod])
 
@@ -189,33 +182,11 @@ class _Bench:
         own = case.scene.render(case.reference.camera, self._reference_options)
         return RestoreInput(np.clip(view.rgb, 0, 1), view.alpha, aligned, case.reference, own), aligned
 
-    def _reference(self, source: RasterScene, camera: Camera) -> ReferencePicture:
-        rgb = np.clip(source.render(camera, self._reference_options).rgb, 0, 1)
-        decoded = H264Decoder().decode(H264Encoder(*REFERENCE_PX, 30.0, chroma=Chroma.FULL).encode(rgb))
-        assert decoded is not None
-        return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded))
-
-    def _splats(self, lod: int) -> Splats:
-        store = TileStore(self._reader.manifest, tile_codec(self._reader.manifest, self._reader.codebooks()))
-        for tile in range(len(self._reader.frame(0).tiles)):
-            payloads = [memoryview(self._reader.payload(0, tile, level)) for level in range(lod + 1)]
-            store.add(0, tile, 0, payloads)
-        store.end(0, np.zeros(0, np.int32))
-        return store.commit(0)[0].splats
-
 
 def _swapped(given: RestoreInput, aligned: Aligned) -> F32:
     """The aligned reference where it says something, erosion's fillings where it says nothing, else the distorted."""
     share = np.maximum(aligned.confidence, aligned.occluded)[..., None]
     return np.asarray(given.distorted + share * (aligned.rgb - given.distorted), dtype=np.float32)
-
-
-def _perturbed(pose: Pose, degrees: float, metres: float, rng: np.random.Generator) -> Pose:
-    axis, shift = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-    x, y, z = (float(c) for c in axis * math.radians(degrees))
-    turn = quaternion_of_rotation_vector((x, y, z))
-    position = np.asarray(pose.position) + metres * shift
-    return Pose((float(position[0]), float(position[1]), float(position[2])), multiply_quaternions(pose.rotation, turn))
 
 
 def _checks(records: list[dict[str, Any]], times: dict[str, Any], top: int, size: str) -> Iterator[dict[str, Any]]:

@@ -9,29 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from cags_bench.bundles import cached_bundle
+from cags_bench.references import REFERENCE_PX, coded_reference, moved
 from cags_bench.restore.command import RestoreBenchSettings
 from cags_client.align import ReferencePicture
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
-from cags_common.geometry import (
-    F32,
-    F64,
-    Camera,
-    Intrinsics,
-    Pose,
-    multiply_quaternions,
-    quaternion_of_rotation_vector,
-)
+from cags_common.geometry import F32, F64, Camera, Intrinsics
 from cags_common.poses import Focus, open_poses
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.video.colour import Chroma
-from cags_common.video.h264 import H264Decoder, H264Encoder
-from cags_common.video.noise import coding_noise
 from cags_encoder.settings import EncodeSettings
 from cags_server.fov import widened
 
-REFERENCE_PX = (400, 300)
 VIEW_PERIOD_US = 1_700_000
 
 
@@ -107,26 +96,16 @@ class Cases:
     ) -> tuple[ReferencePicture, ReferencePicture]:
         s = self._settings
         rng = np.random.default_rng((s.seed, view))
-        pose = _off(camera.pose, math.radians(error[0]), error[1] / 100, _unit(rng), _unit(rng))
+        pose = moved(camera.pose, math.radians(error[0]), error[1] / 100, _unit(rng), _unit(rng))
         seen = Camera(widened(camera.intrinsics, (s.margin, s.margin), *REFERENCE_PX), pose, camera.near)
         footprint = Footprint.of(camera.intrinsics, seen.intrinsics)
         return self._coded(seen, footprint), self._coded(seen, Footprint.classic())
 
     def _coded(self, camera: Camera, footprint: Footprint) -> ReferencePicture:
         options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, threads=self._settings.threads)
-        rgb = np.clip(self._truth.render(camera, options).rgb, 0.0, 1.0)
-        encoder = H264Encoder(*REFERENCE_PX, self._manifest.fps, crf=self._settings.crf, chroma=Chroma.FULL)
-        decoded = H264Decoder().decode(encoder.encode(rgb, idr=True))
-        assert decoded is not None, "the first picture of a video is an IDR picture"
-        return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded))
+        return coded_reference(self._truth, camera, options, fps=self._manifest.fps, crf=self._settings.crf)
 
 
 def _unit(rng: np.random.Generator) -> F64:
     v: F64 = rng.normal(size=3)
     return v / max(float(np.linalg.norm(v)), 1e-9)
-
-
-def _off(pose: Pose, angle_rad: float, distance: float, axis: F64, step: F64) -> Pose:
-    ax, ay, az = (float(c) * angle_rad for c in axis)
-    x, y, z = (p + distance * float(s) for p, s in zip(pose.position, step, strict=True))
-    return Pose((x, y, z), multiply_quaternions(pose.rotation, quaternion_of_rotation_vector((ax, ay, az))))
