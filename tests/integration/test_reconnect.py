@@ -46,6 +46,15 @@ def watch(group: ProcessGroup, url: str, report: Path) -> Process:
     return group.start("cags_client", ["--url", url, *SIZE, "--json", str(report), "--start-delay-ms", "1500"])
 
 
+def watched_pair(group: ProcessGroup, bundle: Path, report: Path) -> tuple[list[Process], Process]:
+    """Two servers, and a client that knows both and watches the first."""
+    servers = [group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"]) for _ in range(2)]
+    urls = [f"ws://127.0.0.1:{server.ready()['port']}/stream" for server in servers]
+    client = watch(group, ",".join(urls), report)
+    until(lambda: plays(servers[0]))
+    return servers, client
+
+
 def test_a_link_that_is_killed_midway_is_replaced_and_the_play_goes_on(bundle: Path, tmp_path: Path) -> None:
     report = tmp_path / "frames.jsonl"
     with ProcessGroup(tmp_path) as group:
@@ -70,10 +79,7 @@ def test_a_link_that_is_killed_midway_is_replaced_and_the_play_goes_on(bundle: P
 def test_another_server_takes_over_when_one_is_killed(bundle: Path, tmp_path: Path) -> None:
     report = tmp_path / "frames.jsonl"
     with ProcessGroup(tmp_path) as group:
-        servers = [group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"]) for _ in range(2)]
-        urls = [f"ws://127.0.0.1:{server.ready()['port']}/stream" for server in servers]
-        client = watch(group, ",".join(urls), report)
-        until(lambda: plays(servers[0]))
+        servers, client = watched_pair(group, bundle, report)
         time.sleep(3.0)
         servers[0].handle.send_signal(signal.SIGKILL)
         frames, summary = outcome(client, report)
@@ -86,10 +92,7 @@ def test_another_server_takes_over_when_one_is_killed(bundle: Path, tmp_path: Pa
 def test_a_server_that_shuts_down_in_order_hands_its_clients_over(bundle: Path, tmp_path: Path) -> None:
     report = tmp_path / "frames.jsonl"
     with ProcessGroup(tmp_path) as group:
-        servers = [group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"]) for _ in range(2)]
-        urls = [f"ws://127.0.0.1:{server.ready()['port']}/stream" for server in servers]
-        client = watch(group, ",".join(urls), report)
-        until(lambda: plays(servers[0]))
+        servers, client = watched_pair(group, bundle, report)
         time.sleep(2.0)
         servers[0].handle.send_signal(signal.SIGTERM)
         frames, summary = outcome(client, report)
