@@ -13,7 +13,6 @@ them visible, all of a frame's at once, when that frame is shown. The rules, wha
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -21,18 +20,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.opening import Arrival, OpenTile, TileOpener, in_view
+from cags_client.opening import Arrival, OpenTile, TileOpener
+from cags_client.shown import Held, Shown
+from cags_client.waiting import Key, WaitingLayers
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
-from cags_common.geometry import F32, Camera
 from cags_common.splats import SH_REST_OF_DEGREE, Ids, Splats
 from cags_protocol.messages import HeldTile
 
 ABSENT_LOGIT = np.float32(-30.0)
 """Opacity logit of a row without a splat: drawn opacity 1e-13, which every rasteriser culls."""
 
-MAX_WAITING_BYTES = 8 << 20
-"""Bound on layers that wait for their tile's base, a group of frames."""
+MAX_LATE_BYTES = 8 << 20
+"""Bound on layers of replaced tiles that are kept for showing earlier frames again; past it none are."""
 
 MAX_TILES_PER_GOF = 1 << 17
 """Bound on the tiles of one group of frames."""
@@ -43,30 +43,10 @@ MAX_KEPT_SPLATS = 1 << 22
 REPLAY_AHEAD = 8
 """Frames ahead of the display whose kept tiles are dequantised off the display path."""
 
-Key = tuple[int, int]
-"""Source frame and tile."""
-
-
-@dataclass(eq=False)
-class _Held:
-    """One tile: what is decoded of it, and how many rows it still owns."""
-
-    index: int
-    key: Key
-    tile: OpenTile
-    owned: int = 0
-    shown_lod: int = -1
-    replaced: bool = False
-
-    @property
-    def frame(self) -> int:
-        """Source frame."""
-        return self.key[0]
-
 
 @dataclass(eq=False)
 class _Staged:
-    held: _Held
+    held: Held
     ids: Ids
     splats: Splats
     lod: int
@@ -103,18 +83,17 @@ class GofStore:
         self._owner = np.full(n, -1, np.int32)
         self._source = np.full(n, -1, np.int32)
         self._removed_at = np.full(n, -1, np.int32)
-        self._tiles: dict[Key, _Held | None] = {}  # None: every splat of it has been replaced, and it is not kept
-        self._by_index: list[_Held] = []
+        self._tiles: dict[Key, Held | None] = {}  # None: every splat of it has been replaced, and it is not kept
+        self._by_index: list[Held] = []
         self._late: dict[Key, list[tuple[int, bytes]]] = {}  # layers of tiles that are kept, though replaced
-        self._replay: dict[Key, _Held] = {}
+        self._replay: dict[Key, Held] = {}
         self._kept_splats = self._late_bytes = 0
         self._shown_frame = -1
         self.keeps = True
         """Whether earlier frames of the group can be shown again from what is held."""
         self._rewound = False
-        self._waiting: OrderedDict[Key, list[tuple[int, bytes]]] = OrderedDict()
-        self._waiting_bytes = 0
-        self._touched: dict[Key, _Held] = {}
+        self._waiting = WaitingLayers()
+        self._touched: dict[Key, Held] = {}
         self._staged: dict[Key, _Staged] = {}
         self._ends: dict[int, Ids] = {}  # not yet shown
         self._ended: dict[int, Ids] = {}
@@ -155,8 +134,8 @@ class GofStore:
             if wrong is not None:
                 raise wrong
 
-    def _take_touched(self, horizon: int | None) -> tuple[dict[Key, _Held], DecodeError | None]:
-        touched: dict[Key, _Held] = {}
+    def _take_touched(self, horizon: int | None) -> tuple[dict[Key, Held], DecodeError | None]:
+        touched: dict[Key, Held] = {}
         wrong = None
         for key in [k for k in self._touched if horizon is None or k[0] <= horizon]:
             held = self._touched.pop(key)
@@ -188,10 +167,10 @@ class GofStore:
         changed = False
         if held is None:
             if arrival.from_lod > 0 or not layers:
-                self._wait(key, layers)
+                self._waiting.add(key, layers)
                 return
             held = self._take(key, ahead or self.opener.open([layers[0][1]])[0])
-            layers = layers[1:] + [(lod, memoryview(data)) for lod, data in self._stop_waiting(key)]
+            layers = layers[1:] + self._waiting.take(key)
             changed = True
         try:
             for lod, payload in layers:
@@ -207,13 +186,13 @@ class GofStore:
             if frame not in self._ended:
                 self._ends[frame] = self._ended[frame] = removed
 
-    def _take(self, key: Key, tile: OpenTile | DecodeError) -> _Held:
+    def _take(self, key: Key, tile: OpenTile | DecodeError) -> Held:
         if isinstance(tile, DecodeError):
             raise tile
         if len(self._by_index) >= MAX_TILES_PER_GOF:
             raise DecodeError(f"tile {key[1]} of frame {key[0]}: the group already has {MAX_TILES_PER_GOF} tiles")
         self._check_ids(tile.state.ids, f"tile {key[1]} of frame {key[0]}")
-        held = _Held(len(self._by_index), key, tile)
+        held = Held(len(self._by_index), key, tile)
         with self._lock:
             self._by_index.append(held)
             self._tiles[key] = held
@@ -227,23 +206,8 @@ class GofStore:
         with self._lock:
             self._late.setdefault(key, []).extend((lod, bytes(payload)) for lod, payload in layers)
             self._late_bytes += sum(len(payload) for _, payload in layers)
-            if self._late_bytes > MAX_WAITING_BYTES:
+            if self._late_bytes > MAX_LATE_BYTES:
                 self._stop_keeping()
-
-    def _wait(self, key: Key, layers: list[tuple[int, memoryview]]) -> None:
-        """Keep layers whose base has not come yet; the oldest go when too many bytes wait."""
-        kept = self._waiting.setdefault(key, [])
-        for lod, payload in layers:
-            kept.append((lod, bytes(payload)))
-            self._waiting_bytes += len(payload)
-        while self._waiting_bytes > MAX_WAITING_BYTES:
-            _, dropped = self._waiting.popitem(last=False)
-            self._waiting_bytes -= sum(len(data) for _, data in dropped)
-
-    def _stop_waiting(self, key: Key) -> list[tuple[int, bytes]]:
-        layers = self._waiting.pop(key, [])
-        self._waiting_bytes -= sum(len(data) for _, data in layers)
-        return layers
 
     # ----------------------------------------------------------------------------------------- display (display thread)
 
@@ -339,7 +303,7 @@ class GofStore:
             if not held.owned:
                 self._forget(held)
 
-    def _forget(self, held: _Held) -> None:
+    def _forget(self, held: Held) -> None:
         """Nothing of a tile is shown any more: it is kept for a replay, as long as there is room."""
         if held.replaced:
             return
@@ -360,49 +324,18 @@ class GofStore:
 
     # ---------------------------------------------------------------------------------------------------------- figures
 
-    def lod_mean(self, camera: Camera, contribution: F32 | None = None) -> float:
-        """Mean LoD of the shown splats in view; NaN where none is.
-
-        Weighted by ``contribution`` [capacity], each splat's share in the picture, where that is known; else by tiles
-        whose bounding sphere meets the view.
-        """
-        if contribution is not None:
-            return self._lod_seen(contribution)
+    @property
+    def shown(self) -> Shown:
+        """What is on display."""
         with self._lock:
-            shown = [h for h in self._tiles.values() if h is not None and h.owned and h.shown_lod >= 0]
-        if not shown:
-            return float("nan")
-        weights = np.array([h.owned for h in shown], np.float64) * in_view([h.tile for h in shown], camera)
-        lods = np.array([h.shown_lod for h in shown], np.float64)
-        return float((weights * lods).sum() / weights.sum()) if weights.any() else float("nan")
-
-    def _lod_seen(self, contribution: F32) -> float:
-        held = self._owner >= 0
-        weights = np.bincount(self._owner[held], weights=contribution[held], minlength=len(self._by_index))
-        if not weights.sum() > 0:
-            return float("nan")
-        lods = np.array([tile.shown_lod for tile in self._by_index], np.float64)[: len(weights)]
-        return float((weights[: len(lods)] * lods).sum() / weights.sum())
+            return Shown(self._owner, tuple(self._by_index))
 
     def held(self) -> list[HeldTile]:
         """The tiles of which splats are shown, wait to be, or are kept for a replay."""
         with self._decoding, self._lock:
             return [HeldTile(*key, h.tile.state.lod + 1) for key, h in self._tiles.items() if h is not None]
 
-    def visible_lods(self, contribution: F32) -> dict[Key, int]:
-        """LoDs shown of each tile that has a splat with a ``contribution`` [capacity] to the picture."""
-        owners = self._owner[(contribution > 0) & (self._owner >= 0)]
-        seen = [self._by_index[index] for index in np.unique(owners)]
-        return {held.key: held.shown_lod + 1 for held in seen}
-
-    @property
-    def splats_held(self) -> int:
-        """Rows that hold a splat."""
-        return int((self._owner >= 0).sum())
-
     @property
     def full(self) -> bool:
         """Whether everything shown is at its highest LoD, so that nothing is left to restore."""
-        top = self.manifest.lods - 1
-        with self._lock:
-            return all(h is None or not h.owned or h.shown_lod == top for h in self._tiles.values())
+        return self.shown.full(self.manifest.lods - 1)

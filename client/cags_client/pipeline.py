@@ -164,7 +164,7 @@ class ClientPipeline:
         options = RenderOptions(contribution=True, depth=DepthKind.NONE, max_sh_degree=0, threads=self.settings.threads)
         view = self._scene.render(camera, options)
         assert view.contribution is not None
-        return self._scene_store.visible_lods(view.contribution)
+        return self._scene_store.shown.visible_lods(view.contribution)
 
     # ------------------------------------------------------------------------------------------------------ presenting
 
@@ -200,7 +200,7 @@ class ClientPipeline:
             depth=view.depth,
             alpha=view.alpha,
             reference=reference,
-            lod_mean=store.lod_mean(camera, own.contribution if own is not None else None),
+            lod_mean=store.shown.lod_mean(camera, own.contribution if own is not None else None),
             missed=committed.missed,
             buffer_ms=self._store.ahead(frame) * 1e3 / self.info.fps,
             stages_ms=watch.stages_ms,

@@ -73,7 +73,7 @@ class TileStore:
         store = self._store(frame)
         assert store is not None, "frames are committed in order within a pass; reset() starts another"
         rows, whole = store.commit(frame)
-        if not store.splats_held and self._shown is not None:
+        if not store.shown.splats and self._shown is not None:
             return self._shown, Committed(gof, np.zeros(0, np.intp), False, True)
         fresh = store is not self._shown
         with self._lock:

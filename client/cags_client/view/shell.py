@@ -121,10 +121,11 @@ class PlayerControls:
         store = pipeline._store._shown if pipeline is not None else None
         if pipeline is None or store is None:
             return None
-        owner = store._owner.copy()
-        lods = np.array([max(held.shown_lod, 0) for held in store._by_index] or [0], np.float32)
+        shown = store.shown
+        owner = shown.owner.copy()
+        lods = np.append(np.maximum(shown.lods(), 0), np.float32(0))  # the last one for rows without a splat, -1
         top = max(pipeline.info.lods - 1, 1)
-        return SplatDetail(store.splats.means.copy(), owner, lods[np.maximum(owner, 0)] / np.float32(top))
+        return SplatDetail(store.splats.means.copy(), owner, lods[owner] / np.float32(top))
 
 
 async def watch_live(

@@ -205,11 +205,11 @@ def test_damage_is_refused_and_what_was_held_stays(store: TileStore) -> None:
 
 
 def test_layers_that_wait_for_their_base_are_bounded(store: TileStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cags_client.gof_store.MAX_WAITING_BYTES", 100)
+    monkeypatch.setattr("cags_client.waiting.MAX_WAITING_BYTES", 100)
     for tile in range(1000):
         store.add(0, tile, 1, [layer(4, 1)])
     gof, _ = store.commit(0)
-    assert gof._waiting_bytes <= 100
+    assert gof._waiting.bytes <= 100
 
 
 def replaced_thrice(store: TileStore) -> TileStore:
@@ -245,7 +245,7 @@ def test_layers_that_come_after_their_tile_was_replaced_count_in_the_replay(stor
     assert gof.splats.sh0[0, 0] == 3  # code 1 with another bit
 
 
-@pytest.mark.parametrize(("bound", "least"), [("MAX_KEPT_SPLATS", 3), ("MAX_WAITING_BYTES", 0)])
+@pytest.mark.parametrize(("bound", "least"), [("MAX_KEPT_SPLATS", 3), ("MAX_LATE_BYTES", 0)])
 def test_what_is_kept_for_a_replay_is_bounded(
     store: TileStore, bound: str, least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -268,9 +268,9 @@ def test_lod_mean_counts_what_is_in_view(store: TileStore) -> None:
     near = Camera(view, Pose.looking_at((5, 5, 2), (5, 5, 5)))
     both = Camera(view, Pose.looking_at((0, 0, 0.0), (5, 5, 5)))
     away = Camera(view, Pose.looking_at((0, 0, 0.0), (-5, -5, -5)))
-    assert gof.lod_mean(near) == 2
-    assert gof.lod_mean(both) == pytest.approx(1.5)
-    assert np.isnan(gof.lod_mean(away))
+    assert gof.shown.lod_mean(near) == 2
+    assert gof.shown.lod_mean(both) == pytest.approx(1.5)
+    assert np.isnan(gof.shown.lod_mean(away))
     assert not gof.full
 
 

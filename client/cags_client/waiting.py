@@ -1,0 +1,37 @@
+"""Layers that have come before the base layer of their tile."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable
+
+Key = tuple[int, int]
+"""Source frame and tile."""
+
+MAX_WAITING_BYTES = 8 << 20
+"""Bound on layers that wait for their tile's base, a group of frames."""
+
+
+class WaitingLayers:
+    """Layers by tile; the oldest tile's go when more than :data:`MAX_WAITING_BYTES` wait."""
+
+    def __init__(self) -> None:
+        self._layers: OrderedDict[Key, list[tuple[int, bytes]]] = OrderedDict()
+        self.bytes = 0
+        """Bytes of all that waits."""
+
+    def add(self, key: Key, layers: Iterable[tuple[int, memoryview]]) -> None:
+        """Keep copies of ``layers``, (LoD, payload), until :meth:`take`."""
+        kept = self._layers.setdefault(key, [])
+        for lod, payload in layers:
+            kept.append((lod, bytes(payload)))
+            self.bytes += len(payload)
+        while self.bytes > MAX_WAITING_BYTES:
+            _, dropped = self._layers.popitem(last=False)
+            self.bytes -= sum(len(data) for _, data in dropped)
+
+    def take(self, key: Key) -> list[tuple[int, memoryview]]:
+        """The layers that waited for ``key``, in the order of their arrival."""
+        layers = self._layers.pop(key, [])
+        self.bytes -= sum(len(data) for _, data in layers)
+        return [(lod, memoryview(data)) for lod, data in layers]
