@@ -123,7 +123,8 @@ class PlayerControls:
             return None
         shown = store.shown
         owner = shown.owner.copy()
-        lods = np.append(np.maximum(shown.lods(), 0), np.float32(0))  # the last one for rows without a splat, -1
+        lods = np.zeros(len(shown.tiles) + 1, np.float32)  # the last one is of rows without a splat, -1
+        np.maximum(shown.lods(), 0, out=lods[:-1])
         top = max(pipeline.info.lods - 1, 1)
         return SplatDetail(store.splats.means.copy(), owner, lods[owner] / np.float32(top))
 
