@@ -16,12 +16,12 @@ client's clock, which is the session's master clock.
 from __future__ import annotations
 
 import random
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Protocol
 
-from cags_client.actions import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
+from cags_client.actions import Decode, DecodeResult, Present, Restarted
+from cags_client.arrivals import Arrivals
 from cags_client.pipeline import ClientPipeline, PresentedFrame
 from cags_client.play_stats import PlayStats
 from cags_client.reconnect import Reconnect
@@ -33,17 +33,13 @@ from cags_protocol import events as ev
 from cags_protocol.client import ClientSession, ClientSessionSettings
 from cags_protocol.inventory import pack_inventory
 from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Control, HeldTile, Hello, PoseSample, Refusal, Welcome
+from cags_protocol.messages import Control, Hello, PoseSample, Refusal, Welcome
 from cags_protocol.session import SessionTimers
 
 CODEBOOKS_BLOB = "codebooks"
 WEIGHTS_BLOB = "weights"
-DECODE_BATCH = 32
-"""Messages decoded in one go: enough to dequantise a tile once for all its layers, few enough to stay prompt."""
-
 KEYFRAME_RETRY_US = 250_000
 """A lost reference video is asked for again after this long."""
-
 
 RESUMING = ClientSessionSettings(SessionTimers(handshake_us=3_000_000))
 """A server that takes over must answer soon, for there may be another."""
@@ -101,15 +97,13 @@ class Player:
         self._resume_at: Control | None = None
         self._codebooks: bytes | None = None
         self._weights: bytes | None = None
-        self._decodes: deque[DataEvent] = deque()
-        self._decoding: tuple[DataEvent, ...] = ()
+        self._arrivals = Arrivals()
         self._presenting = False
         self._next_frame = settings.start_frame
         self._due_us: int | None = None
         self._end_frame = settings.start_frame + 1
         self._next_pose_us = now_us
         self._asked_idr_us: int | None = None
-        self._tiles_bytes = self._reference_bytes = 0
         session.hello(self._hello(settings.start_frame, poses.pose_at(0)), now_us=now_us)
 
     # ---------------------------------------------------------------------------------------------------------- session
@@ -170,7 +164,7 @@ class Player:
     def connected(self, now_us: int) -> None:
         """There is a connection again: say Hello with what is held."""
         self._session = ClientSession(RESUMING, now_us=now_us)
-        self._decodes.append(Restarted())
+        self._arrivals.add(Restarted())
         self._resume_at = self._state_of_play(now_us)
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
         self._session.hello(self._hello(frame, self._pose(now_us)), now_us=now_us)
@@ -181,7 +175,7 @@ class Player:
         """Work to do now, or None. At most one Decode and one Present are out at a time."""
         if self.finished or self.pipeline is None:
             return None
-        if self._decodes and not self._decoding:
+        if self._arrivals.ready:
             return self._decode(self.pipeline)
         if self._due_us is not None and now_us >= self._due_us and not self._presenting:
             return self._present(now_us)
@@ -198,7 +192,7 @@ class Player:
                 self._finish(now_us)
             return
         assert isinstance(result, DecodeResult)
-        self._decoding = ()
+        self._arrivals.decoded()
         self.stats.decode_errors += len(result.errors)
         if result.needs_idr:
             self._ask_idr(action.pipeline.last_reference_seq, now_us)
@@ -223,15 +217,13 @@ class Player:
                     self._weights = data
                     self._take_weights()
             case ev.TileReceived(_, payload):
-                self._tiles_bytes += len(payload)
                 self.stats.bytes_tiles += len(payload)
-                self._decodes.append(event)
+                self._arrivals.add(event)
             case ev.ReferenceReceived(_, payload):
-                self._reference_bytes += len(payload)
                 self.stats.bytes_reference += len(payload)
-                self._decodes.append(event)
+                self._arrivals.add(event)
             case ev.FrameEnded():
-                self._decodes.append(event)
+                self._arrivals.add(event)
             case ev.NoticeReceived(notice):
                 self.stats.notices.append(f"{notice.code}: {notice.message}")
             case ev.Refused(refusal):
@@ -282,21 +274,11 @@ class Player:
         """With what is held, once there is a decoder for it."""
         resume, held = "", b""
         if self.pipeline is not None and self._welcome is not None:
-            resume, held = self._welcome.session, pack_inventory(self._held(self.pipeline))
+            resume, held = self._welcome.session, pack_inventory(self._arrivals.held(self.pipeline.held()))
         token, agent = self.settings.token, "cags-client"
         return Hello(
             PROTOCOL_VERSION, self.settings.intrinsics, pose, self._near, frame, token, agent, resume, inventory=held
         )
-
-    def _held(self, pipeline: ClientPipeline) -> list[HeldTile]:
-        """What the pipeline holds, and what waits to be decoded into it."""
-        lods = {(tile.frame, tile.tile): tile.lods for tile in pipeline.held()}
-        for event in (*self._decoding, *self._decodes):
-            if isinstance(event, ev.TileReceived):
-                key = event.message.frame, event.message.tile
-                if event.message.from_lod <= lods.get(key, 0):
-                    lods[key] = max(lods.get(key, 0), event.message.to_lod)
-        return [HeldTile(frame, tile, count) for (frame, tile), count in lods.items()]
 
     def _state_of_play(self, now_us: int) -> Control | None:
         """Where the play will stand once a server has taken the session over; None before it has begun."""
@@ -357,9 +339,7 @@ class Player:
         return self.stats.started_us + round((frame - self.settings.start_frame) * 1e6 / self.info.fps)
 
     def _decode(self, pipeline: ClientPipeline) -> Decode:
-        count = min(len(self._decodes), DECODE_BATCH)
-        self._decoding = tuple(self._decodes.popleft() for _ in range(count))
-        return Decode(self._decoding, pipeline)
+        return Decode(self._arrivals.take(), pipeline)
 
     def _present(self, now_us: int) -> Present:
         frame = self._next_frame
@@ -370,10 +350,8 @@ class Player:
         self._next_frame, self._presenting = frame + 1, True
         due_us = self._frame_due_us(frame)
         self._due_us = self._frame_due_us(frame + 1) if self._next_frame < self._end_frame else None
-        traffic = Traffic(self._tiles_bytes, self._reference_bytes)
-        self._tiles_bytes = self._reference_bytes = 0
         assert self.pipeline is not None
-        return Present(frame, due_us, self._pose(due_us), self.pipeline, traffic)
+        return Present(frame, due_us, self._pose(due_us), self.pipeline, self._arrivals.traffic())
 
     def _pose(self, t_us: int) -> Pose:
         """The walk begins when play is asked for; until then the viewer waits at its beginning."""

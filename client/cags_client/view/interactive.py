@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from cags_client.actions import Decode, DecodeResult, Present, Traffic
+from cags_client.actions import Decode, DecodeResult, Present
 from cags_client.pipeline import PresentedFrame
 from cags_client.player import Player
 from cags_common.geometry import Pose
@@ -102,14 +102,14 @@ class InteractivePlayer(Player):
     def next_action(self, now_us: int) -> Decode | Present | None:
         """See :meth:`Player.next_action`."""
         if self._wanted_frame is not None and self.pipeline is not None:
-            if self._decoding or self._presenting:
+            if self._arrivals.decoding or self._presenting:
                 return None
             self._seek_now(self._wanted_frame, now_us)
         if self._awaited is not None and now_us >= self._awaited[1]:
             self._go_on(now_us)
         if self._awaited is None:
             return super().next_action(now_us)
-        if self._decodes and not self._decoding and self.pipeline is not None:
+        if self._arrivals.ready and self.pipeline is not None:
             return self._decode(self.pipeline)
         return None
 
@@ -166,7 +166,7 @@ class InteractivePlayer(Player):
         self._wanted_frame = None
         keeps = self.pipeline.keeps(frame)
         if not keeps:
-            self._decodes.clear()
+            self._arrivals.clear()
             self.pipeline.reset(frame)
         self.frame = frame
         self._tell("seek", frame, now_us, now_us)
@@ -211,9 +211,7 @@ class InteractivePlayer(Player):
         assert self.pipeline is not None
         self._due_us = now_us + round(1e6 / self.info.fps)
         pose = self._pose(now_us)
-        if pose == self._shown_pose and not (self._tiles_bytes or self._reference_bytes):
+        if pose == self._shown_pose and self._arrivals.quiet:
             return None
         self._shown_pose, self._presenting = pose, True
-        traffic = Traffic(self._tiles_bytes, self._reference_bytes)
-        self._tiles_bytes = self._reference_bytes = 0
-        return Present(self.frame, now_us, pose, self.pipeline, traffic)
+        return Present(self.frame, now_us, pose, self.pipeline, self._arrivals.traffic())

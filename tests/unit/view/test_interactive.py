@@ -16,11 +16,12 @@ from cags_client.view.poses import LivePoses
 from cags_common.effects import EffectPlan
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, FrameEnd
+from cags_protocol.messages import Control, FrameEnd, TileLayers
 from support.live_page import StillWalk
 
 FRAMES, FPS, DELAY_US = 30, 30.0, 250_000
 FRAME_US = 1e6 / FPS
+TILE = ev.TileReceived(TileLayers(0, 0, 0, 1, (10,), (0,)), memoryview(bytes(10)))
 
 
 class FakeSession:
@@ -147,7 +148,7 @@ def test_a_paused_frame_is_drawn_again_only_when_there_is_something_new(stage: S
     assert stage.run(500_000) == []
     stage.poses.hold(Pose((1, 2, 3), (1, 0, 0, 0)), 1)
     assert stage.run(100_000) == [held]
-    stage.player._tiles_bytes = 10
+    stage.player._arrivals.add(TILE)
     assert stage.run(100_000) == [held]
     stage.player.play(stage.now_us)
     assert stage.session.controls[-1] == Control("play", held, stage.now_us + DELAY_US, 1.0)
@@ -156,11 +157,12 @@ def test_a_paused_frame_is_drawn_again_only_when_there_is_something_new(stage: S
 
 def test_a_seek_waits_for_work_under_way_and_then_for_its_frame(stage: Stage) -> None:
     stage.run(DELAY_US + 5 * FRAME_US)
-    stage.player._decoding = True
+    stage.player._arrivals.add(TILE)
+    assert isinstance(stage.player.next_action(stage.now_us), Decode)
     stage.player.seek(20)
     assert stage.player.next_action(stage.now_us) is None
     assert stage.pipeline.resets == []
-    stage.player._decoding = False
+    stage.player._arrivals.decoded()
     stage.turn()
     assert stage.pipeline.resets == [20]
     assert stage.session.controls[-1].frame == 20
