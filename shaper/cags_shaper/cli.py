@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from cags_common.cli import command_parser, run_command
 from cags_common.errors import ConfigError
 from cags_common.settings import add_settings, check_settings, load_settings, setting
+from cags_shaper.link_clock import STARTS
 
 if TYPE_CHECKING:
     from cags_shaper.link import LinkSettings
@@ -42,6 +43,7 @@ class ShaperSettings:
     queue_packets: int | None = setting(None, "bound of each queue in packets; only with --tun", low=1, high=2**31)
     loss: float = setting(0.0, "probability that a packet is lost; only with --tun", low=0, high=0.99)
     tun: bool = setting(False, "shape packets of COMMAND, run in a namespace of its own (Linux, root), not streams")
+    start: str = setting("connection", "what the traces begin with; with --tun always COMMAND", choices=STARTS)
     loop: bool = setting(True, "start the trace again at its end")
     seed: int = setting(0, "seed of the jitter", low=0, high=2**31)
     cap_mbps: float | None = setting(None, "highest rate each way, whatever the trace allows", low=0.001, high=1e6)

@@ -86,6 +86,8 @@ class ControlPort:
     async def _sample(self) -> None:
         while True:
             await asyncio.sleep(RATE_STEP_S)
+            if not self._proxy.downlink.clock.begun:
+                continue
             now_us = self._proxy.downlink.now_us()
             self._samples.append((now_us, self._proxy.downlink.link.counts.delivered_bytes))
             while self._samples[0][0] < now_us - RATE_WINDOW_US:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 INTERVAL_US = 100_000
 
 FIELDS = {
-    "t_us": "end of the interval since the start of the link, microseconds",
+    "t_us": "end of the interval since the link began, microseconds",
     "direction": "down (towards the client) or up",
     "capacity_bytes": "what the trace allowed in the interval (null: no limit)",
     "accepted_bytes": "bytes that entered the link in the interval, TCP/IP headers included",
@@ -58,11 +58,13 @@ class LogWriter:
         self._last[name] = now_us, counts.accepted_bytes, counts.delivered_bytes
 
     async def follow(self, proxy: ShaperProxy, stop: asyncio.Event) -> None:
-        """Sample both directions every :data:`INTERVAL_US` until ``stop``."""
+        """Sample both directions every :data:`INTERVAL_US` until ``stop``, once the link has begun."""
         while not stop.is_set():
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(INTERVAL_US / 1e6):
                     await stop.wait()
+            if not proxy.downlink.clock.begun:
+                continue
             self.sample("down", proxy.downlink)
             self.sample("up", proxy.uplink)
 

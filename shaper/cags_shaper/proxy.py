@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from cags_common.errors import NetworkError
 from cags_shaper.link import SEGMENT_BYTES, Link, tcp_wire_bytes
+from cags_shaper.link_clock import LinkClock
 
 log = logging.getLogger("cags_shaper")
 
@@ -38,18 +39,17 @@ class Piece:
 
 
 class ShapedDirection:
-    """One link and the task that delivers what it lets through. ``clock`` returns microseconds, never falling."""
+    """One link and the task that delivers what it lets through."""
 
-    def __init__(self, link: Link[Piece], clock: Callable[[], int]) -> None:
-        self.link = link
-        self._clock, self._start_us = clock, clock()
+    def __init__(self, link: Link[Piece], clock: LinkClock) -> None:
+        self.link, self.clock = link, clock
         self._wake = asyncio.Event()
         self._room = asyncio.Event()
         self._task = asyncio.create_task(self._deliver())
 
     def now_us(self) -> int:
-        """Time since the link started."""
-        return self._clock() - self._start_us
+        """Time since the link began."""
+        return self.clock.now_us()
 
     async def carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Pump one connection's stream through the link, until its end has been delivered."""
@@ -107,7 +107,11 @@ def _write(piece: Piece) -> None:
 
 
 class ShaperProxy:
-    """Listens, connects each client to the target, and carries both directions through their links."""
+    """Listens, connects each client to the target, and carries both directions through their links.
+
+    The links' time, and so their traces, begin with the first connection: what a client meets does not depend on how
+    long the proxy has waited for it. :meth:`begin` begins it earlier.
+    """
 
     def __init__(self, target: tuple[str, int], downlink: Link[Piece], uplink: Link[Piece]) -> None:
         self._target = target
@@ -120,10 +124,15 @@ class ShaperProxy:
         listener = bound_socket("listen", host, port)
         _make_small(listener)  # before listening: connections inherit it
         listener.listen(128)
-        self.downlink, self.uplink = (ShapedDirection(link, clock) for link in self._links)
+        self._clock = LinkClock(clock)
+        self.downlink, self.uplink = (ShapedDirection(link, self._clock) for link in self._links)
         self._server = await asyncio.start_server(self._accept, sock=listener, limit=READ_BYTES)
         name = listener.getsockname()
         return str(name[0]), int(name[1])
+
+    def begin(self) -> None:
+        """Let the links' time pass from now on; nothing happens where it does already."""
+        self._clock.begin()
 
     async def close(self) -> None:
         """Stop listening and hang up all connections."""
@@ -136,6 +145,7 @@ class ShaperProxy:
         await asyncio.gather(self.downlink.close(), self.uplink.close())
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.begin()
         # A task of our own: asyncio's would report our cancelling it as an error.
         task = asyncio.create_task(self._carry_both(reader, writer))
         self._connections.add(task)

@@ -48,6 +48,8 @@ class Service:
         assert address is not None
         host, port = await self._proxy.start(*address, lambda: time.monotonic_ns() // 1000)
         stack.push_async_callback(self._proxy.close)
+        if self._settings.start == "process":
+            self._proxy.begin()
         ready: dict[str, str | int] = {"host": host, "port": port}
         if control_address is not None:
             control = ControlPort(self._proxy)

@@ -91,8 +91,8 @@ async def run_sockets(spec: str, duration_us: int, delay_us: int) -> Arrivals:
             "--json",
         ]
         ready = await asyncio.to_thread(group.start("cags_shaper", flags).ready)
-        start_ns = time.monotonic_ns()  # the shaper's link has just started too
         url = f"ws://127.0.0.1:{ready['port']}/stream"
+        start_ns = time.monotonic_ns()  # the shaper's link begins with this connection
         transport = await connect(url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
         await drive(LoadClient(log), transport, clock, duration_us)
         await transport.close()

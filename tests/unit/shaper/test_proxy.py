@@ -133,7 +133,8 @@ def test_wrong_use_is_one_line(capsys, arguments, code, says):
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_the_command_says_when_it_is_ready_and_ends_cleanly(tmp_path, how):
     log = tmp_path / "log.jsonl"
-    command = [sys.executable, "-m", "cags_shaper", "--trace", "generated:steady-30", "--json", "--log", str(log)]
+    command = [sys.executable, "-m", "cags_shaper", "--trace", "generated:steady-30", "--json"]
+    command += ["--start", "process", "--log", str(log)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         ready = json.loads(process.stdout.readline())
         assert ready["ready"] is True

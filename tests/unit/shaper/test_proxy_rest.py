@@ -3,6 +3,7 @@
 import asyncio
 
 from cags_shaper.link import Link, LinkSettings
+from cags_shaper.link_clock import LinkClock
 from cags_shaper.proxy import Piece, ShapedDirection
 from cags_shaper.trace import open_trace
 
@@ -26,9 +27,9 @@ async def test_waiting_for_the_delay_costs_no_turns():
         calls += 1
         return int(asyncio.get_running_loop().time() * 1e6)
 
-    start = clock()
     link: Link[Piece] = Link(open_trace("generated:steady-30"), LinkSettings(delay_us=200_000))
-    direction = ShapedDirection(link, lambda: clock() - start)
+    direction = ShapedDirection(link, LinkClock(clock))
+    direction.clock.begin()
     sink = Sink()
     await direction._push(Piece(b"x" * 1000, sink))
     await asyncio.sleep(0.5)
