@@ -11,7 +11,7 @@ from cags_bench.cost.command import CostSettings
 from cags_bench.cost.engine import Measured
 from cags_common.errors import ConfigError
 
-CLIENT_STAGE, SERVER_STAGE = "client frame", "reference size"
+CLIENT_STAGE, SERVER_STAGE = "client frame", "whole reference"
 """Stages that proposals are made from: all that a client does for a frame, and drawing and coding a reference."""
 
 HEADROOM = 0.8
@@ -56,14 +56,15 @@ def _quality(one: Measured) -> float:
 def write_config(path: Path, proposal: Proposal, settings: CostSettings) -> None:
     """Write the proposal as TOML that ``cags-client --config`` and ``cags-server --config`` both accept."""
     exactness, iterations, tier = proposal.client.point.label.split(" / ")
-    width, height = proposal.server.point.label.split("x")
+    size, crf = proposal.server.point.label.split(" / crf ")
+    width, height = size.split("x")
     path.write_text(
         f"# proposed by cags-bench cost --budget-ms {settings.budget_ms:g}\n\n"
         f"[client]  # {_worth(proposal.client)}\n"
         f"width = {settings.width}\nheight = {settings.height}\n"
         f'exactness = "{exactness}"\nerosion = {"true" if iterations != "0" else "false"}\nrestore = "{tier}"\n\n'
         f"[server]  # {_worth(proposal.server)}\n"
-        f"reference_width = {width}\nreference_height = {height}\n",
+        f"reference_width = {width}\nreference_height = {height}\nreference_crf = {float(crf)}\n",
         encoding="utf-8",
     )
 

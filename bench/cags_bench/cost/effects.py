@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from cags_bench.cost.engine import Outcome, Point, Stage
+import time
+from collections.abc import Sequence
+from statistics import median
+from typing import Any
+
+from cags_bench.cost.engine import Measured, Outcome, Point, Stage
 from cags_bench.cost.moments import JUDGED_LOD, Workbench
+from cags_bench.jsonl import check
 from cags_client.pipeline import ClientPipeline, PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
@@ -15,6 +21,12 @@ from cags_common.raster.base import Footprint, RenderOptions
 from cags_common.video.h264 import H264Encoder
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 
+EFFECTS = "effects"
+"""Name of the stage."""
+
+DECISIONS = 5
+"""Frames over which the time outside the stages is taken."""
+
 
 def effect_stages(bench: Workbench) -> list[Stage]:
     """The first key frame at a low level and whole, with everything on and with what is needed."""
@@ -25,22 +37,42 @@ def effect_stages(bench: Workbench) -> list[Stage]:
         for held, lods in depths.items()
         for policy in (ALWAYS, NEEDED)
     )
-    return [Stage("effects", "policy, what is held", "client", "restored_psnr_db", points)]
+    return [Stage(EFFECTS, "policy, what is held", "client", "restored_psnr_db", points)]
+
+
+def effect_checks(measured: Sequence[Measured]) -> list[dict[str, Any]]:
+    """That an effect which is left out costs nothing: neither to leave out nor to decide."""
+    by_label = {one.point.label: one for one in measured}
+    whole = {policy: by_label[f"{policy}, whole"] for policy in (ALWAYS, NEEDED)}
+    ratio = whole[NEEDED].median_ms / whole[ALWAYS].median_ms
+    outside = max(one.outcome["outside_ms"] for one in measured)
+    return [
+        check("whole scene: time of what is needed over that of everything", "<= 1", round(ratio, 3), ratio <= 1),
+        check("deciding effects, and a frame's figures [ms]", "<= 0.5", round(outside, 3), outside <= 0.5),
+    ]
 
 
 def _point(bench: Workbench, reader: BundleReader, label: str, policy: str, lods: int) -> Point:
     i = bench.moment.camera.intrinsics
     settings = ClientSettings(width=i.width_px, height=i.height_px, effects=policy)
-    pipeline = ClientPipeline(reader.manifest, reader.codebooks(), settings)
+    pipeline = ClientPipeline(reader.manifest, reader.codebooks(), settings, clock=time.perf_counter)
     _fill(pipeline, reader, lods)
     _refer(pipeline, reader, bench)
     camera = bench.moment.camera
     truth = create("auto").load(reader.source(0).splats).render(camera, RenderOptions()).rgb.clip(0, 1)
 
     def judge(shown: PresentedFrame) -> Outcome:
-        return {"restored_psnr_db": psnr(shown.rgb, truth), "effects_on": len(shown.effects.on)}
+        outside = median(_outside_ms(pipeline, camera) for _ in range(DECISIONS))
+        return {"restored_psnr_db": psnr(shown.rgb, truth), "effects_on": len(shown.effects.on), "outside_ms": outside}
 
     return Point(label, lambda: pipeline.present(0, camera), judge, default=label == f"{NEEDED}, in part")
+
+
+def _outside_ms(pipeline: ClientPipeline, camera: Camera) -> float:
+    """What one frame takes outside its stages: deciding the effects, and the frame's figures."""
+    started = time.perf_counter()
+    shown = pipeline.present(0, camera)
+    return (time.perf_counter() - started) * 1e3 - sum(shown.stages_ms.values())
 
 
 def _fill(pipeline: ClientPipeline, reader: BundleReader, lods: int) -> None:

@@ -13,10 +13,11 @@ from cags_bench.cost.budget import CLIENT_STAGE, SERVER_STAGE, propose, write_co
 from cags_bench.cost.coding import coding_stages
 from cags_bench.cost.command import CostSettings
 from cags_bench.cost.drawing import drawing_stages
-from cags_bench.cost.effects import effect_stages
+from cags_bench.cost.effects import EFFECTS, effect_checks, effect_stages
 from cags_bench.cost.engine import Measured, Stage, marginal_ms_per_db, measure, pareto
 from cags_bench.cost.looking import looking_stages
 from cags_bench.cost.moments import capture
+from cags_bench.cost.referring import reference_stages
 from cags_bench.cost.restoring import restoring_stages
 from cags_bench.cost.shrinking import shrinking_stages
 from cags_bench.jsonl import check, provenance, summary
@@ -35,6 +36,7 @@ def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
     bench = capture(bundle, settings.width, settings.height, settings.trace, settings.poses)
     stages: list[Stage] = [
         *drawing_stages(bench),
+        *reference_stages(bench),
         *looking_stages(settings.poses, bench.moment.camera.intrinsics),
         *restoring_stages(bench),
         *effect_stages(bench),
@@ -75,6 +77,7 @@ def _checks(by_stage: list[list[Measured]]) -> list[dict[str, Any]]:
         check("stages", f">= {LEAST_STAGES}", len(by_stage), len(by_stage) >= LEAST_STAGES),
         check("points a stage", f">= {LEAST_POINTS}", fewest, fewest >= LEAST_POINTS),
         check("stages with the shipped default marked", "all", defaults, defaults == len(by_stage)),
+        *effect_checks(next(group for group in by_stage if group[0].stage.name == EFFECTS)),
     ]
 
 

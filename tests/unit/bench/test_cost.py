@@ -49,7 +49,9 @@ def test_points_run_in_rounds_after_one_warm_up():
     assert [len(one.times_ms) for one in measured] == [2, 2]
 
 
-SERVER = stage("restored_psnr_db", ("200x150", 2, 26), ("400x300", 6, 28), ("800x600", 30, 29))
+SERVER = stage(
+    "restored_psnr_db", ("200x150 / crf 28", 2, 26), ("400x300 / crf 20", 6, 28), ("800x600 / crf 16", 30, 29)
+)
 
 
 def test_the_proposal_is_the_best_that_fits_with_headroom(tmp_path):
@@ -57,12 +59,12 @@ def test_the_proposal_is_the_best_that_fits_with_headroom(tmp_path):
         "restored_psnr_db", ("fast / 0 / none", 5, 25), ("balanced / 8 / affine", 12, 30), ("exact / 8 / lite", 40, 31)
     )
     chosen = propose(frames, SERVER, 16.7)
-    assert (chosen.client.point.label, chosen.server.point.label) == ("balanced / 8 / affine", "400x300")
+    assert (chosen.client.point.label, chosen.server.point.label) == ("balanced / 8 / affine", "400x300 / crf 20")
     assert propose(frames, SERVER, 60).client.point.label == "exact / 8 / lite"
     write_config(tmp_path / "c.toml", chosen, CostSettings(budget_ms=16.7))
     assert tomllib.loads((tmp_path / "c.toml").read_text()) == {
         "client": {"width": 800, "height": 600, "exactness": "balanced", "erosion": True, "restore": "affine"},
-        "server": {"reference_width": 400, "reference_height": 300},
+        "server": {"reference_width": 400, "reference_height": 300, "reference_crf": 20.0},
     }
 
 
@@ -83,7 +85,7 @@ def test_client_and_server_both_accept_the_one_file(tmp_path):
 
     client, server = loaded(ClientSettings), loaded(ServeSettings, "--bundle", "somewhere")
     assert (client.exactness, client.erosion, client.restore, client.width) == ("fast", False, "none", 800)
-    assert (server.reference_width, server.reference_height) == (200, 150)
+    assert (server.reference_width, server.reference_height, server.reference_crf) == (200, 150, 28.0)
 
 
 def test_a_budget_that_nothing_fits_is_refused_with_the_way_out():
