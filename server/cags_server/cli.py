@@ -44,8 +44,8 @@ def _serve(argv: Sequence[str]) -> None:
     from cags_server.admission import tls_context
     from cags_server.app import App, serve
     from cags_server.board import sessions_table
+    from cags_server.choices import check_choices
     from cags_server.library import SceneLibrary
-    from cags_server.streamer import check_choices
 
     check_choices(settings)
     tls_context(settings.tls_cert, settings.tls_key)

@@ -145,7 +145,7 @@ class Connection:
         except ProtocolError as error:
             self.session.refuse("malformed", "inventory", str(error), now_us=now_us)
             return
-        streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, now_us=now_us)
+        streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator)
         if resumed:
             streamer.resume(inventory)
         self.streamer = streamer

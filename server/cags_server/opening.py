@@ -1,14 +1,14 @@
-"""The first tiles of a session: chosen before anything is rendered, by the tiles' bounds alone."""
+"""What a client gets before anything was rendered for it: tiles chosen by their bounds alone."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cags_common.bundle import TileEntry
-from cags_common.geometry import Camera
+from cags_common.geometry import F32, Camera
 from cags_protocol.messages import FrameEnd, TileLayers
 from cags_server.library import SceneLibrary
 
@@ -58,29 +58,41 @@ def opening_tiles(library: SceneLibrary, frame: int, camera: Camera) -> tuple[li
     """(media frame, tile) of all tiles alive at ``frame``: those in view of ``camera``, nearest first, and the
     others.
     """
-    in_view: list[tuple[float, Key]] = []
-    hidden: list[Key] = []
-    for key in library.owning_tiles(frame):
-        distance = _distance_in_view(library.entry(key[0]).tiles[key[1]], camera)
-        if distance is None:
-            hidden.append(key)
-        else:
-            in_view.append((distance, key))
+    keys = library.owning_tiles(frame)
+    distances = _distances_in_view(library, keys, camera)
+    in_view = [(distance, key) for distance, key in zip(distances.tolist(), keys, strict=True) if distance < np.inf]
+    hidden = [key for distance, key in zip(distances.tolist(), keys, strict=True) if distance == np.inf]
     return [key for _, key in sorted(in_view)], hidden
 
 
-def _distance_in_view(tile: TileEntry, camera: Camera) -> float | None:
-    """Distance of the nearest corner of a tile's bounds; None where no part of it can be in view.
+def guessed_contribution(library: SceneLibrary, frame: int, camera: Camera, pixels: int) -> F32:
+    """[capacity] what each splat may contribute to a picture of ``pixels``, going by its tile's bounds alone.
 
-    Conservative: the tile is out of view only if all corners lie beyond the same side of the (slackened) frustum.
+    Splats of tiles in view share the pixels by the inverse square of their tile's distance; nothing hides another.
     """
-    corners = np.array(list(itertools.product(*zip(*tile.bounds, strict=True))))
+    owners = library.owners(frame)
+    numbers = np.unique(owners[owners >= 0])
+    distances = _distances_in_view(library, [library.tile_of(frame, int(n)) for n in numbers], camera)
+    shares = 1.0 / np.square(np.maximum(distances, camera.near))  # 0 for what is out of view
+    out = np.zeros(len(owners), np.float64)
+    held = owners >= 0
+    out[held] = shares[np.searchsorted(numbers, owners[held])]
+    total = out.sum()
+    return np.asarray(out * (pixels / total) if total > 0 else out, np.float32)
+
+
+def _distances_in_view(library: SceneLibrary, keys: Sequence[Key], camera: Camera) -> NDArray[np.float64]:
+    """[tiles] distance of the nearest corner of each tile's bounds; inf where no part of it can be in view.
+
+    Conservative: a tile is out of view only if all corners lie beyond the same side of the (slackened) frustum.
+    """
+    bounds = np.array([library.entry(frame).tiles[tile].bounds for frame, tile in keys], np.float64).reshape(-1, 2, 3)
+    corners = np.stack([bounds[:, ends, range(3)] for ends in itertools.product((0, 1), repeat=3)], axis=1)
     rotation, translation = camera.world_to_camera
     points = corners @ rotation.T + translation
     k = camera.intrinsics
     slack_x, slack_y = VIEW_SLACK * k.width_px / (2 * k.fx_px), VIEW_SLACK * k.height_px / (2 * k.fy_px)
-    x, y, z = points.T
-    beyond = [z < camera.near, x > slack_x * z, x < -slack_x * z, y > slack_y * z, y < -slack_y * z]
-    if any(bool(side.all()) for side in beyond):
-        return None
-    return float(np.linalg.norm(points, axis=1).min())
+    x, y, z = np.moveaxis(points, -1, 0)
+    sides = [z < camera.near, x > slack_x * z, x < -slack_x * z, y > slack_y * z, y < -slack_y * z]
+    beyond = np.any([side.all(axis=1) for side in sides], axis=0)
+    return np.asarray(np.where(beyond, np.inf, np.linalg.norm(points, axis=-1).min(axis=1)))

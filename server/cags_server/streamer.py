@@ -9,27 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cags_common.geometry import F32, Camera
+from cags_common.geometry import F32, Camera, Pose
 from cags_protocol import events as ev
 from cags_protocol.blobs import blob_chunks
 from cags_protocol.messages import Control, HeldTile, Hello, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.budget import ByteBudget
-from cags_server.fov import create_fov_policy, widened
+from cags_server.fov import widened
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.lingering import Lingering
-from cags_server.opening import Opening
-from cags_server.pace import Pace
-from cags_server.predict import create_predictor
+from cags_server.opening import Opening, guessed_contribution
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
 from cags_server.reference_encoder import ReferenceEncoder
 from cags_server.reference_video import ReferenceVideo
+from cags_server.schedule import Schedule
 from cags_server.settings import ServerSettings
 from cags_server.tiles import BASE_PRIORITY, TileSender
 from cags_server.timeline import Timeline
-from cags_server.viewer import Viewer, fov_options
+from cags_server.viewer import Viewer
 
 BLOB_PRIORITY = 0
 """Decoders' tables: nothing can be shown without them."""
@@ -37,21 +36,8 @@ BLOB_PRIORITY = 0
 WEIGHTS_PRIORITY = 2
 """A restorer's weights: playing goes on without them, so that base layers go first."""
 
-BLIND_GRACE_PERIODS, BLIND_GRACE_LEADS = 1.0, 0.25
-"""How long a running job may be overdue before media goes on without it: a frame, but no longer than the lead bears."""
-
 MESSAGE_OVERHEAD_BYTES = 160
 """Header of a tile message and its fragment, about."""
-
-MAX_LEAD_STRETCH = 3.0
-"""A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
-
-
-def check_choices(settings: ServerSettings) -> None:
-    """Check the names that settings pick implementations by. Raises :class:`~cags_common.errors.ConfigError`."""
-    create_predictor(settings.predictor)
-    create_fov_policy(settings.fov, fov_options(settings))
-    create_rate_policy(settings.abr)
 
 
 class Streamer:
@@ -64,7 +50,6 @@ class Streamer:
         hello: Hello,
         *,
         estimator: BandwidthEstimator,
-        now_us: int,
     ) -> None:
         self.stats = StreamStats()
         self._library, self._settings, self._hello = library, settings, hello
@@ -74,20 +59,15 @@ class Streamer:
         self._encoder = ReferenceEncoder(settings, hello.intrinsics, library.manifest.fps)
         self._tiles = TileSender(library, opening=settings.opening_tiles)
         start = min(hello.start_frame, library.manifest.frames - 1)
-        self._timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
-        self._controlled = self._resumed = False
-        self._generation = 0
-        self._next_tick = 0
-        self._job_running = False
-        self._pace = Pace()
+        timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
+        self._schedule = Schedule(settings, timeline, self._viewer.clock)
+        self._resumed = False
         self._budget = ByteBudget(settings.queue_ms)
         self._opening: Opening | None = None
         self._video = ReferenceVideo()
         self._lingering = Lingering(library, settings.visible_px)
+        self._went_ahead: FrameRecord | None = None  # what was sent for the look that is out
         self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
-        self._blind_tick = -1  # newest frame that was sent without looking
-        self._looked_tick: int | None = None  # newest frame that was looked at
-        self._started_us = now_us
 
     # ------------------------------------------------------------------------------------------------------- joining
 
@@ -111,7 +91,7 @@ class Streamer:
             ]
         )
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
-        frame = self._timeline.frame
+        frame = self._schedule.timeline.frame
         tiles = self._tiles.beginning(frame, camera)
         in_view = [
             (m.frame, m.tile)
@@ -166,12 +146,8 @@ class Streamer:
                 pass
 
     def _on_control(self, control: Control, now_us: int) -> None:
-        # Until a pose tells the time: a frame is asked for about a lead before its display.
-        self._viewer.clock.guess(control.at_us - round(self._lead_us), now_us)
-        self._timeline = self._timeline.controlled(control)
-        self._controlled = True
-        self._generation += 1
-        self._next_tick, self._blind_tick, self._looked_tick = 0, -1, None
+        self._schedule.controlled(control, now_us, self.stats.rtt_us)
+        self._went_ahead = None
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
             self._tiles.go_back(control.frame)
@@ -190,21 +166,9 @@ class Streamer:
 
     # ------------------------------------------------------------------------------------------------------ planning
 
-    @property
-    def _lead_us(self) -> float:
-        """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
-        wanted = self._settings.lead_frames * 1e6 / self._timeline.fps
-        return min(max(wanted, self._pace.needed_us(self.stats.rtt_us)), MAX_LEAD_STRETCH * wanted)
-
     def next_due_us(self) -> int | None:
         """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
-        if not self._controlled or self._media_frame(self._next_tick) is None:
-            return None
-        due_us = self._viewer.clock.to_server(round(self._timeline.display_us(self._next_tick) - self._lead_us))
-        if not self._job_running:
-            return due_us
-        grace_us = min(BLIND_GRACE_PERIODS * self._timeline.period_us, BLIND_GRACE_LEADS * self._lead_us)
-        return None if self._blind_frame() is None else due_us + round(grace_us)
+        return self._schedule.next_due_us(self.stats.rtt_us, seen=self._next_is_seen())
 
     def begin(self, now_us: int) -> FrameJob | None:
         """Plan the newest frame that is due: where the viewer will be, and how wide to look. None if none is due.
@@ -212,17 +176,10 @@ class Streamer:
         Frames that became due before it and were not begun are skipped: their references would come too late.
         """
         due_us = self.next_due_us()
-        if self._job_running or self._between_looks() or due_us is None or now_us < due_us:
+        if self._schedule.looking or self._between_looks() or due_us is None or now_us < due_us:
             return None
-        behind = int((now_us - due_us) // self._timeline.period_us)
-        tick = self._next_tick + behind
-        while self._media_frame(tick) is None:
-            tick -= 1
-        frame = self._media_frame(tick)
-        assert frame is not None
-        plan = self._plan(tick, frame, now_us)
-        self._next_tick, self._looked_tick = tick + 1, tick
-        self._job_running = True
+        tick, frame, covered = self._schedule.look(now_us - due_us)
+        plan = self._plan(tick, frame, covered, now_us)
         self._video.needs_idr = False
         self._encoder.follow(self._estimator.estimate_bps(now_us))
         size = self._encoder.width_px, self._encoder.height_px
@@ -241,48 +198,61 @@ class Streamer:
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
         """Between two looks, and while a job takes long: tiles and ends of frames, chosen by what was seen last.
 
-        Media goes on without new references; only they wait for the renderer.
+        Media goes on without new references; only they wait for the renderer. Where nothing was seen yet, the tiles'
+        bounds say what is in view.
         """
-        due_us, tick, frame = self.next_due_us(), self._next_tick, self._blind_frame()
-        between = self._between_looks()
-        if not (self._job_running or between) or frame is None or due_us is None or now_us < due_us:
+        due_us, frame, between = self.next_due_us(), self._schedule.next_frame, self._between_looks()
+        if not (self._schedule.looking or between) or frame is None or due_us is None or now_us < due_us:
             return []
-        assert self._seen is not None
-        self._next_tick = tick + 1
-        self._blind_tick = tick
-        worth = self._lingering.added_to(self._seen[1], frame)
-        visible = self._library.visible_tiles(frame, worth, self._settings.visible_px)
-        display_us = self._timeline.display_us(tick)
+        seen = self._next_is_seen()
+        tick, covered = self._schedule.go_blind()
+        self._viewer.ensure_pose(now_us)
+        display_us = self._schedule.timeline.display_us(tick)
         predicted = self._viewer.predict(display_us)
-        plan = FramePlan(self._generation, tick, frame, 1, now_us, display_us, 0, predicted, (0.0, 0.0), False)
+        generation = self._schedule.generation
+        plan = FramePlan(generation, tick, frame, covered, now_us, display_us, 0, predicted, (0.0, 0.0), False)
         record = self._record(plan)
-        record.reference_late = not between
-        self.stats.references_late += record.reference_late
-        return self._upgrades(visible, record, now_us)
+        if self._schedule.is_out(tick):
+            self._went_ahead = record  # of the look, whose reference is not late yet
+        else:
+            record.reference_late = not between
+            self.stats.references_late += record.reference_late
+        self._tiles.enter(frame)
+        visible = self._seen_tiles(frame) if seen else self._tiles_in_view(frame, predicted.pose)
+        return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
+
+    def _seen_tiles(self, frame: int) -> tuple[VisibleTile, ...]:
+        """What the last look showed, at another frame of its group."""
+        assert self._seen is not None
+        worth = self._lingering.added_to(self._seen[1], frame)
+        return self._library.visible_tiles(frame, worth, self._settings.visible_px)
+
+    def _tiles_in_view(self, frame: int, pose: Pose) -> tuple[VisibleTile, ...]:
+        """What a look would show, guessed from the tiles' bounds."""
+        camera = Camera(self._hello.intrinsics, pose, self._hello.near)
+        pixels = self._encoder.width_px * self._encoder.height_px
+        return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
 
     def _between_looks(self) -> bool:
         """Whether the next frame is one of those that get no reference of their own."""
-        if self._job_running or self._looked_tick is None or self._video.needs_idr:
-            return False
-        due = self._looked_tick + self._settings.reference_every
-        return self._next_tick < due and self._blind_frame() is not None
+        return not self._video.needs_idr and self._schedule.between_looks(seen=self._next_is_seen())
 
-    def _blind_frame(self) -> int | None:
-        """The next media frame, if it can be served without a look: not in a group of which nothing was seen yet."""
-        frame = self._media_frame(self._next_tick)
+    def _next_is_seen(self) -> bool:
+        """Whether what was seen last says what the next media frame will show: not in another group of frames."""
+        frame = self._schedule.next_frame
         if frame is None or self._seen is None or self._tiles.ended is None or frame < self._tiles.ended:
-            return None
-        return frame if self._library.manifest.gof_of(frame) == self._seen[0] else None
+            return False
+        return self._library.manifest.gof_of(frame) == self._seen[0]
 
-    def _plan(self, tick: int, frame: int, now_us: int) -> FramePlan:
-        display_us = self._timeline.display_us(tick)
+    def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
+        display_us = self._schedule.timeline.display_us(tick)
         self._viewer.ensure_pose(now_us)
         predicted = self._viewer.predict(display_us)
         return FramePlan(
-            generation=self._generation,
+            generation=self._schedule.generation,
             tick=tick,
             frame=frame,
-            ticks_covered=tick - self._next_tick + 1,
+            ticks_covered=ticks_covered,
             planned_us=now_us,
             display_us=display_us,
             horizon_us=self._viewer.horizon_us(display_us),
@@ -291,44 +261,45 @@ class Streamer:
             idr=self._video.needs_idr,
         )
 
-    def _media_frame(self, tick: int) -> int | None:
-        """While paused the viewer still moves: the same frame is planned again and again."""
-        return self._timeline.media_frame(tick) if self._timeline.playing else self._timeline.frame
-
     # ----------------------------------------------------------------------------------------------------- finishing
 
     def abandon(self, job: FrameJob) -> None:
         """A job failed or was given up: its picture never existed."""
-        self._job_running = False
+        self._schedule.looking = False
         self._video.broken()
 
     def finish(self, render: FrameRender, now_us: int) -> list[ev.Outgoing]:
         """Turn a finished job into messages: the reference, the tiles that the rate policy chose, the frame's end."""
         plan = render.plan
-        self._job_running = False
-        self._pace.observe(now_us - plan.planned_us, len(render.access_unit), self._estimator.estimate_bps(now_us))
+        self._schedule.looking = False
+        work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
+        self._schedule.pace.observe(work_us, len(render.access_unit), rate_bps)
         self.stats.render_ns += render.render_ns
         self.stats.encode_ns += render.encode_ns
-        if plan.generation != self._generation:  # the viewer seeked meanwhile
+        if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []
         self._seen = self._library.manifest.gof_of(plan.frame), render.contribution
-        if plan.tick < self._blind_tick:  # its tiles, and later ones, have gone ahead
-            record = self._record(plan)
-            record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
-            self.stats.references_late += record.reference_late
-            return self._counted(self._reference_if_useful(render, record, now_us), now_us)
-        self._tiles.enter(plan.frame)
-        record = self._record(plan)
+        overtaken = self._schedule.overtaken(plan.tick)
+        if not overtaken:
+            self._tiles.enter(plan.frame)
+        ahead, self._went_ahead = self._went_ahead, None
+        record = ahead if ahead is not None and ahead.tick == plan.tick else self._record(plan)
         record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
         self.stats.references_late += record.reference_late
         out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
-        if self._tiles.from_nothing:
-            camera = Camera(self._hello.intrinsics, plan.predicted.pose, self._hello.near)
-            out += self._counted(self._tiles.beginning(plan.frame, camera), now_us)
-        out += self._upgrades(render.visible, record, now_us)
+        if overtaken:  # its tiles, and later ones, have gone ahead
+            return out
+        out += self._from_nothing(plan, now_us) + self._upgrades(render.visible, record, now_us)
         self._lingering.update(render.contribution, plan.frame, self._tiles.inventory)
         return out
+
+    def _from_nothing(self, plan: FramePlan, now_us: int) -> list[ev.Outgoing]:
+        """The beginning of a picture, for a client that holds nothing."""
+        if not self._tiles.from_nothing:
+            return []
+        camera = Camera(self._hello.intrinsics, plan.predicted.pose, self._hello.near)
+        return self._counted(self._tiles.beginning(plan.frame, camera), now_us)
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""
@@ -364,7 +335,7 @@ class Streamer:
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps = self._estimator.estimate_bps(now_us)
         allowed_bps = self._estimator.allowance_bps(now_us)
-        record.budget_bytes = self._budget.open(record, allowed_bps, self._timeline.period_us)
+        record.budget_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
         decision = self._policy.decide(
             Observation(
                 frame=record.frame,

@@ -18,7 +18,7 @@ class Rig:
     def __init__(self, settings: ServerSettings = SETTINGS, initial_bps: float = 50e6, **scene: int) -> None:
         self.library = library(**scene)
         estimator = MeasuredEstimator(initial_bps)
-        self.streamer = Streamer(self.library, settings, hello(), estimator=estimator, now_us=OFFSET_US)
+        self.streamer = Streamer(self.library, settings, hello(), estimator=estimator)
         self.sent: list[ev.Outgoing] = []
         self.opening = self.streamer.opening(OFFSET_US)
         self.deliver(self.opening)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
+
+from cags_common.geometry import Camera, Pose
 from cags_protocol.messages import FrameEnd, TileLayers
-from cags_server.opening import PATIENCE_US, Opening
+from cags_server.opening import PATIENCE_US, Opening, guessed_contribution, opening_tiles
+from support.server_scene import hello, library
 
 KEYS = [(0, tile) for tile in range(8)]
 
@@ -35,3 +40,20 @@ def test_on_a_fast_link_there_is_nothing_to_do() -> None:
 
 def test_nothing_in_view_waits_for_nothing() -> None:
     assert Opening(0, [], 0).due_us() is None
+
+
+def test_without_a_look_splats_in_view_share_the_picture_and_near_ones_take_more() -> None:
+    scene = library()
+    shares = []
+    for pose in (Pose.identity(), Pose.looking_at((0, 0, 0), (0, 0, -5))):
+        camera = Camera(hello().intrinsics, pose, 0.05)
+        guess = guessed_contribution(scene, 0, camera, 120_000)
+        in_view, hidden = opening_tiles(scene, 0, camera)
+        assert len(in_view) + len(hidden) == len(scene.owning_tiles(0))
+        seen = [(tile.frame, tile.tile) for tile in scene.visible_tiles(0, guess, 0.0)]
+        assert sorted(seen) == sorted(in_view)
+        assert guess.sum() == pytest.approx(120_000 if in_view else 0.0)
+        by_distance = [guess[scene.reader.tile_ids(*key)].mean() for key in in_view]
+        assert by_distance == sorted(by_distance, reverse=True)
+        shares.append(guess)
+    assert not np.array_equal(shares[0], shares[1])

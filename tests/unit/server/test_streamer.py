@@ -28,7 +28,7 @@ def test_the_opening_is_codebooks_then_base_layers_then_the_first_frames_end() -
 def test_what_is_out_of_view_comes_after_the_first_frames_end() -> None:
     scene = library()
     away = hello(Pose.looking_at((0, 0, 0), (-3, 0, 3)))
-    opening = Streamer(scene, SETTINGS, away, estimator=MeasuredEstimator(), now_us=0).opening(0)
+    opening = Streamer(scene, SETTINGS, away, estimator=MeasuredEstimator()).opening(0)
     ranked = sorted(range(len(opening)), key=lambda i: (opening[i].priority, i))
     kinds = [type(opening[i].message).__name__ for i in ranked]
     after_end = kinds[kinds.index("FrameEnd") + 1 :]
@@ -37,7 +37,7 @@ def test_what_is_out_of_view_comes_after_the_first_frames_end() -> None:
 
 
 def test_joining_within_a_group_brings_the_changes_so_far() -> None:
-    streamer = Streamer(library(), SETTINGS, hello(start_frame=9), estimator=MeasuredEstimator(), now_us=0)
+    streamer = Streamer(library(), SETTINGS, hello(start_frame=9), estimator=MeasuredEstimator())
     opening = streamer.opening(0)
     assert [e.frame for e in of(FrameEnd, opening)] == [6, 7, 8, 9]
     assert {t.frame for t in of(TileLayers, opening)} == {6, 7, 8, 9}
@@ -284,7 +284,7 @@ def test_unused_budget_is_saved_for_a_tile_larger_than_one_frames_budget() -> No
 def test_tiles_that_are_not_layered_are_sent_whole_and_again_when_better() -> None:
     rig = Rig(initial_bps=100_000_000)
     rig.library.reader.manifest = replace(rig.library.reader.manifest, codec="video")
-    rig.streamer = Streamer(rig.library, SETTINGS, hello(), estimator=MeasuredEstimator(50e6), now_us=OFFSET_US)
+    rig.streamer = Streamer(rig.library, SETTINGS, hello(), estimator=MeasuredEstimator(50e6))
     rig.deliver(rig.streamer.opening(OFFSET_US))
     rig.play()
     sent = [m for _ in range(3) for m in of(TileLayers, rig.step())]

@@ -1,0 +1,128 @@
+"""When one client's frames are planned: a lead before their display, with a look at the scene or without.
+
+Frames are counted by *ticks* of the timeline. One look (a job that renders) is out at a time. A frame whose look is
+overdue is served blind, so that media never waits for the renderer: soon where its group of frames has been seen
+before, later where nothing has, since tiles are then chosen by their bounds alone.
+"""
+
+from __future__ import annotations
+
+from cags_protocol.messages import Control
+from cags_server.clock import ClientClock
+from cags_server.pace import Pace
+from cags_server.settings import ServerSettings
+from cags_server.timeline import Timeline
+
+LOOK_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
+"""How long a frame waits for a look that is out before it goes without: the frame that is looked at, one that follows
+it, and either in a group of which nothing was seen. Periods, but no longer than such a share of the lead.
+"""
+
+MAX_LEAD_STRETCH = 3.0
+"""A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
+
+
+class Schedule:
+    """The ticks of one client. Times are the server's clock unless named otherwise."""
+
+    def __init__(self, settings: ServerSettings, timeline: Timeline, clock: ClientClock) -> None:
+        self.timeline = timeline
+        self.generation = 0
+        """Counts controls: what was planned before one is void after it."""
+        self.next_tick = 0
+        self.looking = False
+        """Whether a job is out."""
+        self.pace = Pace()
+        """How long looks take."""
+        self._lead_frames, self._look_every = settings.lead_frames, settings.reference_every
+        self._clock = clock
+        self._controlled = False
+        self._blind_tick = -1  # newest frame that was served without looking
+        self._looked_tick: int | None = None  # newest frame that was looked at
+        self._look_covers = 1
+
+    def controlled(self, control: Control, now_us: int, rtt_us: int) -> None:
+        """The viewer plays, pauses, seeks or changes speed: ticks are counted anew."""
+        # Until a pose tells the time: a frame is asked for about a lead before its display.
+        self._clock.guess(control.at_us - round(self.lead_us(rtt_us)), now_us)
+        self.timeline = self.timeline.controlled(control)
+        self._controlled = True
+        self.generation += 1
+        self.next_tick, self._blind_tick, self._looked_tick = 0, -1, None
+
+    def lead_us(self, rtt_us: int) -> float:
+        """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
+        wanted = self._lead_frames * 1e6 / self.timeline.fps
+        return min(max(wanted, self.pace.needed_us(rtt_us)), MAX_LEAD_STRETCH * wanted)
+
+    def media_frame(self, tick: int) -> int | None:
+        """While paused the viewer still moves: the same frame is planned again and again. None past the end."""
+        return self.timeline.media_frame(tick) if self.timeline.playing else self.timeline.frame
+
+    @property
+    def _unserved_look(self) -> int | None:
+        """The tick of the look that is out, while nothing has been sent for it."""
+        out = self.looking and self._looked_tick is not None and self._looked_tick > self._blind_tick
+        return self._looked_tick if out else None
+
+    @property
+    def next_frame(self) -> int | None:
+        """Media frame of the tick to be served next; None while there is none."""
+        look = self._unserved_look
+        return self.media_frame(self.next_tick if look is None else look) if self._controlled else None
+
+    def next_due_us(self, rtt_us: int, *, seen: bool) -> int | None:
+        """When the next frame must be planned, or served blind; None while there is none.
+
+        ``seen``: the group of frames that it is of has been looked at.
+        """
+        if self.next_frame is None:
+            return None
+        look, lead_us, period_us = self._unserved_look, self.lead_us(rtt_us), self.timeline.period_us
+        tick = self.next_tick if look is None else look
+        due_us = self._clock.to_server(round(self.timeline.display_us(tick) - lead_us))
+        if not self.looking:
+            return due_us
+        if not seen:
+            return due_us + round(UNSEEN_GRACE_LEADS * lead_us)
+        periods, leads = SEEN_GRACE if look is None else LOOK_GRACE
+        return due_us + round(min(periods * period_us, leads * lead_us))
+
+    def between_looks(self, *, seen: bool) -> bool:
+        """Whether the next frame is one of those that get no look of their own."""
+        if self.looking or self._looked_tick is None or self.next_frame is None:
+            return False
+        return seen and self.next_tick < self._looked_tick + self._look_every
+
+    def look(self, late_us: int) -> tuple[int, int, int]:
+        """Begin a look at the newest frame that is due; its tick, media frame and how many ticks it covers.
+
+        The next one became due ``late_us`` ago. Those between are skipped: their references would come too late.
+        """
+        tick = self.next_tick + int(late_us // self.timeline.period_us)
+        while (frame := self.media_frame(tick)) is None:
+            tick -= 1
+        self._look_covers = tick - self.next_tick + 1
+        self.next_tick, self._looked_tick, self.looking = tick + 1, tick, True
+        return tick, frame, self._look_covers
+
+    def go_blind(self) -> tuple[int, int]:
+        """Serve the next frame without what a look would tell; its tick and how many ticks it covers.
+
+        That may be the frame whose look is out: its reference still comes, its tiles do not wait for it.
+        """
+        look = self._unserved_look
+        if look is not None:
+            self._blind_tick = look
+            return look, self._look_covers
+        self._blind_tick = self.next_tick
+        self.next_tick += 1
+        return self._blind_tick, 1
+
+    def is_out(self, tick: int) -> bool:
+        """Whether a look at ``tick`` is out."""
+        return self.looking and tick == self._looked_tick
+
+    def overtaken(self, tick: int) -> bool:
+        """Whether the frame of a look, or a later one, was served while the look was out."""
+        return tick <= self._blind_tick
