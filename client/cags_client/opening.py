@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import TileCodec, TileDecoder
+from cags_common.codecs import TileCodec, TileDecoder, dequantise_tiles
 from cags_common.errors import DecodeError
-from cags_common.geometry import F32, Camera
+from cags_common.geometry import F32, Camera, axis_bounds
 from cags_common.splats import Splats
 
 
@@ -42,7 +42,7 @@ class OpenTile:
 def open_tile(codec: TileCodec, payload: memoryview) -> OpenTile:
     """Decode LoD 0. Raises :class:`DecodeError`."""
     state = codec.open_tile(payload)
-    low, high = (state.means.min(axis=0), state.means.max(axis=0)) if len(state) else (np.zeros(3), np.zeros(3))
+    low, high = axis_bounds(state.means) if len(state) else (np.zeros(3, np.float32), np.zeros(3, np.float32))
     return OpenTile(state, ((low + high) / 2).astype(np.float32), float(np.linalg.norm(high - low) / 2))
 
 
@@ -73,6 +73,10 @@ class TileOpener:
     def dequantise(self, tiles: Sequence[TileDecoder]) -> list[Splats]:
         """Each tile's splats; the tiles are different ones."""
         return list(self._pool.map(_dequantised, tiles) if self._pool else map(_dequantised, tiles))
+
+    def merged(self, tiles: Sequence[TileDecoder], sh_degree: int) -> Splats:
+        """All splats of different ``tiles`` in order."""
+        return dequantise_tiles(tiles, sh_degree, self._pool.map if self._pool else map)
 
     def _try(self, payload: memoryview) -> OpenTile | DecodeError:
         try:

@@ -6,8 +6,9 @@ rate policies and the client, and differ here alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Iterable, Sequence
+from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from cags_common.dequantise import Dequantiser
 from cags_common.errors import BundleError
@@ -20,6 +21,10 @@ from cags_common.tiles import decode_base, decode_base_ids
 
 if TYPE_CHECKING:  # the bundle's reader opens tiles by this module
     from cags_common.bundle.manifest import Manifest
+
+
+Run: TypeAlias = Callable[..., Iterable[Any]]
+"""``map`` or an executor's."""
 
 
 class TileDecoder(Protocol):
@@ -49,8 +54,8 @@ class TileDecoder(Protocol):
         """
         ...
 
-    def dequantise(self) -> Splats:
-        """The splats [n] in the order of :attr:`ids`."""
+    def dequantise(self, into: Splats | None = None) -> Splats:
+        """The splats [n] in the order of :attr:`ids`; in the arrays of ``into`` [n] where it is given."""
         ...
 
 
@@ -64,6 +69,16 @@ class TileCodec(Protocol):
     def tile_ids(self, payload: bytes | memoryview) -> Ids:
         """Only the ids [n] of a LoD 0 payload. Raises :class:`DecodeError`."""
         ...
+
+
+def dequantise_tiles(tiles: Sequence[TileDecoder], sh_degree: int, run: Run = map) -> Splats:
+    """All splats of different ``tiles`` in order, each tile written straight to its place; ``run`` may use threads."""
+    ends = list(accumulate(map(len, tiles), initial=0))
+    out = Splats.unwritten(ends[-1], sh_degree)
+    places = [out.span(first, end) for first, end in pairwise(ends)]
+    for _ in run(lambda tile, place: tile.dequantise(place), tiles, places):
+        pass
+    return out
 
 
 class SvqTileCodec:

@@ -7,7 +7,7 @@ definition, and the native kernel, which does all of it in one pass and releases
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -58,15 +58,19 @@ class Dequantiser:
         wanted = native_available() if native is None else native
         self._native = _NativeTables(books) if wanted and _one_form_each(books) else None
 
-    def __call__(self, means: F32, before: U32 | None, fresh: Sequence[FreshLayers]) -> tuple[Splats, U32]:
+    def __call__(
+        self, means: F32, before: U32 | None, fresh: Sequence[FreshLayers], into: Splats | None = None
+    ) -> tuple[Splats, U32]:
         """The splats at ``means`` [n, 3], and their codes [attributes, n] with the ``fresh`` layers appended.
 
         ``before`` [attributes, n] holds the codes so far, None before the base; ``fresh`` has an item an attribute, in
-        coding order. Raises :class:`DecodeError` for layers of a wrong length.
+        coding order. The splats are written to the arrays of ``into`` [n] where it is given. Raises
+        :class:`DecodeError` for layers of a wrong length and for an ``into`` of another SH degree.
         """
         if self._native is None or len(means) == 0:
-            return self._reference(means, before, fresh)
-        return self._native(means, before, fresh)
+            splats, codes = self._reference(means, before, fresh)
+            return splats.written_to(into), codes
+        return self._native(means, before, fresh, into)
 
     def _reference(self, means: F32, before: U32 | None, fresh: Sequence[FreshLayers]) -> tuple[Splats, U32]:
         n = len(means)
@@ -85,21 +89,20 @@ class _NativeTables:
     def __init__(self, books: CodebookSet) -> None:
         self._books = tuple(books)
         self._rodrigues = "rotation" in books.attributes
-        self._rest = SH_REST_OF_DEGREE[sum(name in books.attributes for name in SH_REST_ATTRIBUTES)]
+        self._degree = sum(name in books.attributes for name in SH_REST_ATTRIBUTES)
         self._alpha_to_logit = any(book.attribute == "alpha" and book.spreads is not None for book in self._books)
         self._kept: dict[tuple[int, int, int], tuple[Any, Any]] = {}
 
-    def __call__(self, means: F32, before: U32 | None, fresh: Sequence[FreshLayers]) -> tuple[Splats, U32]:
+    def __call__(
+        self, means: F32, before: U32 | None, fresh: Sequence[FreshLayers], into: Splats | None
+    ) -> tuple[Splats, U32]:
         from cags_kernels import codec
 
         n = len(means)
-        columns = {
-            "quats": np.empty((n, 4), np.float32),
-            "log_scales": np.empty((n, 3), np.float32),
-            "logit_opacities": np.empty(n, np.float32),
-            "sh0": np.empty((n, 3), np.float32),
-            "sh_rest": np.empty((n, self._rest, 3), np.float32),
-        }
+        out = Splats.unwritten(n, self._degree) if into is None else into
+        if out.sh_degree != self._degree:
+            raise DecodeError(f"splats have SH degree {self._degree}, their place {out.sh_degree}")
+        columns = {name: array for name, array in out.arrays() if name != "means"}
         attributes = [self._attribute(i, layers.first, layers.end) for i, layers in enumerate(fresh)]
         data = b"".join(part.data for layers in fresh for part in layers.parts)
         try:
@@ -107,8 +110,11 @@ class _NativeTables:
         except cags_kernels.KernelError as error:
             raise DecodeError(f"layers of {n} splats have {len(data)} bytes, which is another length") from error
         if self._alpha_to_logit:
-            columns["logit_opacities"] = alpha_logits(columns["logit_opacities"])
-        return Splats(means=means, **columns), codes
+            out.logit_opacities[:] = alpha_logits(out.logit_opacities)
+        if into is None:
+            return replace(out, means=means), codes
+        into.means[:] = means
+        return into, codes
 
     def _attribute(self, index: int, first: int, end: int) -> Any:
         """The kernel's structure for one attribute whose codes go from ``first`` to ``end`` layers."""

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.geometry import F32
+from cags_common.geometry import F32, axis_bounds
 
 AXIS_BITS = 21
 """Bits an axis in a 63-bit Morton code."""
@@ -23,11 +23,11 @@ _SPREAD_STEPS = (
 
 def morton_codes(means: F32) -> NDArray[np.uint64]:
     """63-bit Morton codes [n] of points [n, 3], over the cube that holds them. Zero-extent bounds give code 0."""
-    wide = means.astype(np.float64)
-    if len(wide) == 0:
+    if len(means) == 0:
         return np.zeros(0, np.uint64)
-    low = wide.min(axis=0)
-    extent = float((wide.max(axis=0) - low).max())
+    wide = means.astype(np.float64)
+    low, high = (corner.astype(np.float64) for corner in axis_bounds(means))
+    extent = float((high - low).max())
     scale = (2**AXIS_BITS - 1) / extent if extent > 0 else 0.0
     cells = np.minimum((wide - low) * scale, 2**AXIS_BITS - 1).astype(np.uint64)
     codes: NDArray[np.uint64] = (

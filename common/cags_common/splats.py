@@ -6,14 +6,16 @@ Attribute names carry their activation: the drawn scale is ``exp(log_scales)``, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from itertools import accumulate, pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.errors import SceneError
+from cags_common.errors import DecodeError, SceneError
 from cags_common.geometry import F32
 
 SH_C0 = 0.28209479177387814
@@ -85,6 +87,36 @@ class Splats:
                 raise SceneError(f"{source}: {name}[{index}] = {array[index].tolist()} is not finite; repair the file")
         out["quats"] = _canonical_quats(out["quats"], source)
         return Splats(**out)
+
+    def span(self, first: int, end: int) -> Splats:
+        """Splats ``first`` to ``end`` in the same memory."""
+        return Splats(*(array[first:end] for _, array in self.arrays()))
+
+    def written_to(self, target: Splats | None) -> Splats:
+        """These values in the arrays of ``target``, which is returned; without one, these splats themselves.
+
+        Raises :class:`DecodeError` where the SH degrees differ.
+        """
+        if target is None:
+            return self
+        if target.sh_degree != self.sh_degree:
+            raise DecodeError(f"splats have SH degree {self.sh_degree}, their place {target.sh_degree}")
+        for (_, array), (_, values) in zip(target.arrays(), self.arrays(), strict=True):
+            array[:] = values
+        return target
+
+    @staticmethod
+    def unwritten(count: int, sh_degree: int) -> Splats:
+        """Arrays of ``count`` splats whose values are still to be written.
+
+        They share one block of memory: the system hands out large blocks by large pages, and keeps them at hand. A
+        page fault for every 4 KiB took as long as decoding.
+        """
+        shapes = [(3,), (4,), (3,), (), (3,), (SH_REST_OF_DEGREE[sh_degree], 3)]
+        ends = list(accumulate((count * math.prod(shape) for shape in shapes), initial=0))
+        block = np.empty(ends[-1], np.float32)
+        parts = [block[first:end] for first, end in pairwise(ends)]
+        return Splats(*(part.reshape(count, *shape) for part, shape in zip(parts, shapes, strict=True)))
 
     @staticmethod
     def concatenate(parts: list[Splats]) -> Splats:

@@ -68,10 +68,10 @@ class TileState:
         self._waiting[item.attribute, item.layer] = decode_layer(payload, len(self), bits)
         return self._absorb(item.attribute)
 
-    def dequantise(self) -> Splats:
-        """The tile's splats [n] at the depths there are, in the order of ``base.ids``."""
+    def dequantise(self, into: Splats | None = None) -> Splats:
+        """The tile's splats [n] at the depths there are, in the order of ``base.ids``; in ``into`` if given."""
         fresh = [FreshLayers(self._depth[name] + 1 - len(parts), tuple(parts)) for name, parts in self._fresh.items()]
-        splats, self._codes = self._dequantise(self.base.means, self._codes, fresh)
+        splats, self._codes = self._dequantise(self.base.means, self._codes, fresh, into)
         self._fresh = {name: [] for name in self._fresh}
         return splats
 

@@ -20,7 +20,7 @@ import numpy as np
 from cags_common import dequantise
 from cags_common.draco import decode_points
 from cags_common.errors import DecodeError
-from cags_common.geometry import F32
+from cags_common.geometry import F32, axis_bounds
 from cags_common.packing import (
     U32,
     PackedCodes,
@@ -242,5 +242,5 @@ def _draco_decode(data: bytes, count: int) -> F32:
 def _low_and_extent(means: F32) -> tuple[F32, float]:
     if len(means) == 0:
         return np.zeros(3, np.float32), 0.0
-    low = means.min(axis=0)
-    return low, float((means.max(axis=0).astype(np.float64) - low).max())
+    low, high = axis_bounds(means)
+    return low, float((high.astype(np.float64) - low).max())

@@ -15,7 +15,7 @@ import numpy as np
 
 from cags_common.bundle import BundleWriter, SourceDelta, TilePayloads
 from cags_common.bundle.writer import GofWriter
-from cags_common.geometry import F64
+from cags_common.geometry import F64, axis_bounds
 from cags_encoder.codecs import ClipCodec
 from cags_encoder.executors import Shared, Workers, ahead
 from cags_encoder.frames.differential import DecoderCopy, Placer, QuantisedDelta, Sent
@@ -62,8 +62,8 @@ class ClipPlacer:
                 self._placer = Placer()
                 self.starts.append(index)
             delta = self._placer.place(seen.splats, identities)
-            self.low = np.minimum(self.low, seen.splats.means.min(axis=0))
-            self.high = np.maximum(self.high, seen.splats.means.max(axis=0))
+            low, high = axis_bounds(seen.splats.means)
+            self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
             yield Placed(index, key, delta, self._placer.capacity)
 
 

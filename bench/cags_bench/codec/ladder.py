@@ -64,10 +64,12 @@ def ladder(
         "encode_ms": median_ms(partial(encode, codec, splats), 1),
         "changed_splats": min(CHANGED_SPLATS, len(splats)),
         "changed_bytes": sum(map(len, changed)),
-        "changed_decode_ms": median_ms(partial(decode, opener, [changed], len(codec.lod_order)), 5 * settings.repeats),
+        "changed_decode_ms": median_ms(
+            partial(decode, opener, [changed], len(codec.lod_order), splats.sh_degree), 5 * settings.repeats
+        ),
     }
     for lod in np.unique(np.linspace(0, len(codec.lod_order), settings.points).astype(int)):
-        shown = partial(decode, opener, tiles, int(lod))
+        shown = partial(decode, opener, tiles, int(lod), splats.sh_degree)
         yield {
             "codec": quantiser,
             "lod": int(lod),
@@ -106,7 +108,7 @@ def encode_changed(codec: SvqCodec, splats: Splats) -> Tile:
     return codec.encode_tile(ids, codec.quantise(codec.prepare(splats.take(ids))), id_range=False)
 
 
-def decode(opener: TileOpener, tiles: list[Tile], lod: int) -> Splats:
+def decode(opener: TileOpener, tiles: list[Tile], lod: int, sh_degree: int) -> Splats:
     """What a client shows of ``tiles`` up to ``lod``."""
     states = []
     for opened, payloads in zip(opener.open([memoryview(tile[0]) for tile in tiles]), tiles, strict=True):
@@ -115,7 +117,7 @@ def decode(opener: TileOpener, tiles: list[Tile], lod: int) -> Splats:
         for level in range(1, lod + 1):
             opened.state.add_layer(level, payloads[level])
         states.append(opened.state)
-    return Splats.concatenate(opener.dequantise(states))
+    return opener.merged(states, sh_degree)
 
 
 def sizes(tiles: list[Tile], lod: int, codebooks: int, splats: int) -> Line:

@@ -109,13 +109,13 @@ class DensityTile:
             self._merge()
         return self._lod > before
 
-    def dequantise(self) -> Splats:
+    def dequantise(self, into: Splats | None = None) -> Splats:
         """The splats that are there, [m], compensated for those that are not."""
         values = {
             name: self._book.dequantise(name, codes) for name, codes in zip(self._book, self._columns, strict=True)
         }
         values["scale"] += np.float32(self._gains[self._lod])
-        return join_attributes(self.means, values)
+        return join_attributes(self.means, values).written_to(into)
 
     def _merge(self) -> None:
         parts = [self._chunks[k] for k in range(self._lod + 1)]

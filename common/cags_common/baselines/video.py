@@ -73,12 +73,12 @@ class VideoTile:
             raise DecodeError(f"tile: quality {self._lod} is of another tile, or was sent as {lod}")
         return True
 
-    def dequantise(self) -> Splats:
+    def dequantise(self, into: Splats | None = None) -> Splats:
         """The tile's splats [n]."""
         ends = np.cumsum(self._book.dims)
         parts = zip(self._book, np.split(self._codes, ends[:-1], axis=1), strict=True)
         values = {name: self._book.dequantise(name, codes) for name, codes in parts}
-        return join_attributes(self.means, values)
+        return join_attributes(self.means, values).written_to(into)
 
     def _take(self, payload: bytes | memoryview) -> None:
         head = decode_head(payload, KIND)

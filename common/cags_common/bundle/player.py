@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cags_common.bundle.reader import BundleReader
-from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, empty_splats
-from cags_common.codecs import TileDecoder
+from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState
+from cags_common.codecs import TileDecoder, dequantise_tiles
 from cags_common.errors import BundleError
-from cags_common.splats import Splats
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +56,5 @@ class BundlePlayer:
         tiles = [self.tile(frame, entry.tile) for entry in self._reader.frame(frame).tiles]
         ids = np.concatenate([np.zeros(0, np.int32), *(tile.ids for tile in tiles)])
         order = np.argsort(ids, kind="stable")
-        if not tiles:
-            splats = empty_splats(self._reader.manifest.sh_degree)
-        else:
-            splats = Splats.concatenate([tile.dequantise() for tile in tiles]).take(order)
+        splats = dequantise_tiles(tiles, self._reader.manifest.sh_degree).take(order)
         return SourceDelta(ids[order], splats, self._reader.removed_ids(frame))

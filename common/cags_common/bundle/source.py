@@ -91,11 +91,6 @@ class SourceState:
         return SourceFrame(ids, _splats(self._rows[ids]))
 
 
-def empty_splats(sh_degree: int) -> Splats:
-    """No splats, of this SH degree."""
-    return _splats(np.zeros((0, 14 + 3 * SH_REST_OF_DEGREE[sh_degree]), np.float32))
-
-
 def _matrix(splats: Splats) -> F32:
     """All values of each splat in one row [n, 14 + 3 K]."""
     columns = (array.reshape(len(splats), int(np.prod(array.shape[1:], dtype=int))) for _, array in splats.arrays())

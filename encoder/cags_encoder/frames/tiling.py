@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cags_common.geometry import F32, Vec3
+from cags_common.geometry import F32, Vec3, axis_bounds
 from cags_common.morton import morton_order, tile_ranges
 from cags_common.splats import Ids
 from cags_encoder.codecs import CodedSplats
@@ -40,5 +40,5 @@ def cut_tiles(ids: Ids, means: F32, coded: CodedSplats, *, largest: int, id_rang
 
 def corners(means: F32) -> tuple[Vec3, Vec3]:
     """Smallest and largest corner of points [n, 3], n >= 1."""
-    low, high = means.min(axis=0).tolist(), means.max(axis=0).tolist()
+    low, high = (corner.tolist() for corner in axis_bounds(means))
     return (low[0], low[1], low[2]), (high[0], high[1], high[2])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.geometry import Camera, Intrinsics, Pose, axis_bounds
 
 
 def test_looking_at_puts_the_target_on_the_optical_axis():
@@ -50,3 +50,12 @@ def test_quaternions_without_direction_are_refused(rotation):
 def test_non_finite_positions_are_refused():
     with pytest.raises(ValueError, match="not finite"):
         Pose((0.0, math.nan, 0.0), (1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 1000])
+def test_axis_bounds_are_those_of_every_row(count):
+    points = np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32)
+    low, high = axis_bounds(points)
+    assert np.array_equal(low, points.min(axis=0)) and np.array_equal(high, points.max(axis=0))
+    points[count // 2, 1] = np.nan
+    assert [np.isnan(corner).tolist() for corner in axis_bounds(points)] == [[False, True, False]] * 2

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cags_common.errors import SceneError
+from cags_common.errors import DecodeError, SceneError
 from cags_common.splats import Splats
 
 
@@ -73,3 +73,23 @@ def test_take_and_concatenate_are_inverse():
     for (name, a), (_, b) in zip(splats.arrays(), again.arrays(), strict=True):
         assert np.array_equal(a, b), name
     assert splats.sh_degree == 1
+
+
+@pytest.mark.parametrize("coefficients", [0, 3])
+def test_values_are_written_to_their_place(coefficients):
+    splats = some_splats(5, coefficients)
+    whole = Splats.unwritten(12, splats.sh_degree)
+    for _, array in whole.arrays():
+        array[...] = 7.0
+    place = whole.span(4, 9)
+    assert splats.written_to(place) is place
+    for (name, array), (_, values) in zip(whole.arrays(), splats.arrays(), strict=True):
+        assert array.dtype == np.float32 and array.flags.c_contiguous, name
+        assert np.array_equal(array[4:9], values), name
+        assert (array[:4] == 7).all() and (array[9:] == 7).all(), name
+    assert splats.written_to(None) is splats
+
+
+def test_a_place_of_another_sh_degree_is_refused():
+    with pytest.raises(DecodeError, match="SH degree 1, their place 0"):
+        some_splats(2, 3).written_to(Splats.unwritten(2, 0))

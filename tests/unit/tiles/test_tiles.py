@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
 
-from cags_common.dequantise import Dequantiser
+from cags_common.codecs import dequantise_tiles
+from cags_common.dequantise import Dequantiser, native_available
 from cags_common.errors import DecodeError
 from cags_common.lod import LodLayer
 from cags_common.packing import U32
+from cags_common.splats import Splats
 from cags_common.svq import CodebookSet
 from cags_common.tile_state import TileState
 from cags_common.tiles import (
@@ -110,6 +112,32 @@ def test_decoded_rotations_are_unit_with_a_positive_real_part() -> None:
     quats = tile.dequantise().quats
     assert np.allclose(np.linalg.norm(quats, axis=1), 1, atol=1e-6)
     assert (quats[:, 0] >= 0).all()
+
+
+BOTH = pytest.mark.parametrize(
+    "native",
+    [False, pytest.param(True, marks=pytest.mark.skipif(not native_available(), reason="needs the native kernels"))],
+)
+
+
+def opened(n: int, *, native: bool) -> TileState:
+    return TileState(decode_base(payload(n, full_codes(n))[0], BOOKS), Dequantiser(BOOKS, native=native), ORDER)
+
+
+@BOTH
+def test_tiles_are_written_side_by_side_as_they_are_one_by_one(native: bool) -> None:
+    sizes = (40, 0, 1, 600)
+    merged = dequantise_tiles([opened(n, native=native) for n in sizes], 0)
+    alone = Splats.concatenate([opened(n, native=native).dequantise() for n in sizes])
+    for (name, a), (_, b) in zip(merged.arrays(), alone.arrays(), strict=True):
+        assert np.array_equal(a, b), name
+    assert len(dequantise_tiles([], 2)) == 0
+
+
+@BOTH
+def test_a_place_of_another_sh_degree_is_refused(native: bool) -> None:
+    with pytest.raises(DecodeError, match="SH degree 0, their place 1"):
+        dequantise_tiles([opened(5, native=native)], 1)
 
 
 def test_wrong_use_is_named() -> None:

@@ -19,6 +19,7 @@ from cags_client.align import ReferencePicture
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
+from cags_common.codecs import dequantise_tiles
 from cags_common.dequantise import Dequantiser
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.lod import LodLayer
@@ -167,7 +168,7 @@ def layers(context: Context) -> Section:
 
 def _without(reader: BundleReader, books: CodebookSet, stills: Stills, left_out: list[LodLayer]) -> tuple[float, float]:
     """Bytes a splat and PSNR when these layers are not sent."""
-    parts, size, dequantiser = [], 0, Dequantiser(books)
+    tiles, size, dequantiser = [], 0, Dequantiser(books)
     for entry in reader.frame(0).tiles:
         base = reader.payload(0, entry.tile, 0)
         state = TileState(decode_base(base, books), dequantiser, reader.manifest.lod_order)
@@ -177,8 +178,9 @@ def _without(reader: BundleReader, books: CodebookSet, stills: Stills, left_out:
                 payload = reader.payload(0, entry.tile, lod)
                 state.add_layer(lod, payload)
                 size += len(payload)
-        parts.append(state.dequantise())
-    return size / len(stills.source), stills.quality(Splats.concatenate(parts))[0]
+        tiles.append(state)
+    shown = dequantise_tiles(tiles, reader.manifest.sh_degree)
+    return size / len(stills.source), stills.quality(shown)[0]
 
 
 def motivation(context: Context) -> Section:

@@ -73,6 +73,9 @@ def test_all_levels_give_what_the_encoder_expects(name: str, degree: int, count:
         np.testing.assert_array_equal(ours, expected, err_msg=attribute)
     np.testing.assert_array_equal(state.means, tile.decoded.means)
     state.dequantise().checked(name)
+    place = Splats.unwritten(len(state), degree)
+    assert state.dequantise(place) is place
+    np.testing.assert_array_equal(place.sh0, tile.decoded.sh0)
 
 
 def test_density_levels_are_nested_and_the_last_is_whole() -> None:
