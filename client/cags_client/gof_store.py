@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_client.opening import Arrival, OpenTile, TileOpener
+from cags_client.past import SplatPast
 from cags_client.shown import Held, Shown
 from cags_client.waiting import Key, WaitingLayers
 from cags_common.bundle.manifest import Manifest
@@ -71,7 +72,10 @@ class GofStore:
     sh_degree: int
     opener: TileOpener
     manifest: Manifest
+    past: SplatPast = field(default_factory=SplatPast)  # what the splats on display were a few frames ago
     splats: Splats = field(init=False)
+    improved: int = field(default=0, init=False)
+    """Times that layers made splats on display better without a change of what they show."""
 
     def __post_init__(self) -> None:
         n, rest = self.capacity, SH_REST_OF_DEGREE[self.sh_degree]
@@ -215,7 +219,9 @@ class GofStore:
         """Show what has come for frames up to ``frame``: the rows that changed, and whether ``frame`` is whole."""
         if frame < self._shown_frame:
             self._rewind()
+            self.past.restart(frame)
         self._shown_frame = frame
+        self.past.advance(frame)
         with self._lock:
             horizon = max((f for f in self._ended if f <= frame), default=-1)
         self.flush(horizon)
@@ -258,6 +264,11 @@ class GofStore:
             self._rewound = True
 
     @property
+    def shown_frame(self) -> int:
+        """The frame on display; -1 before any."""
+        return self._shown_frame
+
+    @property
     def newest(self) -> int:
         """The newest frame that has come whole; -1 before any."""
         with self._lock:
@@ -273,6 +284,7 @@ class GofStore:
         gone = ids[self._source[ids] < frame]
         self._release(gone)
         self._owner[gone] = -1
+        self.past.record(frame, gone, self.splats)
         self.splats.logit_opacities[gone] = ABSENT_LOGIT
         touched[gone] = True
 
@@ -284,6 +296,8 @@ class GofStore:
         self._release(claimed)
         self._owner[claimed], self._source[claimed] = held.index, held.frame
         held.owned += len(claimed)
+        self.past.record(held.frame, claimed, self.splats)
+        self.improved += bool(mine.any())
         write = mine | newer
         rows = ids[write]
         for (_, target), (_, values) in zip(self.splats.arrays(), staged.splats.arrays(), strict=True):

@@ -13,10 +13,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_client import align, restore
 from cags_client.adapt import AdapterStep, SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture
+from cags_client.carry import Held, ReferenceViews
 from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival
 from cags_client.references import References
@@ -33,9 +35,6 @@ from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_protocol.messages import FrameEnd, HeldTile, ReferenceFrame, TileLayers
-
-FRESH_FRAMES = 1
-"""References this many frames away count in full: servers may draw one for every other frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +91,8 @@ class ClientPipeline:
         self._adapter: SirtAdapter | None = None
         self._background = background
         self._adapting: Future[AdapterStep] | None = None  # of the scene as it is; seen from the next frame on
-        self._own: tuple[ReferencePicture, RenderedView] | None = None
+        self._views = ReferenceViews(self._rasteriser, self._store.earlier)
+        self._changes = self._corrections = 0  # of the scene, and of its colours alone
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._weights: dict[str, Weights] = {}
@@ -176,10 +176,13 @@ class ClientPipeline:
         """Draw media frame ``frame`` from ``camera``."""
         started_s = self._clock()
         watch = _Stopwatch(self._clock)
+        if self._restorer_wanted != self.live.restore:
+            self._restorer_wanted = self.live.restore
+            self._restorer = self._made_restorer()
         with watch("update"):
-            store, committed = self._store.commit(frame)
+            store, committed = self._store.commit(frame, self.settings.reference_age if self._compares else 0)
             scene = self._updated(store, committed)
-        reference = self._references.nearest(frame, self.settings.reference_age)
+        reference = self._reference(frame, store)
         situation = self._situation(store, committed, (frame, camera), reference)
         plan = plan_frame(situation, self.settings.effects)
         with watch("raster"):
@@ -211,9 +214,6 @@ class ClientPipeline:
     def _situation(
         self, store: GofStore, committed: Committed, view: tuple[int, Camera], reference: ReferencePicture | None
     ) -> Situation:
-        if self._restorer_wanted != self.live.restore:
-            self._restorer_wanted = self.live.restore
-            self._restorer = self._made_restorer()
         frame, camera = view
         there = reference.camera.pose.position if reference is not None else None
         return Situation(
@@ -224,11 +224,31 @@ class ClientPipeline:
             reference=reference is not None,
             same_place=there == camera.pose.position,
             same_frame=reference is not None and reference.frame == frame,
+            moved_on=reference is not None and self._moved_on(reference, store),
             restorer=self._restorer.needs,
-            replaces=self._tier.partition("@")[0] in restore.REPLACING,
+            replaces=self._replaces,
             adapts=self._adapter is not None,
             depth_shown=self.live.depth_shown,
         )
+
+    def _reference(self, frame: int, store: GofStore) -> ReferencePicture | None:
+        """The reference to use: one that can be compared with what the client held at its frame."""
+        reference = self._references.newest(frame, self.settings.reference_age)
+        if reference is None or self._replaces or self._views.usable(reference, store):
+            return reference
+        return None
+
+    def _moved_on(self, reference: ReferencePicture, store: GofStore) -> bool:
+        return not store.past.knows(reference.frame) or store.past.changed_since(reference.frame)
+
+    @property
+    def _compares(self) -> bool:
+        """Whether references are compared with the client's own splats, as of their own frames."""
+        return self._adapter is not None or (bool(self._restorer.needs) and not self._replaces)
+
+    @property
+    def _replaces(self) -> bool:
+        return self._tier.partition("@")[0] in restore.REPLACING
 
     def _made_restorer(self) -> Restorer:
         """The restorer that the viewer wants; with ``auto`` the machine is measured first, which takes a second."""
@@ -253,17 +273,16 @@ class ClientPipeline:
     ) -> tuple[Aligned | None, RenderedView | None, F32]:
         """The aligned reference, the client's own view of it, and the restored picture, each where planned."""
         aligned, own, shown = None, None, drawn.distorted
-        depth = drawn.view.depth
+        depth, options = drawn.view.depth, self._reference_options(plan, reference)
+        if Effect.OWN_VIEW in plan:
+            with watch("own"):
+                reference, own = self._seen_from(plan, reference, drawn, options)
         if Effect.ALIGNMENT in plan and depth is not None:
             with watch("align"):
                 occlusion = Effect.OCCLUSION in plan
                 aligned = self._aligner.align(reference, depth, drawn.camera, occlusion=occlusion)
                 if Effect.FADE in plan:
                     aligned = _faded(aligned, self._freshness(reference, frame))
-        options = self._reference_options(plan, reference)
-        if Effect.OWN_VIEW in plan:
-            with watch("own"):
-                own = self._seen_from(reference, drawn.scene, options)
         if Effect.ADAPTATION in plan and own is not None and self._adapter is not None and self._adapting is None:
             with watch("adapt"):
                 self._adapting = self._begun(self._adapter, (drawn.scene, reference, own, options))
@@ -272,13 +291,23 @@ class ClientPipeline:
                 shown = self._restorer.restore(RestoreInput(drawn.distorted, drawn.view.alpha, aligned, reference, own))
         return aligned, own, shown
 
-    def _seen_from(self, reference: ReferencePicture, scene: RasterScene, options: RenderOptions) -> RenderedView:
-        """The splats from the reference's camera: once a reference, unless their colours are being adapted to it."""
-        if self._own is not None and self._own[0] is reference and self._adapter is None:
-            return self._own[1]
-        own = scene.render(reference.camera, options)
-        self._own = reference, own
-        return own
+    def _seen_from(
+        self, plan: EffectPlan, reference: ReferencePicture, drawn: _Drawn, options: RenderOptions
+    ) -> tuple[ReferencePicture, RenderedView]:
+        """The reference, carried to the frame on display, and the client's own view of it."""
+        if Effect.CARRY not in plan:
+            return reference, self._views.now(reference, self._held(drawn), options)
+        self._adapted(drawn.store, must_end=True)
+        return self._views.carried(reference, self._held(drawn), options)
+
+    def _held(self, drawn: _Drawn) -> Held:
+        def restore_rows(rows: NDArray[np.intp]) -> None:
+            splats = drawn.store.splats.take(rows)
+            if self._adapter is not None:
+                splats = replace(splats, sh0=self._adapter.corrected(splats.sh0, rows))
+            drawn.scene.update(rows, splats)
+
+        return Held(drawn.scene, drawn.store, self._changes, self._corrections, restore_rows)
 
     def _begun(
         self, adapter: SirtAdapter, work: tuple[RasterScene, ReferencePicture, RenderedView, RenderOptions]
@@ -294,7 +323,9 @@ class ClientPipeline:
         step = self._adapting
         if step is None or self._adapter is None or self._scene is None or not (must_end or step.done()):
             return
-        self._adapter.apply(self._scene, store.splats, step.result())
+        if self._adapter.apply(self._scene, store.splats, step.result()):
+            self._changes += 1
+            self._corrections += 1
         self._adapting = None
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
@@ -303,6 +334,7 @@ class ClientPipeline:
             self._scene, self._scene_store = self._rasteriser.load(store.splats), store
             self._adapter = SirtAdapter(store.capacity) if self.settings.adapt == "sirt" else None
             self._sh_degree = held_sh_degree(store.splats.sh_rest)
+            self._changes += 1
             return self._scene
         self._adapted(store, must_end=len(committed.rows) > 0)
         if len(committed.rows):
@@ -310,6 +342,7 @@ class ClientPipeline:
                 self._adapter.forget(committed.rows)
             changed = store.splats.take(committed.rows)
             self._scene.update(committed.rows, changed)
+            self._changes += 1
             self._sh_degree = max(self._sh_degree, held_sh_degree(changed.sh_rest))
         return self._scene
 
@@ -327,9 +360,9 @@ class ClientPipeline:
         return replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint, contribution=True)
 
     def _freshness(self, reference: ReferencePicture, frame: int) -> float:
-        """1 for the reference of this very frame or one beside it, falling to 0 past the oldest that is allowed."""
-        age = max(abs(frame - reference.frame) - FRESH_FRAMES, 0)
-        return 1.0 - age / (self.settings.reference_age + 1)
+        """1 for references up to half as old as is allowed, falling to 0 past the oldest: none goes at a stroke."""
+        allowed = self.settings.reference_age + 1
+        return min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,11 +59,14 @@ class References:
                 del self._pictures[next(iter(self._pictures))]
         return True
 
-    def nearest(self, frame: int, max_age: int) -> ReferencePicture | None:
-        """The picture of ``frame``, or of the nearest frame at most ``max_age`` away (an earlier one first)."""
+    def newest(self, frame: int, max_age: int) -> ReferencePicture | None:
+        """The picture of ``frame``, or the newest of the ``max_age`` frames before it.
+
+        Never one of a frame to come: what the client will hold of it then is not known, and so not what is wrong in it.
+        """
         with self._lock:
-            close = [p for f, p in self._pictures.items() if abs(frame - f) <= max_age]
-        return min(close, key=lambda p: (abs(frame - p.frame), p.frame > frame), default=None)
+            past = [f for f in self._pictures if 0 <= frame - f <= max_age]
+            return self._pictures[max(past)] if past else None
 
     def restart(self) -> None:
         """Another server's video follows, numbered from 1; the pictures stay."""

@@ -34,7 +34,10 @@ class ClientSettings:
     )
     threads: int = setting(2, "threads of a render, and of decoding tiles", low=1, high=256)
     reference_age: int = setting(
-        10, "media frames after which a reference is too old to restore from; younger ones fade", low=0, high=1000
+        10,
+        "media frames after which a reference is too old to restore from; it fades over the last half",
+        low=0,
+        high=1000,
     )
     start_frame: int = setting(0, "media frame to join at", low=0)
     duration: float | None = setting(None, "seconds to play; the whole clip if not given", low=0.001)

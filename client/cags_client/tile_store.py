@@ -12,6 +12,7 @@ import numpy as np
 
 from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival, TileOpener
+from cags_client.past import EarlierGroups, SplatPast
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import TileCodec
 from cags_common.errors import DecodeError
@@ -28,6 +29,8 @@ class TileStore:
         self._gofs: dict[int, GofStore] = {}
         self._shown: GofStore | None = None
         self._oldest = 0
+        self.earlier = EarlierGroups()
+        """What was on display before the group of frames that is."""
         self._lock = threading.Lock()
 
     def add(self, frame: int, tile: int, from_lod: int, payloads: list[memoryview]) -> None:
@@ -64,18 +67,22 @@ class TileStore:
         if store is not None:
             store.end(frame, removed)
 
-    def commit(self, frame: int) -> tuple[GofStore, Committed]:
-        """Make what has come for ``frame`` visible.
+    def commit(self, frame: int, span: int = 0) -> tuple[GofStore, Committed]:
+        """Make what has come for ``frame`` visible; what it was is remembered for ``span`` frames.
 
         While nothing of its group is whole, the group before stays on display (``missed``).
         """
         gof = self._manifest.gof_of(frame)
         store = self._store(frame)
         assert store is not None, "frames are committed in order within a pass; reset() starts another"
+        store.past.span = span
         rows, whole = store.commit(frame)
         if not store.shown.splats and self._shown is not None:
             return self._shown, Committed(gof, np.zeros(0, np.intp), False, True)
         fresh = store is not self._shown
+        if fresh and span and self._shown is not None:
+            self.earlier.add(self._shown.shown_frame, self._shown.splats, self._shown.past)
+        self.earlier.advance(frame - span)
         with self._lock:
             self._shown = store
             self._oldest = gof
@@ -114,6 +121,7 @@ class TileStore:
         with self._lock:
             self._gofs.clear()
             self._shown, self._oldest = None, self._manifest.gof_of(frame)
+        self.earlier.clear()
 
     def _store(self, frame: int) -> GofStore | None:
         if not 0 <= frame < self._manifest.frames:
@@ -124,5 +132,6 @@ class TileStore:
                 return None
             if gof not in self._gofs:
                 capacity = self._manifest.capacity[gof]
-                self._gofs[gof] = GofStore(capacity, self._manifest.sh_degree, self._opener, self._manifest)
+                past = SplatPast(self._manifest.gof_starts[gof])
+                self._gofs[gof] = GofStore(capacity, self._manifest.sh_degree, self._opener, self._manifest, past)
             return self._gofs[gof]

@@ -155,7 +155,7 @@ def test_what_is_on_follows_the_moment(reader: BundleReader, degree: int) -> Non
     first, second = (set(f.effects.on) for f in moving_parallax(Stage(reader)))
     usual = {Effect.DEPTH, Effect.ALIGNMENT, Effect.OCCLUSION, Effect.OWN_VIEW, Effect.RESTORATION}
     assert first == usual | view | {Effect.DELTAS}
-    assert second == usual | view | {Effect.DELTAS, Effect.FADE}
+    assert second == usual | view | {Effect.DELTAS, Effect.FADE, Effect.CARRY}
     assert set(turning_on_the_spot(Stage(reader))[0].effects.on) == (usual - {Effect.OCCLUSION}) | view | {
         Effect.DELTAS
     }

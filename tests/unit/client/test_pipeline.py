@@ -15,7 +15,7 @@ from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.metrics import psnr
 from cags_common.poses import Focus, synthetic_walk
-from cags_common.raster.base import Footprint, RenderOptions
+from cags_common.raster.base import Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.h264 import H264Encoder
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
@@ -119,21 +119,48 @@ def test_an_old_reference_fades_and_a_very_old_one_is_not_used(reader: BundleRea
     assert strict.present(2, strict.camera(pose)).aligned is None
 
 
-def test_the_own_view_of_a_reference_is_drawn_once(reader: BundleReader) -> None:
+def test_a_reference_of_a_frame_to_come_is_not_used(reader: BundleReader) -> None:
+    pipe, pose = pipeline(reader), pose_of(reader)
+    send(pipe, reader, 0)
+    pipe.on_reference(*reference(pipe, reader, 1, pose))
+    assert pipe.present(0, pipe.camera(pose)).reference is None
+    send(pipe, reader, 1)
+    shown = pipe.present(1, pipe.camera(pose))
+    assert shown.reference is not None
+    assert not np.array_equal(shown.rgb, shown.distorted)
+
+
+class CountingScene:
+    """Counts how often a scene is drawn from a reference's camera."""
+
+    def __init__(self, scene: RasterScene) -> None:
+        self.scene, self.drawn = scene, 0
+
+    def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
+        self.drawn += camera.width_px == 80
+        return self.scene.render(camera, options)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.scene, name)
+
+
+def test_own_views_of_a_reference_are_drawn_only_where_the_splats_have_changed(reader: BundleReader) -> None:
     pipe, pose = pipeline(reader), pose_of(reader)
     for frame in range(3):
         send(pipe, reader, frame)
     pipe.on_reference(*reference(pipe, reader, 0, pose))
-    views = []
-    for frame in range(3):
-        if frame == 2:
+    counts = []
+    for frame in (0, 0, 1, 2, 2):
+        if frame == 2 and len(counts) == 3:
             pipe.on_reference(*reference(pipe, reader, 2, pose))
         shown = pipe.present(frame, pipe.camera(pose))
         assert not np.array_equal(shown.rgb, shown.distorted)
-        assert pipe._own is not None
-        views.append(pipe._own[1])
-    assert views[0] is views[1]
-    assert views[0] is not views[2]
+        if not isinstance(pipe._scene, CountingScene):
+            assert pipe._scene is not None
+            counter = CountingScene(pipe._scene)
+            pipe._scene = counter  # type: ignore[assignment]
+        counts.append(counter.drawn)
+    assert counts == [0, 0, 1, 2, 2], "nothing changed; as of now; of the new reference; nothing changed"
 
 
 def test_a_frame_that_did_not_come_shows_the_one_before(reader: BundleReader) -> None:

@@ -20,6 +20,7 @@ BUSY = Situation(
     reference=True,
     same_place=False,
     same_frame=False,
+    moved_on=True,
     restorer=PAINTING | COMPARING,
     replaces=False,
     adapts=True,
@@ -34,6 +35,7 @@ situations = st.builds(
     reference=st.booleans(),
     same_place=st.booleans(),
     same_frame=st.booleans(),
+    moved_on=st.booleans(),
     restorer=st.sampled_from([frozenset(), COMPARING, PAINTING]),
     replaces=st.booleans(),
     adapts=st.booleans(),
@@ -54,9 +56,15 @@ def test_a_busy_moment_needs_everything() -> None:
         ({"changed": False}, {Effect.DELTAS}),
         ({"same_place": True}, {Effect.OCCLUSION, Effect.EROSION}),
         ({"same_frame": True}, {Effect.FADE}),
+        ({"moved_on": False}, {Effect.CARRY}),
+        ({"replaces": True}, {Effect.CARRY}),
         ({"restorer": COMPARING}, {Effect.EROSION}),
         ({"adapts": False}, {Effect.ADAPTATION}),
-        ({"adapts": False, "restorer": PAINTING}, {Effect.ADAPTATION, Effect.OWN_VIEW}),
+        ({"adapts": False, "restorer": PAINTING}, {Effect.ADAPTATION}),  # a reference is carried by way of own views
+        (
+            {"adapts": False, "restorer": PAINTING, "moved_on": False},
+            {Effect.ADAPTATION, Effect.OWN_VIEW, Effect.CARRY},
+        ),
         ({"depth_shown": False}, set()),  # alignment needs it
         ({"whole": True, "depth_shown": False}, set(Effect) - {Effect.VIEW_COLOUR, Effect.DELTAS}),
         ({"reference": False, "depth_shown": False}, set(Effect) - {Effect.VIEW_COLOUR, Effect.DELTAS}),
@@ -78,7 +86,7 @@ def test_plans_are_consistent(situation: Situation) -> None:
     plan = plan_frame(situation)
     assert (Effect.VIEW_COLOUR in plan) == (plan.sh_degree > 0)
     assert Effect.DEPTH in plan or Effect.ALIGNMENT not in plan
-    assert Effect.OWN_VIEW in plan or Effect.ADAPTATION not in plan
+    assert Effect.OWN_VIEW in plan or not plan.on & {Effect.ADAPTATION, Effect.CARRY}
     assert Effect.ALIGNMENT in plan or not plan.on & {Effect.OCCLUSION, Effect.FADE, Effect.EROSION}
     assert situation.reference or not plan.on & {Effect.RESTORATION, Effect.ADAPTATION, Effect.OWN_VIEW}
 
