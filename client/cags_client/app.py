@@ -136,12 +136,17 @@ class Shell:
             self._start(self._decode(action) if isinstance(action, Decode) else self._present(action))
         if self.player.finished:  # by a timer, or by what sending met: nothing would wake this up
             return
-        timer = self.player.next_timer_us()
-        wait_s = None if timer is None else max((timer - now_us()) / 1e6, 0.0)
-        try:
-            await asyncio.wait_for(self._wake.wait(), wait_s)
-        except TimeoutError:
+        await self._woken_by(self.player.next_timer_us())
+
+    async def _woken_by(self, timer_us: int | None) -> None:
+        """Until something happens, or ``timer_us``. Hundreds of times a second: ``wait_for`` would make a task each."""
+        if timer_us is None:
+            await self._wake.wait()
             return
+        loop = asyncio.get_running_loop()
+        timer = loop.call_later((timer_us - now_us()) / 1e6, self._wake.set)
+        await self._wake.wait()
+        timer.cancel()
 
     async def _send(self) -> None:
         transport = self._transport

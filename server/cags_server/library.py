@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from bisect import bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,7 @@ class SceneLibrary:
         self.weights = reader.weights()
         """Of a restorer, trained for this content; clients are offered them."""
         self._owners: OrderedDict[tuple[int, int], NDArray[np.int32]] = OrderedDict()  # by (group, frame)
+        self._numbers: dict[int, tuple[int, ...]] = {}
         self._lock = threading.Lock()
         self.digest = hashlib.sha256(reader.manifest.to_json()).hexdigest()[:12]
         """Names the bundle: what a client holds of one is worth nothing for another."""
@@ -93,13 +96,14 @@ class SceneLibrary:
 
     def visible_tiles(self, frame: int, contribution: F32, least: float) -> tuple[VisibleTile, ...]:
         """Tiles that own a splat whose ``contribution`` [capacity] exceeds ``least``, most visible first."""
-        seen = contribution > least
         owners = self.owners(frame)
-        seen &= owners >= 0
-        numbers, where = np.unique(owners[seen], return_inverse=True)
-        weights = np.bincount(where, weights=contribution[seen], minlength=len(numbers))
-        counts = np.bincount(where, minlength=len(numbers))
-        left = np.bincount(where, weights=self._frames_left(frame, owners)[seen], minlength=len(numbers)) / counts
+        splats = np.nonzero((contribution > least) & (owners >= 0))[0]
+        held = owners[splats]
+        every = np.bincount(held)
+        numbers = np.nonzero(every)[0]
+        counts = every[numbers]
+        weights = np.bincount(held, weights=contribution[splats])[numbers]
+        left = np.bincount(held, weights=self._frames_left(frame, owners)[splats])[numbers] / counts
         rows = zip(numbers.tolist(), counts.tolist(), weights.tolist(), left.tolist(), strict=True)
         tiles = [VisibleTile(*self.tile_of(frame, number), *rest) for number, *rest in rows]
         return tuple(sorted(tiles, key=lambda t: (-t.count, t.frame, t.tile)))
@@ -117,11 +121,17 @@ class SceneLibrary:
 
     def tile_of(self, frame: int, number: int) -> tuple[int, int]:
         """(media frame, tile) of a tile number within the group of ``frame``."""
-        at = self.gof_start(frame)
-        while number >= len(self.entry(at).tiles):
-            number -= len(self.entry(at).tiles)
-            at += 1
-        return at, number
+        firsts = self._first_numbers(self.manifest.gof_of(frame))
+        at = bisect_right(firsts, number) - 1
+        return self.gof_start(frame) + at, number - firsts[at]
+
+    def _first_numbers(self, gof: int) -> tuple[int, ...]:
+        """The number of the first tile of each frame of a group."""
+        known = self._numbers.get(gof)
+        if known is None:
+            sizes = [len(self.entry(frame).tiles) for frame in self.manifest.gof_frames(gof)]
+            known = self._numbers[gof] = tuple(accumulate(sizes[:-1], initial=0))
+        return known
 
     def owning_tiles(self, frame: int) -> list[tuple[int, int]]:
         """Every (media frame, tile) that still owns a splat at ``frame``."""
@@ -135,7 +145,7 @@ class SceneLibrary:
             owners, first = np.full(self.manifest.capacity[gof], -1, np.int32), start
         else:
             owners, first = known[1].copy(), known[0] + 1
-        number = sum(len(self.entry(f).tiles) for f in range(start, first))
+        number = self._first_numbers(gof)[first - start]
         for at in range(first, frame + 1):
             owners[self.reader.removed_ids(at)] = -1
             for tile in self.entry(at).tiles:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
+
 from cags_bench.sim.session import Scenario
 from cags_client.pipeline import PresentedFrame
 from cags_client.present import StagesSink
@@ -33,4 +35,4 @@ class StageSaver:
         self._sink.show(presented, {})
         if presented.frame % self._every == 0:
             rgb, _ = self._truth(presented.frame, presented.camera)
-            write_png(stage_path(self._folder, presented.frame, "truth"), bytes_of(rgb))
+            write_png(stage_path(self._folder, presented.frame, "truth"), bytes_of(np.clip(rgb, 0.0, 1.0)))

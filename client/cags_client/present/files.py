@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from types import TracebackType
 
 import av
 import cv2
@@ -27,8 +30,53 @@ class OutputError(CagsError):
 
 
 def bytes_of(picture: F32) -> NDArray[np.uint8]:
-    """[H, W, 3] uint8 RGB of a picture in [0, 1]."""
-    return np.asarray(np.clip(picture, 0.0, 1.0) * np.float32(255.0) + np.float32(0.5), dtype=np.uint8)
+    """[H, W, 3] uint8 RGB of a picture in [0, 1]; what lies above is white, and below it nothing may lie."""
+    return np.asarray(cv2.convertScaleAbs(picture, alpha=255.0), dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Spooled:
+    """Where a picture lies in a :class:`PictureSpool`, and its shape."""
+
+    offset: int
+    shape: tuple[int, ...]
+
+
+class PictureSpool:
+    """Pictures of bytes, put aside in a temporary file that nobody else sees and that goes with the spool."""
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile(prefix="cags-spool-", buffering=0)  # noqa: SIM115 - closed with the spool
+        self._end = 0
+
+    def put(self, picture: NDArray[np.uint8]) -> Spooled:
+        """Keep a picture. Raises :class:`OutputError` where the disk is full."""
+        spooled = Spooled(self._end, picture.shape)
+        left = memoryview(np.ascontiguousarray(picture)).cast("B")
+        self._end += len(left)
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError as error:
+            raise OutputError(
+                f"temporary pictures cannot be kept in {tempfile.gettempdir()} ({error.strerror})"
+            ) from error
+        return spooled
+
+    def take(self, spooled: Spooled) -> NDArray[np.uint8]:
+        """A picture that was put here."""
+        self._file.seek(spooled.offset)
+        data = np.fromfile(self._file, np.uint8, int(np.prod(spooled.shape)))
+        self._file.seek(self._end)
+        return data.reshape(spooled.shape)
+
+    def __enter__(self) -> PictureSpool:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
@@ -74,10 +122,15 @@ class PngSink:
 
 
 class StagesSink:
-    """Intermediate pictures of every ``every``-th frame: ``frame_0030_{reference,distorted,aligned,restored}.png``."""
+    """Intermediate pictures of every ``every``-th frame: ``frame_0030_{reference,distorted,aligned,restored}.png``.
+
+    They wait in a temporary file until the play has ended: coding four of them takes longer than a frame lasts.
+    """
 
     def __init__(self, folder: Path, every: int) -> None:
         self._folder, self._every = _folder(folder), every
+        self._spool = PictureSpool()
+        self._waiting: list[tuple[Path, Spooled]] = []
 
     def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
         """See :class:`FrameSink`."""
@@ -89,10 +142,14 @@ class StagesSink:
         if presented.aligned is not None:
             pictures["aligned"] = presented.aligned.rgb
         for name, picture in pictures.items():
-            write_png(stage_path(self._folder, presented.frame, name), bytes_of(picture))
+            path = stage_path(self._folder, presented.frame, name)
+            self._waiting.append((path, self._spool.put(bytes_of(picture))))
 
     def close(self, *, completed: bool) -> None:
-        """Every file is whole already."""
+        """Write them, if ``completed``."""
+        with self._spool:
+            for path, spooled in self._waiting if completed else ():
+                write_png(path, self._spool.take(spooled))
 
 
 def stage_path(folder: Path, frame: int, name: str) -> Path:

@@ -1,7 +1,8 @@
 // Small live plots over the last seconds, on canvas. A hand's width each; the newest value stands in the legend.
 
 const SPAN_MS = 20000;
-const REDRAW_MS = 400; // the pictures matter more: a redraw costs as much as one of them
+const REDRAW_MS = 420; // of all plots, one after another: all at once cost as much as a picture
+const SAMPLE_MS = 100; // about a pixel of a plot
 const STAGE_COLOURS = ["--s1", "--s2", "--s3", "--s4", "--s5", "--s6"];
 
 const PLOTS = [
@@ -18,24 +19,36 @@ export class Plots {
   #samples = [];
   #plots;
   #drawn = 0;
+  #next = 0;
+  #colours = new Map();
   #hover = null;
 
   constructor(host) {
     this.#plots = PLOTS.map((plot) => this.#build(host, plot));
   }
 
-  /** Take the figures of one frame: {name: number | null}; `stages` {name: ms}. */
+  /** Take the figures of one frame: {name: number | null}; `stages` {name: ms}. The newest of a moment stays. */
   add(now, stats, stages) {
+    const last = this.#samples.at(-2);
+    if (last && now - last.t < SAMPLE_MS) this.#samples.pop();
     this.#samples.push({ t: now, stats, stages });
     while (this.#samples.length && this.#samples[0].t < now - SPAN_MS) this.#samples.shift();
-    if (now - this.#drawn > REDRAW_MS) this.draw(now);
+    if (now - this.#drawn < REDRAW_MS / this.#plots.length) return;
+    this.#drawn = now;
+    this.#next = (this.#next + 1) % this.#plots.length;
+    this.#draw(this.#plots[this.#next], now);
   }
 
+  /** All of them, in the colours of the theme as it is now. */
   draw(now = performance.now()) {
-    this.#drawn = now;
-    const style = getComputedStyle(document.documentElement);
-    const colour = (name) => style.getPropertyValue(name).trim();
-    for (const plot of this.#plots) this.#draw(plot, now, colour);
+    this.#colours.clear();
+    for (const plot of this.#plots) this.#draw(plot, now);
+  }
+
+  #colour(name) {
+    if (!this.#colours.has(name))
+      this.#colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+    return this.#colours.get(name);
   }
 
   #build(host, plot) {
@@ -69,7 +82,8 @@ export class Plots {
     }));
   }
 
-  #draw(plot, now, colour) {
+  #draw(plot, now) {
+    const colour = (name) => this.#colour(name);
     const series = this.#seriesOf(plot).filter((one) => this.#samples.some((s) => Number.isFinite(one.get(s))));
     this.#legend(plot, series, now, colour);
     const { canvas, context } = plot;
@@ -128,15 +142,19 @@ export class Plots {
 
   #legend(plot, series, now, colour) {
     const at = this.#hover === null ? this.#samples.at(-1) : this.#near(now - this.#hover * SPAN_MS);
-    const parts = [element("strong", `${plot.title} `, note(plot.unit))];
-    for (const one of series) {
-      const swatch = element("i");
-      swatch.style.background = colour(one.colour);
-      const value = at ? (one.own ?? one.get)(at) : null;
-      parts.push(element("span", swatch, `${one.label} `, element("b", Number.isFinite(value) ? brief(value) : "–")));
+    const names = series.map((one) => one.label).join();
+    if (plot.names !== names) {
+      plot.names = names;
+      plot.values = series.map(() => element("b"));
+      const title = element("strong", `${plot.title} `, note(plot.unit));
+      const entries = series.map((one, i) => element("span", element("i"), `${one.label} `, plot.values[i]));
+      plot.legend.replaceChildren(title, ...(entries.length ? entries : [element("span", plot.hint ?? "nothing yet")]));
     }
-    if (!series.length) parts.push(element("span", plot.hint ?? "nothing yet"));
-    plot.legend.replaceChildren(...parts);
+    series.forEach((one, i) => {
+      const value = at ? (one.own ?? one.get)(at) : null;
+      plot.values[i].textContent = Number.isFinite(value) ? brief(value) : "–";
+      plot.values[i].parentElement.firstChild.style.background = colour(one.colour);
+    });
   }
 
   #near(t) {

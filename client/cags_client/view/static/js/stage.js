@@ -4,6 +4,8 @@ import { closeImages } from "./decoder.js";
 
 const DETAIL_STOPS = [[215, 48, 31], [252, 141, 89], [253, 204, 92], [127, 205, 187], [44, 127, 184]];
 const ALPHA = 150;
+const NEARLY = 1.5; // a picture that would grow by less is shown pixel for pixel,
+const DENSE = 1.5; // but for screens of so many pixels to a CSS pixel, on which nobody sees the difference
 
 /** Colour of a share 0..1 of the quality layers: red is the base alone, blue is everything. */
 export function detailColour(share) {
@@ -21,7 +23,7 @@ const TINTS = {
 export class Stage {
   constructor(canvas, wipeHandle) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d", { alpha: false, desynchronized: true });
+    this.context = canvas.getContext("2d", { alpha: false }); // desynchronized costs a copy a frame without a GPU
     this.wipeHandle = wipeHandle;
     this.mode = "single";
     this.wipe = 0.5;
@@ -153,27 +155,45 @@ export class Stage {
     new ResizeObserver(([entry]) => {
       this.view = entry.contentRect;
       this.draw();
-    }).observe(this.canvas);
+    }).observe(this.canvas.parentElement);
   }
 
-  /** As many canvas pixels as the picture has, if the screen has more and no lines are drawn: the browser's compositor
-   *  then scales it, which without a GPU costs a third of drawing it larger. */
+  /** A picture that nearly fills the stage is shown pixel for pixel: crisp, and without a GPU scaling it would cost as
+   *  much as decoding it. Others fill the stage, on a canvas of as many pixels as the picture has, which the compositor
+   *  scales at a third of what drawing it larger costs; lines over it want the screen's own pixels. */
   #resize(image) {
     const { canvas, frame, view = { width: 1, height: 1 } } = this;
     const { grids, tiles, reference } = frame?.header.overlays ?? {};
     this.scale = devicePixelRatio;
-    if (image && this.mode !== "side" && !grids?.length && !tiles && !reference) {
+    let [width, height] = [view.width, view.height];
+    if (image && this.mode !== "side") {
       const [w, h] = sizeOf(image);
-      this.scale = Math.min(this.scale, Math.max(w / view.width, h / view.height));
+      const larger = Math.min((width * this.scale) / w, (height * this.scale) / h);
+      if (larger >= 1 && larger < NEARLY && this.scale < DENSE) [width, height] = [w / this.scale, h / this.scale];
+      else if (!grids?.length && !tiles && !reference) this.scale = Math.min(this.scale, Math.max(w / width, h / height));
     }
-    const [width, height] = [view.width, view.height].map((side) => Math.max(1, Math.round(side * this.scale)));
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    this.#place(width, height);
+    const pixels = [width, height].map((side) => Math.max(1, Math.round(side * this.scale)));
+    if (canvas.width !== pixels[0] || canvas.height !== pixels[1]) [canvas.width, canvas.height] = pixels;
+  }
+
+  /** Give the canvas its size on the page, in the middle of the stage. */
+  #place(width, height) {
+    const { style } = this.canvas;
+    const size = `${width}px ${height}px`;
+    if (this.size === size) return;
+    this.size = size;
+    style.width = `${width}px`;
+    style.height = `${height}px`;
+    this.left = Math.round((this.view.width - width) / 2);
+    style.left = `${this.left}px`;
+    style.top = `${Math.round((this.view.height - height) / 2)}px`;
   }
 
   #placeWipe([x, , w]) {
     this.wipeHandle.hidden = this.mode !== "wipe";
     if (this.mode !== "wipe") return;
-    const left = `${Math.round((x + w * this.wipe) / this.scale)}px`;
+    const left = `${this.left + Math.round((x + w * this.wipe) / this.scale)}px`;
     if (this.wipeHandle.style.left !== left) this.wipeHandle.style.left = left;
     this.wipeHandle.setAttribute("aria-valuenow", Math.round(this.wipe * 100));
     this.box = [x, w];
