@@ -52,15 +52,14 @@ class PictureSpool:
     def put(self, picture: NDArray[np.uint8]) -> Spooled:
         """Keep a picture. Raises :class:`OutputError` where the disk is full."""
         spooled = Spooled(self._end, picture.shape)
-        left = memoryview(np.ascontiguousarray(picture)).cast("B")
+        left = np.ascontiguousarray(picture).reshape(-1).data
         self._end += len(left)
         try:
             while left:
                 left = left[self._file.write(left) :]
         except OSError as error:
-            raise OutputError(
-                f"temporary pictures cannot be kept in {tempfile.gettempdir()} ({error.strerror})"
-            ) from error
+            folder = tempfile.gettempdir()
+            raise OutputError(f"{folder}: cannot keep pictures until the play ends ({error.strerror})") from error
         return spooled
 
     def take(self, spooled: Spooled) -> NDArray[np.uint8]:
