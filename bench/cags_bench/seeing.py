@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cags_client import align
 from cags_client.align import Aligned, Aligner, ReferencePicture
+from cags_client.carry import carried
 from cags_client.restore import RestoreInput, Restorer
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import Footprint, RasterScene, RenderedView, RenderOptions
@@ -36,9 +37,17 @@ class Seen:
 
     def inputs(self, reference: ReferencePicture, aligned: Aligned) -> RestoreInput:
         """What a restorer gets: the client's own splats from the reference's camera are drawn for it."""
+        return RestoreInput(self.distorted, self.view.alpha, aligned, reference, self.own(reference))
+
+    def own(self, reference: ReferencePicture) -> RenderedView:
+        """The client's own splats from the reference's camera, drawn as the server draws references."""
         footprint = Footprint.of(self.camera.intrinsics, reference.camera.intrinsics)
-        own = self.scene.render(reference.camera, RenderOptions(footprint=footprint))
-        return RestoreInput(self.distorted, self.view.alpha, aligned, reference, own)
+        return self.scene.render(reference.camera, RenderOptions(footprint=footprint))
+
+    def carried(self, reference: ReferencePicture, then: Seen) -> ReferencePicture:
+        """``reference`` as it would look now; ``then`` is what the client drew at the reference's own frame."""
+        pictures = (view.own(reference).rgb.clip(0, 1) for view in (then, self))
+        return replace(reference, rgb=carried(reference.rgb, *pictures))
 
     def restored(self, reference: ReferencePicture, restorer: Restorer) -> F32:
         """The picture that is shown."""

@@ -32,7 +32,7 @@ class Moment:
     frame: int
     camera: Camera
     reference: ReferencePicture
-    """As it was sent for this frame."""
+    """The one that was at hand, carried to this frame."""
     seen: Seen
     """What the client draws when all has come up to LoD ``JUDGED_LOD``."""
     truth: F32  # [H, W, 3] in [0, 1]
@@ -78,12 +78,15 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
     rasteriser = raster.create("auto")
     moments = []
     for presented in chosen:
-        assert presented.reference is not None
+        reference = presented.reference
+        assert reference is not None
         rgb, alpha = truth(presented.frame, presented.camera)
         source = reader.source(presented.frame).splats
-        seen = see(rasteriser.load(decoder.frame(presented.frame).splats), presented.camera)
-        moments.append(
-            Moment(presented.frame, presented.camera, presented.reference, seen, rgb.clip(0, 1), alpha, source)
+        then, seen = (
+            see(rasteriser.load(decoder.frame(frame).splats), presented.camera)
+            for frame in (reference.frame, presented.frame)
         )
+        reference = seen.carried(reference, then)
+        moments.append(Moment(presented.frame, presented.camera, reference, seen, rgb.clip(0, 1), alpha, source))
     reader.close()
     return Workbench(bundle, scenario, tuple(moments))
