@@ -31,6 +31,12 @@ MAX_PIXELS = 4096 * 2304
 MAX_ACCESS_UNIT_BYTES = 8 << 20
 """Largest access unit that a decoder looks at."""
 
+EXACT = "subme=4:trellis=1:ref=4"
+"""What the preset spares that pays here. Receivers compute with the pictures: closeness to the original counts, not the
+look of texture (``tune=psnr``). Rendered pictures hold no camera noise, so that motion found to a quarter of a pixel in
+several earlier pictures predicts them well. Four walks through four scenes at 400x300, 4:4:4, equal bytes: 3.0 to 4.1 dB
+more in predicted pictures, 1.3 to 1.7 in key pictures, than the preset with the usual tuning; 4 ms instead of 3."""
+
 _NAL_SLICE, _NAL_IDR, _NAL_SPS = 1, 5, 7
 _NAL_TYPE_MASK = 0x1F
 _START_CODE = b"\x00\x00\x01"
@@ -65,8 +71,8 @@ class H264Encoder:
         self._shape = (height, width)
         self._chroma = chroma
         self._pts = 0
-        options = {"crf": f"{crf:g}", "preset": preset, "tune": "zerolatency", "forced-idr": "1"}
-        options["x264-params"] = "repeat-headers=1:keyint=infinite:scenecut=0:annexb=1"
+        options = {"crf": f"{crf:g}", "preset": preset, "tune": "zerolatency,psnr", "forced-idr": "1"}
+        options["x264-params"] = f"repeat-headers=1:keyint=infinite:scenecut=0:annexb=1:{EXACT}"
         if max_bps is not None:
             options["maxrate"], options["bufsize"] = str(max_bps), str(max(1, int(max_bps * buffer_s)))
         self._context = _open_encoder(width, height, fps, chroma, options)
