@@ -83,26 +83,43 @@ class AffineRestorer:
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""
-        own = inputs.own.rgb if inputs.own is not None else _averaged(inputs)
-        if cags_kernels.native_available():
-            return self._by_kernels(inputs, own)
-        aligned = inputs.aligned
-        fields = correction_fields(np.clip(own, 0.0, 1.0), inputs.reference, self._settings)
-        sampled = sample(fields, aligned.x, aligned.y)
-        change = inputs.distorted * sampled[..., :1] + sampled[..., 1:]
-        weight = registration(inputs, np.clip(own, 0.0, 1.0), fields, self._settings.misregistration)
-        change *= (aligned.confidence * weight)[..., None]
-        change += inputs.distorted
-        return np.clip(change, 0.0, 1.0, out=change)
+        return corrected(inputs, own_view(inputs), self._settings)
 
-    def _by_kernels(self, inputs: RestoreInput, own: F32) -> F32:
+
+def own_view(inputs: RestoreInput) -> F32:
+    """The client's splats seen from the reference [h, w, 3] in [0, 1], or a stand-in where nobody drew them."""
+    if inputs.own is not None:
+        return np.clip(inputs.own.rgb, 0.0, 1.0)
+    aligned = inputs.aligned
+    return average_down(inputs.distorted, aligned.x, aligned.y, aligned.confidence, inputs.reference.rgb)
+
+
+def fields_of(own: F32, reference: ReferencePicture, settings: AffineSettings) -> F32:
+    """[h, w, 4]: a factor and an offset a channel, such that ``factor * picture + offset`` is the change to it."""
+    if not cags_kernels.native_available():
+        return correction_fields(own, reference, settings)
+    from cags_kernels import align as kernels
+
+    return kernels.fields(own, reference.rgb, _parameters(settings, reference))
+
+
+def corrected(inputs: RestoreInput, own: F32, settings: AffineSettings, fields: F32 | None = None) -> F32:
+    """The distorted picture [H, W, 3] changed by ``fields`` [h, w, 4]; without them, by :func:`fields_of`."""
+    aligned = inputs.aligned
+    if cags_kernels.native_available():
         from cags_kernels import align as kernels
 
-        aligned = inputs.aligned
-        parameters = replace(_parameters(self._settings, inputs.reference), block_px=aligned.geometry.block_px)
+        parameters = replace(_parameters(settings, inputs.reference), block_px=aligned.geometry.block_px)
         view = kernels.Reprojection(aligned.geometry.depth, *aligned.geometry.matrix)
         pictures = {"distorted": inputs.distorted, "confidence": aligned.confidence}
-        return kernels.correct(own, inputs.reference.rgb, view, parameters, **pictures)
+        return kernels.correct(own, inputs.reference.rgb, view, parameters, **pictures, fields=fields)
+    if fields is None:
+        fields = correction_fields(own, inputs.reference, settings)
+    sampled = sample(fields, aligned.x, aligned.y)
+    change = inputs.distorted * sampled[..., :1] + sampled[..., 1:]
+    change *= (aligned.confidence * registration(inputs, own, fields, settings.misregistration))[..., None]
+    change += inputs.distorted
+    return np.clip(change, 0.0, 1.0, out=change)
 
 
 def corrected_there(own: F32, reference: ReferencePicture, settings: AffineSettings) -> F32:
@@ -130,11 +147,6 @@ def _parameters(settings: AffineSettings, reference: ReferencePicture) -> Correc
         misregistration=settings.misregistration,
         threads=settings.threads,
     )
-
-
-def _averaged(inputs: RestoreInput) -> F32:
-    aligned = inputs.aligned
-    return average_down(inputs.distorted, aligned.x, aligned.y, aligned.confidence, inputs.reference.rgb)
 
 
 def average_down(picture: F32, x: F32, y: F32, confidence: F32, fallback: F32) -> F32:

@@ -51,31 +51,13 @@ class _CorrectInput(ctypes.Structure):
         ("radius_cells", _int32),
         ("gain_prior", _float),
         *((name, _float * 3) for name in ("fine_noise", "broad_noise")),
+        ("fields", _Pointer),
         ("distorted", _Pointer),
         ("confidence", _Pointer),
         ("block_px", _int32),
         ("misregistration", _float),
         ("threads", _int32),
     ]
-
-
-class _FeaturesInput(ctypes.Structure):
-    _fields_ = [
-        ("view", _Reprojection),
-        *((name, _Pointer) for name in ("own", "reference", "distorted", "restored", "confidence")),
-        ("threads", _int32),
-    ]
-
-
-class _AddInput(ctypes.Structure):
-    _fields_ = [
-        *((name, _Pointer) for name in ("picture", "change")),
-        *((name, _int32) for name in ("width", "height", "change_width", "change_height", "threads")),
-    ]
-
-
-BLOCK_CHANNELS = 39
-"""Four cells of distorted, evidence and change RGB; confidence, size of the change, and one that is left at 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +106,9 @@ class AlignedImage:
     occluded: NDArray[np.bool_]  # [H, W]
 
 
+FIELD_CHANNELS = 4
+"""Factor, and offsets of red, green and blue."""
+
 _buffers = BufferPool()
 
 
@@ -162,62 +147,61 @@ def _align_input(reference: F32, view: Reprojection, p: AlignParameters) -> tupl
     return (reference, depth), given
 
 
+def fields(own: F32, reference: F32, parameters: CorrectParameters) -> F32:
+    """Factors and offsets [h, w, 4] of the correction of ``own`` by ``reference`` [h, w, 3], in their view.
+
+    Raises ``KernelError`` and, for arrays that do not fit, ``ValueError``.
+    """
+    own, reference = _checked(own, (*reference.shape[:2], 3)), _checked(reference, (*reference.shape[:2], 3))
+    height, width = reference.shape[:2]
+    nowhere = _Reprojection(None, width, height, width, height)
+    given = _correct_input(nowhere, own, reference, parameters)
+    out = _buffers.empty((height, width, FIELD_CHANNELS))
+    check(library().cags_fields(ctypes.byref(given), _address(out)), "fields")
+    return out
+
+
 def correct(
-    own: F32, reference: F32, view: Reprojection, parameters: CorrectParameters, *, distorted: F32, confidence: F32
+    own: F32,
+    reference: F32,
+    view: Reprojection,
+    parameters: CorrectParameters,
+    *,
+    distorted: F32,
+    confidence: F32,
+    fields: F32 | None = None,
 ) -> F32:
-    """``distorted`` [H, W, 3] corrected by ``reference`` - ``own`` [h, w, 3] where ``confidence`` [H, W] is; in [0, 1].
+    """``distorted`` [H, W, 3] corrected by ``fields`` [h, w, 4] where ``confidence`` [H, W] is; in [0, 1].
+
+    Without ``fields`` those of :func:`fields` are used. ``own`` and ``reference`` are [h, w, 3].
 
     Raises ``KernelError`` and, for arrays that do not fit, ``ValueError``.
     """
     height, width = view.depth.shape
     own, reference = _checked(own, (*reference.shape[:2], 3)), _checked(reference, (*reference.shape[:2], 3))
     distorted, confidence = _checked(distorted, (height, width, 3)), _checked(confidence, (height, width))
-    depth, p = _checked(view.depth, (height, width)), parameters
-    given = _CorrectInput(
-        _reprojection(view, depth, reference),
-        *(_address(own), _address(reference), p.radius_cells),
-        *(p.gain_prior, (_float * 3)(*p.fine_noise), (_float * 3)(*p.broad_noise)),
-        *(_address(distorted), _address(confidence), p.block_px, p.misregistration, p.threads),
-    )
+    depth = _checked(view.depth, (height, width))
+    made = None if fields is None else _checked(fields, (*reference.shape[:2], FIELD_CHANNELS))
+    given = _correct_input(_reprojection(view, depth, reference), own, reference, parameters)
+    given.fields, given.distorted, given.confidence = (_address(a) for a in (made, distorted, confidence))
     restored = _buffers.empty((height, width, 3))
     check(library().cags_correct(ctypes.byref(given), _address(restored)), "correct")
     return restored
 
 
-def features(
-    own: F32, reference: F32, view: Reprojection, *, distorted: F32, restored: F32, confidence: F32, threads: int
-) -> F32:
-    """What a small network sees [h, w, 39] in blocks of 2 x 2 cells of half the resolution, h and w even.
-
-    ``restored`` [H, W, 3] is :func:`correct`'s answer to the same arrays. Raises ``KernelError`` and ``ValueError``.
-    """
-    height, width = view.depth.shape
-    own, reference = _checked(own, (*reference.shape[:2], 3)), _checked(reference, (*reference.shape[:2], 3))
-    distorted, restored = _checked(distorted, (height, width, 3)), _checked(restored, (height, width, 3))
-    confidence, depth = _checked(confidence, (height, width)), _checked(view.depth, (height, width))
-    given = _FeaturesInput(
-        _reprojection(view, depth, reference),
-        *map(_address, (own, reference, distorted, restored, confidence)),
-        threads,
+def _correct_input(view: _Reprojection, own: F32, reference: F32, p: CorrectParameters) -> _CorrectInput:
+    return _CorrectInput(
+        view=view,
+        own=_address(own),
+        reference=_address(reference),
+        radius_cells=p.radius_cells,
+        gain_prior=p.gain_prior,
+        fine_noise=(_float * 3)(*p.fine_noise),
+        broad_noise=(_float * 3)(*p.broad_noise),
+        block_px=p.block_px,
+        misregistration=p.misregistration,
+        threads=p.threads,
     )
-    out = _buffers.empty((-(-height // 8) * 2, -(-width // 8) * 2, BLOCK_CHANNELS))
-    check(library().cags_features(ctypes.byref(given), _address(out)), "features")
-    return out
-
-
-def add(picture: F32, change: F32, *, threads: int) -> F32:
-    """``picture`` [H, W, 3] plus ``change`` [>= H / 4, >= W / 4, 12] in blocks, brought up bilinearly; in [0, 1].
-
-    Raises ``KernelError`` and ``ValueError``.
-    """
-    height, width = picture.shape[:2]
-    picture, change = _checked(picture, (height, width, 3)), _checked(change, (*change.shape[:2], 12))
-    given = _AddInput(
-        *(_address(picture), _address(change)), *(width, height, change.shape[1], change.shape[0], threads)
-    )
-    out = _buffers.empty((height, width, 3))
-    check(library().cags_add(ctypes.byref(given), _address(out)), "add")
-    return out
 
 
 def _reprojection(view: Reprojection, depth: F32, reference: F32) -> _Reprojection:

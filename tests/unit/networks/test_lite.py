@@ -5,24 +5,17 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from cags_client.restore.networks.inputs import (  # noqa: E402
-    CHANNELS,
-    CONFIDENCE,
-    LEVEL,
-    POWER,
-    blocks_of,
-    plus_change,
-)
+from cags_client.restore.networks.inputs import noise_features  # noqa: E402
 from cags_client.restore.networks.lite import (  # noqa: E402
     GATE_HALF,
     Lite,
     LiteShape,
-    brought_up,
     from_blocks,
     gate,
     to_blocks,
 )
 from cags_client.restore.networks.srresnet import Sees, SrResNet  # noqa: E402
+from cags_common.video.noise import CodingNoise  # noqa: E402
 
 
 def parameters_of(network):
@@ -46,74 +39,74 @@ def test_channels_of_a_block_are_its_pixels_in_reading_order():
     assert to_blocks(image).flatten().tolist() == [0, 1, 2, 3]
 
 
-def features(height=32, width=32, change=0.02):
-    out = np.random.default_rng(0).random((1, height, width, CHANNELS)).astype(np.float32)
-    out[..., 6:9] = change
-    return out
-
-
-def blocks(level=0.0, **kwargs):
-    return torch.from_numpy(blocks_of(features(**kwargs), np.float32(level)))
+def seen(height=32, width=32, change=0.02):
+    """Own view, reference, fields and noise; the correction is ``change`` everywhere."""
+    own, reference = torch.rand(2, 1, height, width, 3, generator=torch.Generator().manual_seed(0))
+    fields = torch.full((1, height, width, 4), -0.5)
+    fields[..., 1:] = change + 0.5 * own
+    return own, reference, fields, torch.from_numpy(noise_features(CodingNoise()))[None, None, None]
 
 
 def loud():
     torch.manual_seed(0)
     network = Lite()
     torch.nn.init.normal_(network.tail.weight)
+    torch.nn.init.normal_(network.tail.bias)
     return network
 
 
-def test_an_untrained_network_adds_nothing():
+def test_an_untrained_one_answers_with_the_fields_it_is_given():
+    given = seen()
     with torch.no_grad():
-        assert Lite()(blocks(level=0.1)).abs().max() == 0
+        assert torch.allclose(Lite()(*given), given[2], atol=1e-7)
 
 
-def test_where_the_closed_form_changes_nothing_the_network_may_not_either():
+def test_without_a_correction_there_is_none_whatever_the_weights_are():
+    own, reference, fields, noise = seen()
     with torch.no_grad():
-        assert loud()(blocks(change=0.0)).abs().max() == 0
-        assert loud()(blocks(change=0.02)).abs().max() > 0
+        assert (loud()(own, reference, torch.zeros_like(fields), noise) == 0).all()
+        assert (loud()(own, reference, fields, noise) - fields).abs().max() > 0.1
 
 
-def test_far_from_any_change_of_the_closed_form_there_is_none():
-    given = features(height=64, width=64)
-    given[:, :, 32:, 6:9] = 0.0
+def test_far_from_any_correction_there_is_none():
+    own, reference, fields, noise = seen(height=64, width=64)
+    fields[:, :, 32:] = 0.0
     with torch.no_grad():
-        change = loud()(torch.from_numpy(blocks_of(given, np.float32(0.05))))
-    assert change[:, :, :16].abs().max() > 0
-    assert change[:, :, 18:].abs().max() == 0
+        change = loud()(own, reference, fields, noise) - fields
+    assert change[:, :, :32].abs().max() > 0
+    assert change[:, :, 36:].abs().max() == 0
+
+
+def test_what_it_changes_depends_on_the_coding_noise():
+    own, reference, fields, noise = seen()
+    with torch.no_grad():
+        quiet, coarse = (loud()(own, reference, fields, n) for n in (noise, noise + 1))
+    assert not torch.allclose(quiet, coarse)
+
+
+def test_a_change_of_the_factor_leaves_the_mean_of_the_own_view_to_the_correction():
+    """Detail is scaled about the own view's colours: there, only the correction moves the picture."""
+    own, reference, fields, noise = seen()
+    network = Lite()
+    torch.nn.init.zeros_(network.tail.weight)
+    with torch.no_grad():
+        network.tail.bias[::4] = 0.3  # the factor of each of the four pixels of a block
+        found = network(own, reference, fields, noise)
+    assert (found[..., :1] - fields[..., :1]).abs().min() > 0.2
+    before, after = (f[..., :1] * own + f[..., 1:] for f in (fields, found))
+    assert torch.allclose(before, after, atol=1e-6)
 
 
 def test_the_gate_is_half_open_at_an_eighth_of_a_code_and_never_beyond_one():
-    open_at = [float(gate(blocks(change=change)).mean()) for change in (0.0, GATE_HALF, 0.1)]
+    open_at = [float(gate(torch.full((1, 32, 32, 3), change)).mean()) for change in (0.0, -GATE_HALF, 0.1)]
     assert open_at == pytest.approx([0.0, 0.5, 0.995], abs=1e-2)
 
 
-def test_blocks_of_numpy_are_blocks_of_torch():
-    given = features(height=8, width=12)
-    ours = torch.from_numpy(blocks_of(given, np.float32(0.3)))
-    theirs = to_blocks(torch.from_numpy(given)).reshape(1, 4, 6, 4, CHANNELS)
-    assert torch.equal(ours[..., :CONFIDENCE], theirs[..., :-1].reshape(1, 4, 6, CONFIDENCE))
-    assert torch.allclose(ours[..., CONFIDENCE], theirs[..., -1].mean(dim=-1))
-    assert torch.allclose(ours[..., POWER], torch.full((1, 4, 6), 0.02))
-    assert (ours[..., LEVEL] == np.float32(0.3)).all()
-
-
-def test_brought_up_is_what_opencv_does():
-    cv2 = pytest.importorskip("cv2")
-    change = np.random.default_rng(0).normal(size=(6, 8, 3)).astype(np.float32)
-    expected = cv2.resize(change, (16, 12), interpolation=cv2.INTER_LINEAR)
-    inside = to_blocks(torch.from_numpy(change)[None])
-    np.testing.assert_allclose(brought_up(inside)[0].numpy(), expected, atol=1e-5)
-
-
-@pytest.mark.parametrize("size", [(24, 32), (23, 29), (1, 1)])
-def test_a_change_is_added_as_training_adds_it(size):
-    rng = np.random.default_rng(1)
-    change = rng.normal(0, 0.2, (6, 8, 12)).astype(np.float32)
-    picture = rng.random((*size, 3)).astype(np.float32)
-    full = brought_up(torch.from_numpy(change)[None])[0].numpy()[: size[0], : size[1]]
-    np.testing.assert_allclose(plus_change(picture, change, 2), np.clip(picture + full, 0, 1), atol=1e-5)
+def test_noise_is_told_in_decades():
+    noise = CodingNoise(fine=(1e-4, 1e-3, 1e-2), broad=(1e-5, 0.0, 1.0))
+    np.testing.assert_allclose(noise_features(noise), [0, 1, 2, -1, -5, 4], atol=1e-3)
+    np.testing.assert_array_equal(noise_features(np.array([*noise.fine, *noise.broad])), noise_features(noise))
 
 
 def test_shape_can_be_chosen():
-    assert parameters_of(Lite(LiteShape(width=8, body_width=8, body_layers=2))) < 5000
+    assert parameters_of(Lite(LiteShape(width=8, layers=2))) < 5000

@@ -11,16 +11,7 @@ from cags_client.align import AlignSettings, ReferencePicture
 from cags_client.restore import RestoreInput
 from cags_client.restore import create as create_tier
 from cags_client.restore.networks import NETWORKS, Weights, create, from_weights, network_of, runtimes
-from cags_client.restore.networks.inputs import (
-    BLOCK_CHANNELS,
-    CHANNELS,
-    filled,
-    half_features,
-    level_of,
-    lite_blocks,
-    padded,
-    reach,
-)
+from cags_client.restore.networks.inputs import even, filled, reach
 from cags_client.restore.networks.lite import Lite
 from cags_client.restore.networks.srresnet import Sees, SrResNet
 from cags_common.errors import ConfigError
@@ -55,31 +46,29 @@ def silent(inputs):
     return replace(inputs, aligned=replace(inputs.aligned, confidence=np.zeros_like(inputs.aligned.confidence)))
 
 
-def test_features_are_the_picture_the_evidence_the_change_and_the_confidence():
-    inputs, _ = scene()
-    features = half_features(inputs, inputs.distorted + np.float32(0.05))
-    assert features.shape == (24, 32, CHANNELS)
-    np.testing.assert_allclose(features[..., 3:6], 0.1, atol=1e-6)
-    np.testing.assert_allclose(features[..., 6:9], 0.05, atol=1e-6)
-    np.testing.assert_allclose(features[..., 9], 1.0)
-    assert level_of(features) == pytest.approx(0.05, abs=1e-6)
+def loud_lite():
+    torch = pytest.importorskip("torch")
+    torch.manual_seed(3)
+    network = Lite()
+    torch.nn.init.normal_(network.tail.weight, std=0.02)
+    return from_weights(weights_of(network, "lite"))
 
 
-@pytest.mark.parametrize("size", [(48, 64), (31, 17), (1, 1), (9, 8)])
-def test_the_kernel_sees_what_numpy_sees(size, monkeypatch):
+@pytest.mark.parametrize("size", [(48, 64), (31, 17), (9, 8)])
+def test_the_kernel_corrects_by_the_networks_fields_as_numpy_does(size, monkeypatch):
     if not cags_kernels.native_available():
         pytest.skip(cags_kernels.why_unavailable())
     inputs, _ = scene(*size)
-    closed_form = np.random.default_rng(3).random((*size, 3)).astype(np.float32)
-    fast = lite_blocks(inputs, closed_form, 2).copy()
+    fast = loud_lite().restore(inputs).copy()
+    assert np.abs(fast - create_tier("affine").restore(inputs)).max() > 1e-3, "it would show nothing"
     monkeypatch.setattr(cags_kernels, "native_available", lambda: False)
-    np.testing.assert_allclose(fast, lite_blocks(inputs, closed_form), atol=2e-5)
+    np.testing.assert_allclose(fast, loud_lite().restore(inputs), atol=1e-4)
 
 
-def test_features_without_own_splats_compare_with_the_picture_itself():
-    inputs, _ = scene()
-    features = half_features(replace(inputs, own=None), inputs.distorted)
-    np.testing.assert_allclose(features[..., 3:6], 0.1, atol=0.03)
+def test_without_own_splats_it_compares_with_the_picture_itself():
+    inputs, truth = scene()
+    shown = lite_untrained().restore(replace(inputs, own=None))
+    assert np.abs(shown - truth).mean() < 0.5 * np.abs(inputs.distorted - truth).mean()
 
 
 def test_untrained_lite_shows_the_closed_form():
@@ -89,12 +78,8 @@ def test_untrained_lite_shows_the_closed_form():
 
 def test_splats_as_good_as_the_reference_are_left_alone_by_any_weights():
     """The gate is part of the graph: no weights can open it where there is no evidence."""
-    torch = pytest.importorskip("torch")
     inputs, _ = scene(error=0.0)
-    network = Lite()
-    torch.nn.init.normal_(network.tail.weight)
-    restorer = from_weights(weights_of(network, "lite"))
-    np.testing.assert_array_equal(restorer.restore(inputs), inputs.distorted)
+    np.testing.assert_array_equal(loud_lite().restore(inputs), inputs.distorted)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (3, 2), (31, 17), (48, 64), (50, 66)])
@@ -143,9 +128,10 @@ def test_every_runtime_says_the_same(name, network):
     made = network()
     torch.nn.init.normal_(made.tail.weight, std=0.1)
     rng = np.random.default_rng(2)
-    channels, count = (BLOCK_CHANNELS, 1) if network is Lite else (3, 2)
+    channels = (3, 3, 4) if network is Lite else (3, 3)
     for shape in ((24, 32), (16, 8)):
-        images = [rng.uniform(size=(*shape, channels)).astype(np.float32) for _ in range(count)]
+        images = [rng.uniform(size=(*shape, count)).astype(np.float32) for count in channels]
+        images += [np.full((1, 1, 6), 0.5, np.float32)] if network is Lite else []
         expected = runtimes.create("torch", made).run(*images)
         np.testing.assert_allclose(runtimes.create(name, made, threads=1).run(*images), expected, atol=1e-3)
 
@@ -175,13 +161,12 @@ def test_shipped_weights_fit_their_network(name):
     assert weights.about["command"].startswith("cags-train restore")
 
 
-def test_padding_repeats_edges_or_adds_zeros():
-    image = np.arange(6, dtype=np.float32).reshape(2, 3)
-    assert padded(image).shape == (8, 8)
-    assert padded(image)[7, 7] == 5
-    assert padded(image, zero=True)[7, 7] == 0
+def test_odd_sides_repeat_their_last_pixels():
+    image = np.arange(9, dtype=np.float32).reshape(3, 3, 1)
+    assert even(image).shape == (4, 4, 1)
+    assert even(image)[3, 3] == 8
     whole = np.zeros((8, 16, 3), np.float32)
-    assert padded(whole) is whole
+    assert even(whole) is whole
 
 
 def test_filled_keeps_what_alignment_found():

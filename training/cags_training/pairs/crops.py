@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.restore.affine import AffineRestorer, AffineSettings
-from cags_client.restore.networks.inputs import HALF, half_features, level_of
+from cags_client.restore.affine import AffineSettings, correction_fields, own_view, registration
 from cags_common.errors import SceneError
 from cags_common.geometry import F32
 from cags_common.metrics import COVERED_ALPHA
@@ -20,6 +19,12 @@ from cags_training.pairs.maker import Pair, PairMaker
 from cags_training.pairs.settings import PairSettings
 
 Bytes = NDArray[np.uint8]
+
+POSITION_PX = 1 / 256
+"""Step of positions in the reference's patch."""
+
+BLOCK_PX = 16
+"""Patches of references begin at whole macroblocks, so that the codec's grid lies alike in all of them."""
 
 COVERED_SHARE = 0.05
 """A crop is kept where at least this share of it is covered by the scene, if the view has any such place."""
@@ -32,7 +37,7 @@ TRIES = 40
 
 @dataclass(frozen=True, eq=False)
 class Crops:
-    """N crops of side S; rows belong together."""
+    """N crops of side S of clients' pictures and, of side R, of their references around them; rows belong together."""
 
     distorted: Bytes  # [N, S, S, 3]
     aligned: Bytes  # [N, S, S, 3]
@@ -40,8 +45,14 @@ class Crops:
     confidence: Bytes  # [N, S, S]
     truth: Bytes  # [N, S, S, 3]
     covered: Bytes  # [N, S, S] alpha of the truth
-    features: NDArray[np.float16]  # [N, S / 2, S / 2, 10] what ``lite`` sees, cut from the whole picture's
-    level: F32  # [N] how much the closed form changes the frame that the crop is of
+    x: NDArray[np.uint16]  # [N, S, S] where pixels lie in the reference's patch, in POSITION_PX
+    y: NDArray[np.uint16]  # [N, S, S]
+    weight: Bytes  # [N, S, S] how far a correction counts; 0 outside the patch
+    own: Bytes  # [N, R, R, 3] the client's splats seen from the reference
+    reference: Bytes  # [N, R, R, 3]
+    clean: Bytes  # [N, R, R, 3] the reference before it was coded
+    fields: NDArray[np.float16]  # [N, R, R, 4] of the closed form
+    noise: F32  # [N, 6] fine, then broad (CodingNoise)
     lod_share: F32  # [N] mean LoD over the highest
 
     def __len__(self) -> int:
@@ -49,7 +60,7 @@ class Crops:
 
     @staticmethod
     def concatenate(parts: Sequence[Crops]) -> Crops:
-        """All crops of ``parts``, which have one side."""
+        """All crops of ``parts``, which have the same sides."""
         return Crops(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Crops)))
 
     def save(self, path: Path) -> None:
@@ -84,7 +95,7 @@ def make_crops(
     for _ in range(2 * views):
         pair = maker.draw(rng)
         if (pair.truth_alpha > COVERED_ALPHA).mean() >= SHOWN_SHARE:
-            parts.append(crops_of(pair, settings.crops, settings.crop, rng))
+            parts.append(crops_of(pair, settings, rng))
             tell(len(parts), views)
         if len(parts) == views:
             break
@@ -93,34 +104,69 @@ def make_crops(
     return Crops.concatenate(parts)
 
 
-def crops_of(pair: Pair, count: int, side: int, rng: np.random.Generator) -> Crops:
-    """``count`` crops of a pair at drawn places that show something of the scene."""
-    aligned = pair.inputs.aligned
-    closed_form = AffineRestorer(AffineSettings(threads=1)).restore(pair.inputs)
-    features = half_features(pair.inputs, closed_form)
-    places = [_place(pair.truth_alpha, side, rng) for _ in range(count)]
+def crops_of(pair: Pair, settings: PairSettings, rng: np.random.Generator) -> Crops:
+    """``settings.crops`` crops of a pair at drawn places that show something of the scene."""
+    whole = _Whole.of(pair)
+    h, w = whole.own.shape[:2]
+    side = min(settings.reference_crop, h // BLOCK_PX * BLOCK_PX, w // BLOCK_PX * BLOCK_PX)
+    rows = []
+    for _ in range(settings.crops):
+        top, left = _place(pair.truth_alpha, settings.crop, rng)
+        rows.append(_crop(pair, whole, np.s_[top : top + settings.crop, left : left + settings.crop], side))
+    return Crops(*(np.stack(column) for column in zip(*rows, strict=True)))
 
-    def cut(image: F32) -> Bytes:
-        return np.stack([_as_bytes(image[y : y + side, x : x + side]) for y, x in places])
 
-    return Crops(
-        distorted=cut(pair.inputs.distorted),
-        aligned=cut(aligned.rgb),
-        closed_form=cut(closed_form),
-        confidence=cut(aligned.confidence),
-        truth=cut(pair.truth),
-        covered=cut(pair.truth_alpha),
-        features=np.stack([_half(features, y, x, side) for y, x in places]),
-        level=np.full(count, level_of(features), np.float32),
-        lod_share=np.full(count, pair.lod_share, np.float32),
+@dataclass(frozen=True, eq=False)
+class _Whole:
+    """What the closed form makes of a whole pair."""
+
+    own: F32  # [h, w, 3]
+    fields: F32  # [h, w, 4]
+    weight: F32  # [H, W]
+    restored: F32  # [H, W, 3]
+
+    @staticmethod
+    def of(pair: Pair) -> _Whole:
+        settings, inputs = AffineSettings(threads=1), pair.inputs
+        own = own_view(inputs)
+        found = correction_fields(own, inputs.reference, settings)
+        weight = inputs.aligned.confidence * registration(inputs, own, found, settings.misregistration)
+        return _Whole(own, found, weight, pair.corrected(found, weight))
+
+
+def _crop(pair: Pair, whole: _Whole, area: tuple[slice, slice], side: int) -> tuple[NDArray[np.generic], ...]:
+    """One row of :class:`Crops`, in the order of its fields."""
+    inputs = pair.inputs
+    aligned, reference = inputs.aligned, inputs.reference
+    x, y, weight = aligned.x[area], aligned.y[area], whole.weight[area]
+    left, top = (_start(c, weight, side, n) for c, n in zip((x, y), whole.own.shape[1::-1], strict=True))
+    patch = np.s_[top : top + side, left : left + side]
+    inside = (x >= left) & (x <= left + side) & (y >= top) & (y <= top + side)
+    return (
+        *(_as_bytes(a[area]) for a in (inputs.distorted, aligned.rgb, whole.restored, aligned.confidence)),
+        *(_as_bytes(a[area]) for a in (pair.truth, pair.truth_alpha)),
+        *(_positions(np.where(inside, c - first, 0)) for c, first in ((x, left), (y, top))),
+        _as_bytes(np.where(inside, weight, 0)),
+        *(_as_bytes(a[patch]) for a in (whole.own, reference.rgb, pair.clean)),
+        whole.fields[patch].astype(np.float16),
+        np.array(astuple(reference.noise), np.float32).reshape(-1),
+        np.array(pair.lod_share, np.float32),
     )
+
+
+def _start(positions: F32, weight: F32, side: int, length: int) -> int:
+    """First row or column of a patch of ``side`` around ``positions``, a multiple of a macroblock."""
+    seen = positions[weight > 0]
+    middle = float(np.median(seen)) if seen.size else length / 2
+    last = (length - side) // BLOCK_PX
+    return BLOCK_PX * int(np.clip(round((middle - side / 2) / BLOCK_PX), 0, last))
 
 
 def _place(alpha: F32, side: int, rng: np.random.Generator) -> tuple[int, int]:
     """Top left corner: the most covered of the tries, or the first that is covered enough."""
     best, most = (0, 0), -1.0
     for _ in range(TRIES):
-        y, x = (HALF * int(rng.integers((length - side) // HALF + 1)) for length in alpha.shape)
+        y, x = (int(rng.integers(length - side + 1)) for length in alpha.shape)
         covered = float((alpha[y : y + side : 4, x : x + side : 4] > COVERED_ALPHA).mean())
         if covered > most:
             best, most = (y, x), covered
@@ -129,9 +175,8 @@ def _place(alpha: F32, side: int, rng: np.random.Generator) -> tuple[int, int]:
     return best
 
 
-def _half(features: F32, y: int, x: int, side: int) -> NDArray[np.float16]:
-    rows, columns = slice(y // HALF, (y + side) // HALF), slice(x // HALF, (x + side) // HALF)
-    return features[rows, columns].astype(np.float16)
+def _positions(c: F32) -> NDArray[np.uint16]:
+    return np.asarray(np.rint(c / np.float32(POSITION_PX)), dtype=np.uint16)
 
 
 def _as_bytes(image: F32) -> Bytes:

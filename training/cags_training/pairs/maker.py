@@ -10,6 +10,7 @@ import numpy as np
 from cags_client import align
 from cags_client.adapt import SirtAdapter
 from cags_client.align import Aligned, ReferencePicture
+from cags_client.align.fast import sample
 from cags_client.restore import RestoreInput
 from cags_common import raster
 from cags_common.geometry import F32, Camera, angle_between
@@ -30,9 +31,39 @@ class Pair:
     inputs: RestoreInput
     truth: F32  # [H, W, 3] in [0, 1]
     truth_alpha: F32  # [H, W]
+    clean: F32  # [h, w, 3] the reference before it was coded
     lod_share: float  # mean LoD of the tiles over the highest, 0 to 1
     angle_rad: float  # by which the reference's pose is off
     distance: float  # likewise, world units
+
+    def corrected(self, fields: F32, weight: F32) -> F32:
+        """What ``fields`` [h, w, 4] of factors and offsets make of the distorted picture where ``weight`` [H, W] is."""
+        sampled = sample(fields, self.inputs.aligned.x, self.inputs.aligned.y)
+        change = self.inputs.distorted * sampled[..., :1] + sampled[..., 1:]
+        return np.clip(self.inputs.distorted + weight[..., None] * change, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Tint:
+    """Other colours for a whole scene: channels exchanged, then scaled. Rendering over black is linear in colour."""
+
+    order: tuple[int, int, int] = (0, 1, 2)
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def of(self, rgb: F32) -> F32:
+        """``rgb`` [H, W, 3] in these colours, clipped to [0, 1]."""
+        return np.clip(rgb[..., self.order] * np.asarray(self.gains, np.float32), 0.0, 1.0)
+
+    @staticmethod
+    def draw(rng: np.random.Generator) -> Tint:
+        """Any order, each channel between a half and all of its brightness."""
+        a, b, c = (int(i) for i in rng.permutation(3))
+        gains = rng.uniform(GAIN_LOW, 1.0) * rng.uniform(GAIN_LOW, 1.0, 3)
+        return Tint((a, b, c), (float(gains[0]), float(gains[1]), float(gains[2])))
+
+
+GAIN_LOW = 0.7
+"""Least brightness of tinted scenes, of all channels and of one against the others."""
 
 
 class PairMaker:
@@ -52,37 +83,51 @@ class PairMaker:
         lods = draw_lods(rng, self.ladder.tiles, self.ladder.top, s.top_share)
         crf = rng.uniform(s.crf_low, s.crf_high)
         plain = rng.random() < s.plain_share
-        adapted = rng.random() < s.adapted_share
-        steps = int(rng.integers(1, s.adapted_steps + 1)) if adapted else 0
-        before = [nudged(rng, view.reference, manifest) for _ in range(steps)]
-        return self.make(view, lods, crf=float(crf), plain=bool(plain), before=before)
+        adapted = bool(rng.random() < s.adapted_share)
+        frames = int(rng.integers(1 if adapted else 0, s.frames_before + 1))
+        before = [nudged(rng, view.reference, manifest) for _ in range(frames)]
+        tint = Tint() if adapted else Tint.draw(rng)  # what the adapter holds are the splats' own colours
+        return self.make(view, lods, crf=float(crf), plain=bool(plain), before=before, adapted=adapted, tint=tint)
 
     def make(
-        self, view: View, lods: np.ndarray, *, crf: float, plain: bool = False, before: Sequence[Camera] = ()
+        self,
+        view: View,
+        lods: np.ndarray,
+        *,
+        crf: float,
+        plain: bool = False,
+        before: Sequence[Camera] = (),
+        adapted: bool = False,
+        tint: Tint | None = None,
     ) -> Pair:
-        """The pair of ``view`` with tiles at ``lods`` and a reference coded at ``crf``.
+        """The pair of ``view`` with tiles at ``lods`` and a reference coded at ``crf``, in the colours of ``tint``.
 
-        The client has adapted its splats to the references seen from ``before``, which come first in the same video.
+        References seen from ``before`` come first in the same video. ``adapted``: the client has adapted its splats to
+        them.
         """
-        truth = self._render(self._truth, view.client)
+        colours = tint or Tint()
         splats = self.ladder.at(lods)
         held = self._rasteriser.load(splats)
+        scene = _Shown(self._truth, self._reference_options(view, plain=plain), colours)
         video = _Video(view.reference, self.ladder.manifest.fps, crf)
-        adapter = SirtAdapter(len(splats))
-        options = replace(self._reference_options(view, plain=False), contribution=True)
+        options = replace(self._reference_options(view, plain=False), contribution=adapted)
+        adapter = SirtAdapter(len(splats)) if adapted else None
         for camera in before:
-            seen = self._reference(video, camera, view, plain)
-            adapter.adapt(held, splats, seen, held.render(camera, options), options)
-        distorted = self._render(held, view.client)
-        reference = self._reference(video, view.reference, view, plain)
-        own = held.render(view.reference, self._reference_options(view, plain=False))
+            seen, _ = video.reference(scene, camera)
+            if adapter is not None:
+                adapter.adapt(held, splats, seen, held.render(camera, options), options)
+        distorted, truth = self._render(held, view.client), self._render(self._truth, view.client)
+        reference, clean = video.reference(scene, view.reference)
+        own = held.render(view.reference, options)
         assert distorted.depth is not None
         aligned: Aligned = self._aligner.align(reference, distorted.depth, view.client)
         moved = np.subtract(view.client.pose.position, view.reference.pose.position)
+        own = replace(own, rgb=colours.of(own.rgb))
         return Pair(
-            inputs=RestoreInput(np.clip(distorted.rgb, 0, 1), distorted.alpha, aligned, reference, own),
-            truth=np.clip(truth.rgb, 0, 1),
+            inputs=RestoreInput(colours.of(distorted.rgb), distorted.alpha, aligned, reference, own),
+            truth=colours.of(truth.rgb),
             truth_alpha=truth.alpha,
+            clean=clean,
             lod_share=float(np.mean(lods)) / max(self.ladder.top, 1),
             angle_rad=angle_between(view.client.pose.rotation, view.reference.pose.rotation),
             distance=float(np.linalg.norm(moved)),
@@ -95,10 +140,14 @@ class PairMaker:
         footprint = Footprint.of(view.client.intrinsics, view.reference.intrinsics)
         return RenderOptions(footprint=Footprint() if plain else footprint, depth=DepthKind.NONE, threads=self._threads)
 
-    def _reference(self, video: _Video, camera: Camera, view: View, plain: bool) -> ReferencePicture:
-        rgb = np.clip(self._truth.render(camera, self._reference_options(view, plain)).rgb, 0, 1)
-        decoded = video.coded(rgb)
-        return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded))
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What a server renders references of."""
+
+    scene: RasterScene
+    options: RenderOptions
+    tint: Tint
 
 
 class _Video:
@@ -109,9 +158,10 @@ class _Video:
         self._decoder = H264Decoder()
         self._idr = True
 
-    def coded(self, rgb: F32) -> F32:
-        """The next picture of the video, decoded."""
+    def reference(self, shown: _Shown, camera: Camera) -> tuple[ReferencePicture, F32]:
+        """The next picture of the video, decoded, and as it was before."""
+        rgb = shown.tint.of(shown.scene.render(camera, shown.options).rgb)
         decoded = self._decoder.decode(self._encoder.encode(rgb, idr=self._idr))
         assert decoded is not None, "the first picture of a video is an IDR picture"
         self._idr = False
-        return decoded
+        return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded)), rgb

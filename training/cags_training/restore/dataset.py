@@ -7,35 +7,43 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.restore.networks.inputs import HALF, blocks_of
+from cags_client.restore.networks.inputs import noise_features
 from cags_common.geometry import F32
-from cags_training.pairs.crops import Crops
-
-GAIN_LOW = 0.7
-"""Least brightness in augmentation; the largest keeps what is displayable."""
+from cags_training.pairs.crops import POSITION_PX, Crops
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """B patches of side S, float32 in [0, 1]."""
+    """B patches of side S of clients' pictures, and of side R of their references; float32, pictures in [0, 1]."""
 
     distorted: F32  # [B, S, S, 3]
     aligned: F32  # [B, S, S, 3]
     closed_form: F32  # [B, S, S, 3]
-    confidence: F32  # [B, S, S]
     truth: F32  # [B, S, S, 3]
-    covered: F32  # [B, S, S]
-    blocks: F32  # [B, S / 4, S / 4, 39]
+    confidence: F32  # [B, S, S, 1]
+    covered: F32  # [B, S, S, 1]
+    weight: F32  # [B, S, S, 1]
+    places: F32  # [B, S, S, 2] x and y in the patch of the reference, shares of its side
+    own: F32  # [B, R, R, 3]
+    reference: F32  # [B, R, R, 3]
+    clean: F32  # [B, R, R, 3]
+    fields: F32  # [B, R, R, 4]
+    noise: F32  # [B, 1, 1, 6] as networks take it
 
     def __len__(self) -> int:
         return len(self.truth)
 
 
+_PICTURES = ("distorted", "aligned", "closed_form", "truth")
+_MASKS = ("confidence", "covered", "weight")
+_THERE = ("own", "reference", "clean")
+
+
 def draw_batch(crops: Crops, size: int, patch: int, seed: int, step: int) -> Batch:
-    """``size`` patches of random crops, each turned, mirrored and recoloured at random."""
+    """``size`` patches of random crops, each turned and mirrored at random."""
     rng = np.random.default_rng((seed, step))
     rows = rng.integers(len(crops), size=size)
-    return _stacked([_augmented(_patch(crops, int(row), patch, rng), rng) for row in rows])
+    return _stacked([_turned(_patch(crops, int(row), patch, rng), rng) for row in rows])
 
 
 def plain_batch(crops: Crops, rows: NDArray[np.integer], patch: int) -> Batch:
@@ -43,51 +51,38 @@ def plain_batch(crops: Crops, rows: NDArray[np.integer], patch: int) -> Batch:
     return _stacked([_patch(crops, int(row), patch, None) for row in rows])
 
 
-@dataclass(eq=False)
-class _Patch:
-    colours: F32  # [4 pictures, S, S, 3]: distorted, aligned, closed form, truth
-    masks: F32  # [2, S, S]: confidence, covered
-    features: F32  # [S / 2, S / 2, 10]
-    level: np.float32
-
-
-def _patch(crops: Crops, row: int, side: int, rng: np.random.Generator | None) -> _Patch:
-    spare = (crops.truth.shape[1] - side) // HALF
+def _patch(crops: Crops, row: int, side: int, rng: np.random.Generator | None) -> Batch:
+    """One patch: a batch without its first axis."""
+    spare = crops.truth.shape[1] - side
     if spare < 0:
         raise ValueError(f"patch = {side} is larger than the crops of side {crops.truth.shape[1]}")
     y, x = (spare // 2, spare // 2) if rng is None else (int(v) for v in rng.integers(spare + 1, size=2))
-    area = np.s_[row, HALF * y : HALF * y + side, HALF * x : HALF * x + side]
-    colours = np.stack([crops.distorted[area], crops.aligned[area], crops.closed_form[area], crops.truth[area]])
-    masks = np.stack([crops.confidence[area], crops.covered[area]])
-    features = crops.features[row, y : y + side // HALF, x : x + side // HALF]
-    scale = np.float32(1 / 255)
-    pictures, shares = colours.astype(np.float32) * scale, masks.astype(np.float32) * scale
-    return _Patch(pictures, shares, features.astype(np.float32), crops.level[row])
+    area = np.s_[row, y : y + side, x : x + side]
+    places = np.stack([crops.x[area], crops.y[area]], axis=2) * np.float32(POSITION_PX / crops.own.shape[1])
+    pictures = {name: _as_float(getattr(crops, name)[area]) for name in _PICTURES}
+    masks = {name: _as_float(getattr(crops, name)[area])[..., None] for name in _MASKS}
+    there = {name: _as_float(getattr(crops, name)[row]) for name in _THERE}
+    fields, noise = crops.fields[row].astype(np.float32), noise_features(crops.noise[row])[None, None]
+    return Batch(**pictures, **masks, **there, places=np.asarray(places, np.float32), fields=fields, noise=noise)
 
 
-def _augmented(patch: _Patch, rng: np.random.Generator) -> _Patch:
-    colours, masks, features = patch.colours, patch.masks, patch.features
+def _turned(patch: Batch, rng: np.random.Generator) -> Batch:
+    images: dict[str, F32] = dict(vars(patch))
     for axis in (0, 1):
         if rng.random() < 0.5:
-            colours, masks, features = np.flip(colours, axis + 1), np.flip(masks, axis + 1), np.flip(features, axis)
+            images = {name: np.flip(image, axis) for name, image in images.items()}
+            places = images["places"].copy()
+            places[..., 1 - axis] = 1 - places[..., 1 - axis]
+            images["places"] = places
     if rng.random() < 0.5:
-        colours, masks, features = colours.swapaxes(1, 2), masks.swapaxes(1, 2), features.swapaxes(0, 1)
-    return _recoloured(_Patch(colours, masks, features, patch.level), rng)
+        images = {name: image.swapaxes(0, 1) for name, image in images.items()}
+        images["places"] = images["places"][..., ::-1]
+    return Batch(**images)  # the noise, of one pixel, is the same from every side
 
 
-def _recoloured(patch: _Patch, rng: np.random.Generator) -> _Patch:
-    """Channels exchanged and scaled, in all pictures and features alike: everything before the network is linear."""
-    gains = (rng.uniform(GAIN_LOW, 1.0) * rng.uniform(0.8, 1.0, 3)).astype(np.float32)
-    order = rng.permutation(3)
-    features = np.ascontiguousarray(patch.features)
-    for first in (0, 3, 6):
-        features[..., first : first + 3] = features[..., first + order] * gains
-    level = patch.level * gains.mean()
-    return _Patch(patch.colours[..., order] * gains, np.ascontiguousarray(patch.masks), features, level)
+def _stacked(patches: list[Batch]) -> Batch:
+    return Batch(*(np.stack(images) for images in zip(*(vars(p).values() for p in patches), strict=True)))
 
 
-def _stacked(patches: list[_Patch]) -> Batch:
-    colours = np.stack([patch.colours for patch in patches], axis=1)
-    masks = np.stack([patch.masks for patch in patches], axis=1)
-    blocks = blocks_of(np.stack([p.features for p in patches]), np.array([p.level for p in patches], np.float32))
-    return Batch(colours[0], colours[1], colours[2], masks[0], colours[3], masks[1], blocks)
+def _as_float(image: NDArray[np.uint8]) -> F32:
+    return image.astype(np.float32) * np.float32(1 / 255)

@@ -16,7 +16,7 @@ class TrainSettings:
     network: str = setting("lite", "network to train", choices=NETWORKS)
     steps: int = setting(10_000, "steps of the optimiser", low=1, high=10_000_000)
     batch: int = setting(16, "crops a step", low=1, high=1024)
-    patch: int = setting(160, "side of the patch used of each crop, client pixels; a multiple of 8", low=16, high=1024)
+    patch: int = setting(128, "side of the patch used of each crop, client pixels", low=16, high=1024)
     rate: float = setting(2e-3, "highest learning rate; it rises over 2 % of the steps and falls as a cosine", low=0)
     average: float = setting(0.998, "decay of the running average of weights that is kept", low=0, high=0.99999)
     evaluate_every: int = setting(500, "steps between evaluations on held-out scenes", low=1)

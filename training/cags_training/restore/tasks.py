@@ -3,30 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from cags_client.restore.networks.inputs import filled
-from cags_client.restore.networks.lite import Lite, brought_up
+from cags_client.restore.networks.lite import Lite
 from cags_client.restore.networks.srresnet import Sees, SrResNet
 from cags_training.restore.dataset import Batch
 
-Task = Callable[[nn.Module, Batch, torch.device], Tensor]
-"""Restored pictures [B, S, S, 3], before clipping."""
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a network makes of a batch, before clipping."""
+
+    restored: Tensor  # [B, S, S, 3] in the client's view
+    there: Tensor | None = None  # [B, R, R, 3] in the reference's, for networks that work there
 
 
-def restore_lite(network: nn.Module, batch: Batch, device: torch.device) -> Tensor:
-    """Pictures of the closed form plus the change that ``lite`` finds."""
-    change: Tensor = network(torch.from_numpy(batch.blocks).to(device))
-    return torch.from_numpy(batch.closed_form).to(device) + brought_up(change)
+Task = Callable[[nn.Module, Batch, torch.device], Answer]
 
 
-def restore_srresnet(network: nn.Module, batch: Batch, device: torch.device) -> Tensor:
+def restore_lite(network: nn.Module, batch: Batch, device: torch.device) -> Answer:
+    """The correction by the fields that ``lite`` makes of the closed form's, sampled as the client does."""
+    own, reference, fields, noise, distorted, places, weight = (
+        torch.from_numpy(image).to(device)
+        for image in (
+            *(batch.own, batch.reference, batch.fields, batch.noise),
+            *(batch.distorted, batch.places, batch.weight),
+        )
+    )
+    found: Tensor = network(own, reference, fields, noise)
+    sampled = sampled_at(found, places)
+    restored = distorted + weight * (distorted * sampled[..., :1] + sampled[..., 1:])
+    return Answer(restored, own + own * found[..., :1] + found[..., 1:])
+
+
+def sampled_at(image: Tensor, places: Tensor) -> Tensor:
+    """Bilinear samples [B, S, S, C] of ``image`` [B, R, R, C] at shares of its side; its border pixels repeat."""
+    at = functional.grid_sample(
+        image.permute(0, 3, 1, 2), 2 * places - 1, mode="bilinear", padding_mode="border", align_corners=False
+    )
+    return at.permute(0, 2, 3, 1)
+
+
+def restore_srresnet(network: nn.Module, batch: Batch, device: torch.device) -> Answer:
     """The paper's network and its one-input variants."""
-    aligned = filled(batch.aligned, batch.confidence, batch.distorted)
+    aligned = filled(batch.aligned, batch.confidence[..., 0], batch.distorted)
     restored: Tensor = network(torch.from_numpy(aligned).to(device), torch.from_numpy(batch.distorted).to(device))
-    return restored
+    return Answer(restored)
 
 
 NETWORKS: Mapping[str, tuple[Callable[[], nn.Module], Task]] = {
@@ -43,26 +70,36 @@ ERROR_FLOOR = 1e-6
 
 
 REGRET = 1.0
-"""How much more a loss against the distorted picture counts than a gain, for networks that may leave it as it is."""
+"""How much more a loss against what the network improves on counts than a gain."""
 
-CAUTIOUS = frozenset({"lite"})
-"""Networks that may leave the distorted picture as it is, and shall where they would worsen it."""
+THERE_SHARE = 0.3
+"""Weight of the reference before it was coded, for networks that work in its view: it has no parallax to learn."""
 
 
-def loss(restored: Tensor, truth: Tensor, covered: Tensor, distorted: Tensor | None = None) -> Tensor:
+def batch_loss(answer: Answer, batch: Batch, device: torch.device) -> Tensor:
+    """The loss of a batch; where the network starts from the closed form, losses against that count more."""
+    truth, covered = (torch.from_numpy(image).to(device) for image in (batch.truth, batch.covered))
+    if answer.there is None:
+        return loss(answer.restored, truth, covered)
+    spared, clean = (torch.from_numpy(image).to(device) for image in (batch.closed_form, batch.clean))
+    shown = (clean.amax(dim=3, keepdim=True) > 0).to(clean.dtype)
+    return loss(answer.restored, truth, covered, spared) + THERE_SHARE * loss(answer.there, clean, shown)
+
+
+def loss(restored: Tensor, truth: Tensor, covered: Tensor, spared: Tensor | None = None) -> Tensor:
     """Mean over patches of the logarithm of the squared error: a decibel counts the same at every LoD.
 
     The error is taken in the displayed range, where values outside [0, 1] are clipped; a twentieth of what was clipped
-    counts still, so that its gradient does not die. Void counts a tenth of what the scene covers. Where ``distorted``
-    is given, every decibel lost against it counts ``REGRET`` times more.
+    counts still, so that its gradient does not die. Void (``covered`` [B, S, S, 1] of 0) counts a tenth of what the
+    scene covers. Where ``spared`` is given, every decibel lost against it counts ``REGRET`` times more.
     """
     shown = restored.clamp(0, 1)
     shown = shown + 0.05 * (restored - shown)
-    weight = (0.1 + 0.9 * covered)[..., None]
+    weight = 0.1 + 0.9 * covered
     error = _log_error(shown, truth, weight)
-    if distorted is None:
+    if spared is None:
         return error.mean()
-    return (error + REGRET * (error - _log_error(distorted, truth, weight)).relu()).mean()
+    return (error + REGRET * (error - _log_error(spared, truth, weight)).relu()).mean()
 
 
 def _log_error(picture: Tensor, truth: Tensor, weight: Tensor) -> Tensor:
@@ -72,7 +109,7 @@ def _log_error(picture: Tensor, truth: Tensor, weight: Tensor) -> Tensor:
 
 def covered_psnr(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
     """PSNR [B] in dB of displayed pictures over the pixels that the scene covers, at most 60."""
-    weight = (covered >= 0.5).to(truth.dtype)[..., None]
+    weight = (covered >= 0.5).to(truth.dtype)
     squared = ((restored.clamp(0, 1) - truth) ** 2 * weight).sum(dim=(1, 2, 3)) / (3 * weight.sum(dim=(1, 2, 3))).clamp(
         min=1
     )

@@ -19,7 +19,7 @@ from cags_training.pairs.crops import Crops
 from cags_training.restore.checkpoint import Checkpoint
 from cags_training.restore.dataset import Batch, draw_batch, plain_batch
 from cags_training.restore.settings import TrainSettings
-from cags_training.restore.tasks import CAUTIOUS, NETWORKS, covered_psnr, loss
+from cags_training.restore.tasks import NETWORKS, batch_loss, covered_psnr
 
 WARM_UP = 0.02
 """Share of the steps over which the learning rate rises."""
@@ -108,9 +108,7 @@ class Trainer:
         batch = draw_batch(self.train, s.batch, s.patch, self.seed, self._step)
         for group in self._optimiser.param_groups:
             group["lr"] = s.rate * _schedule(self._step / s.steps)
-        restored = self._task(self._network, batch, self._device)
-        spared = self._tensor(batch.distorted) if s.network in CAUTIOUS else None
-        value = loss(restored, self._tensor(batch.truth), self._tensor(batch.covered), spared)
+        value = batch_loss(self._task(self._network, batch, self._device), batch, self._device)
         self._optimiser.zero_grad(set_to_none=True)
         value.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRADIENT_NORM)
@@ -148,7 +146,7 @@ class Trainer:
             for start in range(0, len(self.held_out), self.settings.batch):
                 rows = np.arange(start, min(start + self.settings.batch, len(self.held_out)))
                 batch = plain_batch(self.held_out, rows, self.settings.patch)
-                restored = self._task(network, batch, self._device)
+                restored = self._task(network, batch, self._device).restored
                 pictures = (restored, self._tensor(batch.distorted), self._tensor(batch.closed_form))
                 scores.append(np.stack([self._psnr(picture, batch) for picture in pictures]))
         return np.concatenate(scores, axis=1)

@@ -1,23 +1,19 @@
-"""``lite``: a small network on an unshuffled image, quick enough for a frame on two CPU cores.
+"""``lite``: a small network that improves the closed form's correction where it is made, in the reference's view.
 
-It finds what the closed form (:mod:`cags_client.restore.affine`) leaves: an untrained one shows the closed form's
-picture. Full-resolution convolutions are what makes restoration slow on a CPU. Here everything is seen at half
-resolution (see :mod:`.inputs`), blocks of 2 x 2 of that - about one reference pixel - become channels (space to depth),
-and the only wide receptive field is at 1/8 resolution:
+The closed form (:mod:`cags_client.restore.affine`) turns the reference and the client's own splats seen from there into
+a field of factors and offsets, [h, w, 4], which is brought to the client's view. It tells quantisation from the codec's
+noise by local powers alone. What is left to gain is mostly there: with references that were never coded it would gain
+1.5 dB more on the mean. So the network sees both pictures side by side, free of parallax, and the field, and answers
+with a change to the field; all that follows is the closed form's. Its cost does not depend on the display's size.
 
-    blocks of 2 x 2 of features at 1/2 --> 1x1 --> blocks of 2 --> 1x1 --> 3x3 body at 1/8 --> 1x1 --> unblock
-                                            '---------------------- skip --------------------------------> +
-    blocks of the change at 1/2 <------------------- times gate <------------------------ 1x1 <------------'
-    restored = clip(closed form + change, brought up to full resolution)
+    own, reference - own, correction, factor --> blocks of 2 x 2 --> 1x1 (+ noise) --> 3x3 body --> 3x3 --> unblock
+    field + gate * change
 
-The gate is part of the graph, so that training sees it. The closed form tells signal from the codec's noise by Wiener
-weights and by the evidence of the whole picture; how much it changes nearby says how much of either there is. Where it
-changes nothing - near the top of the ladder, or where no reference is - the gate is exactly 0 and the distorted picture
-stays, bit for bit; where it changes half a display code the gate is nearly open. How much the whole frame is changed is
-one of the features: it tells a badly distorted frame from a good one with a noisy reference.
+An untrained network *is* the closed form. The gate is part of the graph, so that training sees it: where the closed
+form corrects nothing nearby - near the top of the ladder - it is exactly 0 and the distorted picture stays, bit for
+bit, whatever the weights are; where it corrects half a display code the gate is nearly open.
 
-Inside, images are [B, H, W, C]: 1x1 convolutions are then plain matrix products, which eager torch runs several times
-faster than its 1x1 convolutions on the CPU, and blocks are copies of whole runs.
+Outside, images are [B, h, w, C]; inside, blocks are channels (space to depth), so that the convolutions run at 200x150.
 """
 
 from __future__ import annotations
@@ -28,27 +24,30 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cags_client.restore.networks.inputs import BLOCK_CHANNELS, CHANNELS, CONFIDENCE, POWER
-
 SLOPE = 0.1
 """Of the leaky rectifiers."""
 
 GATE_HALF = 5e-4
-"""Mean change of the closed form, in [0, 1] of display range, at which the gate is half open: an eighth of a code."""
+"""Mean correction of the closed form, in [0, 1], at which the gate is half open: an eighth of a display code."""
 
 _GATE_CELLS = 5
 
-_FAINT = 8.0
-"""By how much faint channels (evidence, change) count for more than colours in an untrained network."""
+SEEN_CHANNELS = 10
+"""Own RGB, difference RGB, correction RGB, factor."""
+
+FIELD_CHANNELS = 4
+NOISE_CHANNELS = 6
+
+FAINT = 8.0
+"""By how much faint channels count for more than colours: differences going in, corrections coming out."""
 
 
 @dataclass(frozen=True)
 class LiteShape:
     """Widths and depth: what makes the network dearer or cheaper."""
 
-    width: int = 24  # channels at 1/4 resolution
-    body_width: int = 24  # channels at 1/8 resolution
-    body_layers: int = 4  # 3x3 convolutions at 1/8 resolution; even
+    width: int = 24
+    layers: int = 6  # 3x3 convolutions of the body; even
 
 
 class Lite(nn.Module):
@@ -57,37 +56,38 @@ class Lite(nn.Module):
     def __init__(self, shape: LiteShape | None = None) -> None:
         super().__init__()
         s = shape or LiteShape()
-        self.head = nn.Linear(BLOCK_CHANNELS, s.width)
-        self.down = nn.Linear(4 * s.width, s.body_width)
-        self.body = nn.ModuleList(nn.Conv2d(s.body_width, s.body_width, 3, padding=1) for _ in range(s.body_layers))
-        self.up = nn.Linear(s.body_width, 4 * s.width)
-        self.tail = nn.Linear(s.width, 4 * 3)
-        with torch.no_grad():
-            self.head.weight[:, :CONFIDENCE].view(s.width, 4, CHANNELS - 1)[..., 3:] *= _FAINT
-            self.head.weight[:, POWER:] *= 2 * _FAINT
+        self.head = nn.Linear(4 * SEEN_CHANNELS, s.width)  # a matrix product: eager torch's 1x1 convolutions are slower
+        self.noise = nn.Linear(NOISE_CHANNELS, s.width, bias=False)
+        self.body = nn.ModuleList(nn.Conv2d(s.width, s.width, 3, padding=1) for _ in range(s.layers))
+        self.tail = nn.Conv2d(s.width, 4 * FIELD_CHANNELS, 3, padding=1)
         nn.init.zeros_(self.tail.weight)  # an untrained network takes the closed form as it is
+        assert self.tail.bias is not None
         nn.init.zeros_(self.tail.bias)
 
-    def forward(self, blocks: Tensor) -> Tensor:
-        """Change in blocks [B, h, w, 12] to add to the closed form's picture, of ``blocks`` [B, h, w, 39].
+    def forward(self, own: Tensor, reference: Tensor, fields: Tensor, noise: Tensor) -> Tensor:
+        """Fields [B, h, w, 4] in place of the closed form's ``fields``; h and w are even.
 
-        h and w, at a quarter of the display's resolution, are even.
+        ``own`` and ``reference`` are [B, h, w, 3] in [0, 1], ``noise`` [B, 1, 1, 6] of
+        :func:`~cags_client.restore.networks.inputs.noise_features`.
         """
-        shallow = functional.leaky_relu(self.head(blocks), SLOPE, inplace=True)
-        deep = functional.leaky_relu(self.down(to_blocks(shallow)), SLOPE, inplace=True).permute(0, 3, 1, 2)
+        factor, offset = fields[..., :1], fields[..., 1:]
+        correction = own * factor + offset
+        seen = torch.cat([own, FAINT * (reference - own), FAINT * correction, factor], dim=3)
+        features = functional.leaky_relu(self.head(to_blocks(seen)) + self.noise(noise), SLOPE).permute(0, 3, 1, 2)
         for first, second in zip(self.body[::2], self.body[1::2], strict=True):
-            inner = functional.leaky_relu(first(deep), SLOPE, inplace=True)
-            deep = deep + functional.leaky_relu(second(inner), SLOPE, inplace=True)
-        shallow = functional.leaky_relu(shallow + from_blocks(self.up(deep.permute(0, 2, 3, 1))), SLOPE, inplace=True)
-        change: Tensor = self.tail(shallow) * gate(blocks)
-        return change
+            inner = functional.leaky_relu(first(features), SLOPE)
+            features = features + functional.leaky_relu(second(inner), SLOPE)
+        answer = (self.tail(features) * gate(correction)).permute(0, 2, 3, 1)
+        change = from_blocks(answer)
+        more, less = change[..., 1:] / FAINT, change[..., :1]
+        return torch.cat([factor + less, offset + more - less * own], dim=3)
 
 
-def gate(blocks: Tensor) -> Tensor:
-    """How far the network may go [B, h, w, 1] in [0, 1), from blocks of features [B, h, w, 39]."""
-    power = blocks[..., POWER][:, None]
+def gate(correction: Tensor) -> Tensor:
+    """How far the network may go [B, 1, h / 2, w / 2] in [0, 1), from the closed form's correction [B, h, w, 3]."""
+    power = to_blocks(correction.abs()).mean(dim=3)[:, None]
     near = functional.avg_pool2d(power, _GATE_CELLS, stride=1, padding=_GATE_CELLS // 2, count_include_pad=False)
-    return (near / (near + GATE_HALF))[:, 0, :, :, None]
+    return near / (near + GATE_HALF)
 
 
 def to_blocks(image: Tensor) -> Tensor:
@@ -101,10 +101,3 @@ def from_blocks(image: Tensor) -> Tensor:
     """Depth to space, the inverse of :func:`to_blocks`."""
     b, h, w, c = image.shape
     return image.reshape(b, h, w, 2, c // 2).permute(0, 1, 3, 2, 4).reshape(b, 2 * h, 2 * w, c // 4)
-
-
-def brought_up(change: Tensor) -> Tensor:
-    """A change in blocks [B, h, w, 12] at full resolution [B, 4 h, 4 w, 3], as OpenCV's bilinear resizing has it."""
-    half = from_blocks(change).permute(0, 3, 1, 2)
-    full = functional.interpolate(half, scale_factor=2, mode="bilinear", align_corners=False)
-    return full.permute(0, 2, 3, 1)

@@ -4,32 +4,38 @@ from __future__ import annotations
 
 import numpy as np
 
-from cags_client.restore.affine import AffineRestorer, AffineSettings
+from cags_client.align.base import ReferencePicture
+from cags_client.restore.affine import AffineSettings, corrected, fields_of, own_view
 from cags_client.restore.base import ALIGNED, COMPARED, RestoreInput
-from cags_client.restore.networks.inputs import filled, lite_blocks, plus_change, reach
+from cags_client.restore.networks.inputs import even, filled, noise_features, reach
 from cags_client.restore.networks.runtimes import Runtime
 from cags_common.geometry import F32
 
 
 class LiteRestorer:
-    """Adds what :class:`~cags_client.restore.networks.lite.Lite` finds to the picture of the closed form."""
+    """The closed form, by the fields that :class:`~cags_client.restore.networks.lite.Lite` makes of its own."""
 
     needs = COMPARED
 
     def __init__(self, runtime: Runtime, name: str = "lite", threads: int | None = None) -> None:
         self.name = name
         self._runtime = runtime
-        settings = AffineSettings(threads=threads) if threads else AffineSettings()
-        self._closed_form, self._threads = AffineRestorer(settings), settings.threads
+        self._settings = AffineSettings(threads=threads) if threads else AffineSettings()
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""
-        aligned = inputs.aligned
-        if not aligned.confidence.any():
+        if not inputs.aligned.confidence.any():
             return inputs.distorted
-        closed_form = self._closed_form.restore(inputs)
-        change = self._runtime.run(lite_blocks(inputs, closed_form, self._threads))
-        return plus_change(closed_form, change, self._threads)
+        own = own_view(inputs)
+        fields = fields_of(own, inputs.reference, self._settings)
+        if fields.any():
+            fields = self._improved(own, inputs.reference, fields)
+        return corrected(inputs, own, self._settings, fields)
+
+    def _improved(self, own: F32, reference: ReferencePicture, fields: F32) -> F32:
+        images = (even(image) for image in (own, reference.rgb, fields))
+        h, w = fields.shape[:2]
+        return self._runtime.run(*images, noise_features(reference.noise)[None, None])[:h, :w]
 
 
 class PictureRestorer:

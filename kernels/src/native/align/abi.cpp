@@ -191,15 +191,16 @@ Blocks registration(const CagsCorrectInput& in, const Padded& fields, const Padd
   return blocks;
 }
 
-void correct(const CagsCorrectInput& in, float* restored) {
-  ScratchLease scratch;
-  const int w = in.view.reference_width, h = in.view.reference_height, threads = std::min(in.threads, kMaxThreads);
+// What the correction samples in the reference's view.
+struct Fitted {
+  Padded fields, own;
+};
+
+void fit(const CagsCorrectInput& in, Scratch& scratch, int threads, const Fitted& out) {
+  const int w = in.view.reference_width, h = in.view.reference_height;
   const size_t line = size_t(w + 2 * in.radius_cells) * kMoments;
-  float* lines = scratch->lines.reserve(line * threads);
-  float* sums = scratch->sums.reserve(size_t(w) * h * kMoments);
-  const size_t stride = size_t(w + 2) * kFieldLanes;
-  const Padded fields{scratch->fields.reserve(stride * (h + 2)), w, h};
-  const Padded own{scratch->reference.reserve(stride * (h + 2)), w, h};
+  float* lines = scratch.lines.reserve(line * threads);
+  float* sums = scratch.sums.reserve(size_t(w) * h * kMoments);
   for_rows(threads, h, [&](int row, int worker) { stages().moments(in, row, lines + line * worker, sums); });
   const Evidence evidence = weigh(in, sums, threads);
   float trust[6];
@@ -207,11 +208,29 @@ void correct(const CagsCorrectInput& in, float* restored) {
     trust[c] = trust_of(evidence.fine[c], evidence.noise[c]);
     trust[3 + c] = trust_of(evidence.broad[c], static_cast<double>(evidence.shown) * (kNoiseFloor + in.broad_noise[c]));
   }
-  for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, trust, fields, own); });
-  for (const Padded& picture : {fields, own}) {
+  for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, trust, out.fields, out.own); });
+}
+
+Fitted fitted(const CagsCorrectInput& in, Scratch& scratch, int threads) {
+  const int w = in.view.reference_width, h = in.view.reference_height;
+  const size_t stride = size_t(w + 2) * kFieldLanes;
+  const Fitted out{{scratch.fields.reserve(stride * (h + 2)), w, h}, {scratch.reference.reserve(stride * (h + 2)), w, h}};
+  if (in.fields) {
+    for_rows(threads, h, [&](int row, int) { stages().take(in, row, out.fields, out.own); });
+  } else {
+    fit(in, scratch, threads, out);
+  }
+  for (const Padded& picture : {out.fields, out.own}) {
     std::copy_n(picture.data + stride, stride, picture.data);
     std::copy_n(picture.data + stride * h, stride, picture.data + stride * (h + 1));
   }
+  return out;
+}
+
+void correct(const CagsCorrectInput& in, float* restored) {
+  ScratchLease scratch;
+  const int threads = std::min(in.threads, kMaxThreads);
+  const auto [fields, own] = fitted(in, *scratch.operator->(), threads);
   const Blocks blocks = registration(in, fields, own, *scratch.operator->(), threads);
   float* weights = scratch->lines.reserve(size_t(blocks.width) * threads);
   for_rows(threads, in.view.height, [&](int row, int worker) {
@@ -219,37 +238,15 @@ void correct(const CagsCorrectInput& in, float* restored) {
   });
 }
 
-// Reference minus the client's own splats, with a border.
-Padded padded_evidence(const CagsFeaturesInput& in, AlignedArray<float>& memory) {
+// The fields alone, without their border.
+void fields_of(const CagsCorrectInput& in, float* out) {
+  ScratchLease scratch;
   const int w = in.view.reference_width, h = in.view.reference_height;
-  Padded out{memory.reserve(size_t(w + 2) * (h + 2) * kColourLanes), w, h};
-  float* to = out.data;
-  for (int row = -1; row <= h; row++) {
-    const int64_t start = int64_t{std::clamp(row, 0, h - 1)} * w;
-    for (int column = -1; column <= w; column++, to += kColourLanes) {
-      const int64_t pixel = 3 * (start + std::clamp(column, 0, w - 1));
-      for (int c = 0; c < 3; c++) to[c] = in.reference[pixel + c] - std::clamp(in.own[pixel + c], 0.0f, 1.0f);
-      to[3] = 0.0f;
-    }
+  const auto [fields, own] = fitted(in, *scratch.operator->(), std::min(in.threads, kMaxThreads));
+  for (int row = 0; row < h; row++) {
+    const float* from = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
+    std::copy_n(from, w * kFieldLanes, out + int64_t{row} * w * kFieldLanes);
   }
-  return out;
-}
-
-void features(const CagsFeaturesInput& in, float* out) {
-  ScratchLease scratch;
-  const Padded evidence = padded_evidence(in, scratch->reference);
-  const int64_t stride = int64_t{blocks(in.view.width)} * kBlockLanes;
-  for_rows(std::min(in.threads, kMaxThreads), blocks(in.view.height), [&](int row, int) {
-    stages().features(in, evidence, row, out + row * stride);
-  });
-}
-
-void add(const CagsAddInput& in, float* restored) {
-  ScratchLease scratch;
-  const int threads = std::min(in.threads, kMaxThreads);
-  const size_t line = size_t(in.change_width) * 6;
-  float* lines = scratch->lines.reserve(line * threads);
-  for_rows(threads, in.height, [&](int row, int worker) { stages().add(in, row, lines + line * worker, restored); });
 }
 
 template <typename Body>
@@ -281,27 +278,17 @@ int32_t cags_paint(const CagsAlignInput* input, const uint8_t* occluded, float* 
   return guarded([&] { cags::align::paint(in, occluded, rgb); });
 }
 
+static bool valid(const CagsCorrectInput& in) {
+  return cags::align::valid(in.view) && in.threads >= 1 && in.radius_cells >= 1 && in.radius_cells <= cags::align::kMaxRadius &&
+         in.block_px >= 1 && in.misregistration >= 0;
+}
+
+int32_t cags_fields(const CagsCorrectInput* input, float* fields) {
+  if (!valid(*input)) return CAGS_INVALID;
+  return cags::align::guarded([&] { cags::align::fields_of(*input, fields); });
+}
+
 int32_t cags_correct(const CagsCorrectInput* input, float* restored) {
-  using namespace cags::align;
-  const CagsCorrectInput& in = *input;
-  if (!valid(in.view) || in.threads < 1 || in.radius_cells < 1 || in.radius_cells > kMaxRadius || in.block_px < 1 ||
-      !(in.misregistration >= 0)) {
-    return CAGS_INVALID;
-  }
-  return guarded([&] { correct(in, restored); });
-}
-
-int32_t cags_features(const CagsFeaturesInput* input, float* features) {
-  using namespace cags::align;
-  const CagsFeaturesInput& in = *input;
-  if (!valid(in.view) || in.threads < 1) return CAGS_INVALID;
-  return guarded([&] { cags::align::features(in, features); });
-}
-
-int32_t cags_add(const CagsAddInput* input, float* restored) {
-  using namespace cags::align;
-  const CagsAddInput& in = *input;
-  const bool fits = 4 * int64_t{in.change_width} >= in.width && 4 * int64_t{in.change_height} >= in.height;
-  if (!side(in.width) || !side(in.height) || !fits || in.threads < 1) return CAGS_INVALID;
-  return guarded([&] { add(in, restored); });
+  if (!valid(*input)) return CAGS_INVALID;
+  return cags::align::guarded([&] { cags::align::correct(*input, restored); });
 }

@@ -30,6 +30,7 @@ struct CagsCorrectInput {
   int32_t radius_cells;
   float gain_prior;
   float fine_noise[3], broad_noise[3];  // luma and chromas, see cags_common.video.noise
+  const float* fields;      // [reference_height, reference_width, 4] to correct by, or null: those of cags_fields
   const float* distorted;   // [height, width, 3]
   const float* confidence;  // [height, width]
   int32_t block_px;         // side of the client's blocks that are compared with `own`
@@ -37,27 +38,9 @@ struct CagsCorrectInput {
   int32_t threads;
 };
 
-struct CagsFeaturesInput {
-  CagsReprojection view;
-  const float* own;         // as in CagsCorrectInput
-  const float* reference;
-  const float* distorted;   // [height, width, 3]
-  const float* restored;    // the same size: what cags_correct made of it
-  const float* confidence;  // [height, width]
-  int32_t threads;
-};
-
-struct CagsAddInput {
-  const float* picture;  // [height, width, 3]
-  const float* change;   // [change_height, change_width, 12] in blocks of 2 x 2 of half the resolution, which cover it
-  int32_t width, height, change_width, change_height, threads;
-};
-
 CAGS_API int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output);  // reads no colours
 // Colours [height, width, 3] of what cags_align told of the same input, with its `occluded` filled by erosion.
 CAGS_API int32_t cags_paint(const CagsAlignInput* input, const uint8_t* occluded, float* rgb);
+// The closed form's factors and offsets [reference_height, reference_width, 4]; what is of the client's view is not read.
+CAGS_API int32_t cags_fields(const CagsCorrectInput* input, float* fields);
 CAGS_API int32_t cags_correct(const CagsCorrectInput* input, float* restored);  // [height, width, 3] in [0, 1]
-// [h, w, 39] at a quarter of the resolution, h and w even; see cags_client.restore.networks.inputs. The last is left.
-CAGS_API int32_t cags_features(const CagsFeaturesInput* input, float* features);
-// The picture plus the change brought up bilinearly, [height, width, 3] in [0, 1]; `restored` may be the picture.
-CAGS_API int32_t cags_add(const CagsAddInput* input, float* restored);

@@ -16,8 +16,6 @@ constexpr int kColourLanes = 4;  // r, g, b, unused
 constexpr int kFieldLanes = 4;   // factor, offsets r, g, b
 constexpr int kMoments = 13;     // see stages/fit.h
 constexpr float kNoiseFloor = 2e-6f;  // variance of rounding to 8 bits
-constexpr int kCellLanes = 9;    // distorted, evidence, change
-constexpr int kBlockLanes = 39;  // four cells, confidence, size of the change, the frame's
 constexpr float kVoidPower = 1e-4f;   // what has no more is void
 
 // Depth bits above, pixel index below: the minimum is the nearest pixel and, of equally near ones, the first.
@@ -60,6 +58,8 @@ struct Stages {
   // One row of the reference: factor and offset of the correction, and the client's own view, clipped; `trust` [6] scales luma and chromas, fine and broad.
   void (*fit)(const CagsCorrectInput&, int row, const float* sums, const float* trust, const Padded& fields,
               const Padded& own);
+  // One row of the reference: the fields that are given, and the client's own view, clipped.
+  void (*take)(const CagsCorrectInput&, int row, const Padded& fields, const Padded& own);
   // One row of blocks: disagreement and power.
   void (*compare)(const CagsCorrectInput&, const Padded& fields, const Padded& own, int row, const Blocks& blocks);
   // One row of blocks: weights, given the mean power of the correction.
@@ -67,19 +67,12 @@ struct Stages {
   // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.
   // `line` [blocks.width] is scratch.
   void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored);
-  // One row of blocks of half-resolution cells: what a network sees.
-  void (*features)(const CagsFeaturesInput&, const Padded& evidence, int row, float* out);
-  // One row of the client's picture plus the change brought up to it; `line` [change_width * 6] is scratch.
-  void (*add)(const CagsAddInput&, int row, float* line, float* restored);
 };
 
 extern const Stages stages_portable;
 #ifdef CAGS_X86
 extern const Stages stages_avx2, stages_avx512;
 #endif
-
-// Blocks that a side of the picture is covered by: an even number of 4 pixels each.
-inline int blocks(int pixels) { return (pixels + 7) / 8 * 2; }
 
 // Index of the pixel that a reflected border repeats (fedcba|abcdef|fedcba), for any distance outside.
 inline int reflected(int i, int n) {

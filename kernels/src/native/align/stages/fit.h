@@ -191,5 +191,19 @@ void fit(const CagsCorrectInput& in, int row, const float* sums, const float* tr
   pad(own.data + start, w);
 }
 
+void take(const CagsCorrectInput& in, int row, const Padded& fields, const Padded& own) {
+  const int w = in.view.reference_width;
+  const int64_t start = ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
+  const float* from = in.own + int64_t{row} * w * 3;
+  float* to = own.data + start;
+  for (int i = 0; i < w; i++) {
+    for (int c = 0; c < 3; c++) to[kColourLanes * i + c] = clipped(from[3 * i + c]);
+    to[kColourLanes * i + 3] = 0.0f;
+  }
+  std::copy_n(in.fields + int64_t{row} * w * kFieldLanes, w * kFieldLanes, fields.data + start);
+  pad(fields.data + start, w);
+  pad(to, w);
+}
+
 }  // namespace
 }  // namespace cags::align

@@ -1,12 +1,11 @@
 // Compiled once for each instruction set; CAGS_ALIGN_STAGES names the variant's table.
 #include "align/stages.h"
 #include "align/stages/correct.h"
-#include "align/stages/features.h"
 #include "align/stages/fit.h"
 #include "align/stages/resolve.h"
 
 namespace cags::align {
 
-extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, paint, clean, moments, weigh, fit, compare, settle, correct, features, add};
+extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, paint, clean, moments, weigh, fit, take, compare, settle, correct};
 
 }  // namespace cags::align
