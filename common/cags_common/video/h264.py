@@ -34,8 +34,8 @@ MAX_ACCESS_UNIT_BYTES = 8 << 20
 EXACT = "subme=4:trellis=1:ref=4"
 """What the preset spares that pays here. Receivers compute with the pictures: closeness to the original counts, not the
 look of texture (``tune=psnr``). Rendered pictures hold no camera noise, so that motion found to a quarter of a pixel in
-several earlier pictures predicts them well. Four walks through four scenes at 400x300, 4:4:4, equal bytes: 3.0 to 4.1 dB
-more in predicted pictures, 1.3 to 1.7 in key pictures, than the preset with the usual tuning; 4 ms instead of 3."""
+several earlier pictures predicts them well. Walks through four scenes, 400x300, 4:4:4, equal bytes: 2.9 to 4.0 dB more
+in predicted pictures, 1.3 to 1.7 in key pictures, than the preset with the usual tuning; 4 ms instead of 3."""
 
 _NAL_SLICE, _NAL_IDR, _NAL_SPS = 1, 5, 7
 _NAL_TYPE_MASK = 0x1F
