@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RenderOptions
 from cags_common.video.h264 import is_idr
@@ -77,9 +75,7 @@ class FrameJob:
         worth = self.lingering.added_to(view.contribution, self.plan.frame)
         visible = self.library.visible_tiles(self.plan.frame, worth, self.visible_px)
         rendered = clock()
-        rgb = np.clip(view.rgb, 0.0, 1.0)
-        unit = self.encoder.encode(rgb, idr=self.plan.idr)
-        noise = self.encoder.noise(rgb, unit)
+        unit, noise = self.encoder.encode(view.rgb, idr=self.plan.idr)
         return FrameRender(
             plan=self.plan,
             intrinsics=self.camera.intrinsics,

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from numpy.typing import NDArray
-
 from cags_common.geometry import F32, Intrinsics
-from cags_common.video.colour import Chroma
+from cags_common.video.colour import Chroma, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder
-from cags_common.video.noise import CodingNoise, coding_noise
+from cags_common.video.noise import CodingNoise, coding_noise_of_ycbcr
 from cags_server.settings import ServerSettings
 
 RATE_STEP = 1.25
@@ -41,19 +37,18 @@ class ReferenceEncoder:
             self._bps = wanted
             self._encoder, self._decoder = self._opened(), H264Decoder()
 
-    def encode(self, rgb: NDArray[Any], *, idr: bool = False) -> bytes:
-        """See :meth:`cags_common.video.h264.H264Encoder.encode`."""
-        return self._encoder.encode(rgb, idr=idr)
+    def encode(self, rgb: F32, *, idr: bool = False) -> tuple[bytes, CodingNoise | None]:
+        """The access unit of a picture (:meth:`~cags_common.video.h264.H264Encoder.encode`), and what coding did to it.
 
-    def noise(self, rgb: F32, unit: bytes) -> CodingNoise | None:
-        """What coding did to the picture that was encoded last; None where the client has nothing to compare it with.
-
-        Every picture must come by: the decoder follows the client's.
+        None where the client has nothing to compare it with. Every picture is decoded again: the decoder follows the
+        client's. All of it works on YCbCr codes, which spares four conversions of the picture.
         """
+        ycbcr = ycbcr_of_rgb(rgb)
+        unit = self._encoder.encode_ycbcr(ycbcr, idr=idr)
         if self._settings.reference_full_size:
-            return None
-        decoded = self._decoder.decode(unit)
-        return None if decoded is None else coding_noise(rgb, decoded)
+            return unit, None
+        decoded = self._decoder.decode_ycbcr(unit)
+        return unit, None if decoded is None else coding_noise_of_ycbcr(ycbcr, decoded)
 
     def _opened(self) -> H264Encoder:
         s = self._settings

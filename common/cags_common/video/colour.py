@@ -50,36 +50,57 @@ _FORWARD = _to_ycbcr()
 _BACKWARD = _to_rgb(_FORWARD)
 
 
-def planes_of_rgb(rgb: NDArray[Any], chroma: Chroma) -> U8:
-    """YCbCr planes of an RGB image [H, W, 3], float in [0, 1] (clipped) or uint8.
+BLACK_CODES = (_BLACK, _CHROMA_ZERO, _CHROMA_ZERO)
+CODE_SPANS = (_LUMA_SPAN, _CHROMA_SPAN, _CHROMA_SPAN)
+"""YCbCr codes of black, and how many codes the full range of luma, Cb and Cr spans."""
 
-    Returns FFmpeg's packed layout: [H * 3 / 2, W] for half chroma (H and W even), [3, H, W] for full chroma.
-    """
+
+def ycbcr_of_rgb(rgb: NDArray[Any]) -> F32:
+    """YCbCr [H, W, 3] float32 in 8-bit codes, not rounded, of an RGB image, float in [0, 1] (clipped) or uint8."""
     unit = rgb.astype(np.float32) / np.float32(255) if rgb.dtype == np.uint8 else np.clip(rgb, 0, 1, dtype=np.float32)
-    ycbcr = cv2.transform(np.ascontiguousarray(unit), _FORWARD)
-    y, cb, cr = cv2.split(ycbcr)
+    return np.asarray(cv2.transform(np.ascontiguousarray(unit), _FORWARD), dtype=np.float32)
+
+
+def rgb_of_ycbcr(ycbcr: F32) -> F32:
+    """RGB [H, W, 3] float32 in [0, 1] of YCbCr codes."""
+    return np.asarray(np.clip(cv2.transform(ycbcr, _BACKWARD), 0.0, 1.0), dtype=np.float32)
+
+
+def planes_of_ycbcr(ycbcr: F32, chroma: Chroma) -> U8:
+    """YCbCr codes [H, W, 3] rounded into FFmpeg's packed layout.
+
+    [H * 3 / 2, W] for half chroma (H and W even), [3, H, W] for full chroma.
+    """
     if chroma is Chroma.FULL:
-        return np.stack([_rounded(y), _rounded(cb), _rounded(cr)])
+        return np.stack(cv2.split(_rounded(ycbcr)))
+    y, cb, cr = cv2.split(ycbcr)
     height, width = y.shape
     half = (width // 2, height // 2)
     small = [_rounded(cv2.resize(plane, half, interpolation=cv2.INTER_AREA)) for plane in (cb, cr)]
     return np.concatenate([_rounded(y).ravel(), small[0].ravel(), small[1].ravel()]).reshape(height * 3 // 2, width)
 
 
-def rgb_of_planes(planes: U8, chroma: Chroma) -> F32:
-    """RGB image [H, W, 3] float32 in [0, 1] of planes laid out as :func:`planes_of_rgb` lays them out."""
+def ycbcr_of_planes(planes: U8, chroma: Chroma) -> F32:
+    """YCbCr codes [H, W, 3] float32 of planes laid out as :func:`planes_of_ycbcr` lays them out."""
     if chroma is Chroma.FULL:
-        y, cb, cr = planes
-    else:
-        width = planes.shape[1]
-        height = planes.shape[0] * 2 // 3
-        flat = planes.reshape(-1)
-        y = flat[: height * width].reshape(height, width)
-        halves = flat[height * width :].reshape(2, height // 2, width // 2).astype(np.float32)
-        cb, cr = (cv2.resize(half, (width, height), interpolation=cv2.INTER_LINEAR) for half in halves)
-    ycbcr = cv2.merge([np.asarray(plane, dtype=np.float32) for plane in (y, cb, cr)])
-    rgb = cv2.transform(ycbcr, _BACKWARD)
-    return np.asarray(np.clip(rgb, 0.0, 1.0), dtype=np.float32)
+        return cv2.merge(list(planes)).astype(np.float32)
+    width = planes.shape[1]
+    height = planes.shape[0] * 2 // 3
+    flat = planes.reshape(-1)
+    y = flat[: height * width].reshape(height, width).astype(np.float32)
+    halves = flat[height * width :].reshape(2, height // 2, width // 2).astype(np.float32)
+    cb, cr = (cv2.resize(half, (width, height), interpolation=cv2.INTER_LINEAR) for half in halves)
+    return np.asarray(cv2.merge([y, cb, cr]), dtype=np.float32)
+
+
+def planes_of_rgb(rgb: NDArray[Any], chroma: Chroma) -> U8:
+    """Planes, as :func:`planes_of_ycbcr` lays them out, of an RGB image, float in [0, 1] (clipped) or uint8."""
+    return planes_of_ycbcr(ycbcr_of_rgb(rgb), chroma)
+
+
+def rgb_of_planes(planes: U8, chroma: Chroma) -> F32:
+    """RGB image [H, W, 3] float32 in [0, 1] of planes laid out as :func:`planes_of_ycbcr` lays them out."""
+    return rgb_of_ycbcr(ycbcr_of_planes(planes, chroma))
 
 
 def _rounded(plane: NDArray[Any]) -> U8:

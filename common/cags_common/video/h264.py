@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
-from cags_common.video.colour import Chroma, planes_of_rgb, rgb_of_planes
+from cags_common.video.colour import Chroma, planes_of_ycbcr, rgb_of_ycbcr, ycbcr_of_planes, ycbcr_of_rgb
 
 MAX_PIXELS = 4096 * 2304
 """Largest picture that a decoder allocates for (H.264 level 5.1); a stream that claims more is refused."""
@@ -84,7 +84,11 @@ class H264Encoder:
         """
         if rgb.shape != (*self._shape, 3):
             raise ValueError(f"image has shape {rgb.shape}, this encoder takes {(*self._shape, 3)}")
-        frame = VideoFrame.from_ndarray(planes_of_rgb(rgb, self._chroma), format=self._chroma.value)
+        return self.encode_ycbcr(ycbcr_of_rgb(rgb), idr=idr)
+
+    def encode_ycbcr(self, ycbcr: F32, *, idr: bool = False) -> bytes:
+        """As :meth:`encode`, of an image that :func:`~cags_common.video.colour.ycbcr_of_rgb` has converted."""
+        frame = VideoFrame.from_ndarray(planes_of_ycbcr(ycbcr, self._chroma), format=self._chroma.value)
         frame.pts = self._pts
         frame.time_base = self._context.time_base
         frame.pict_type = PictureType.I if idr or self._pts == 0 else PictureType.NONE
@@ -128,6 +132,11 @@ class H264Decoder:
 
         Raises :class:`DecodeError` for anything that is not one whole picture; the decoder then waits for the next IDR.
         """
+        ycbcr = self.decode_ycbcr(access_unit)
+        return None if ycbcr is None else rgb_of_ycbcr(ycbcr)
+
+    def decode_ycbcr(self, access_unit: bytes | bytearray | memoryview) -> F32 | None:
+        """As :meth:`decode`, in YCbCr codes."""
         data = bytes(access_unit)
         if not 0 < len(data) <= MAX_ACCESS_UNIT_BYTES:
             raise DecodeError(f"H.264 access unit of {len(data)} bytes must hold 1 to {MAX_ACCESS_UNIT_BYTES}")
@@ -171,7 +180,7 @@ def _image_of(frames: list[VideoFrame], size: int) -> F32:
     if frame.format.name not in (Chroma.HALF.value, Chroma.FULL.value):
         raise _undecodable(size, f"pixel format {frame.format.name} is not one that this program sends")
     planes = np.ascontiguousarray(frame.to_ndarray(), dtype=np.uint8)
-    return rgb_of_planes(planes, Chroma(frame.format.name))
+    return ycbcr_of_planes(planes, Chroma(frame.format.name))
 
 
 def _undecodable(size: int, reason: str) -> DecodeError:

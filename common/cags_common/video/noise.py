@@ -9,12 +9,14 @@ law needs one factor a component; whoever has both pictures measures it, whoever
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32
+from cags_common.video.colour import BLACK_CODES, CODE_SPANS
 
 YCC_OF_RGB = np.array([[0.2126, 0.7152, 0.0722], [-0.114572, -0.385428, 0.5], [0.5, -0.454153, -0.045847]], np.float32)
 """Luma and chromas of display-referred RGB (BT.709) in units of the full range."""
@@ -64,10 +66,22 @@ def coding_noise(original: F32, coded: F32) -> CodingNoise:
     The defaults where all is void.
     """
     original, coded = _sampled(original), _sampled(coded)
-    ycc, error = _ycc(original), _ycc(coded - original)
-    mean, mean_square = _mean(ycc), _mean(ycc * ycc)
-    broad = np.square(_mean(error))
-    fine = np.maximum(_mean(error * error) - broad, 0)
+    return _measured(_ycc(original), _ycc(coded - original), np.ones(3))
+
+
+def coding_noise_of_ycbcr(original: F32, coded: F32) -> CodingNoise:
+    """As :func:`coding_noise`, of YCbCr codes [H, W, 3] (:mod:`~cags_common.video.colour`): cheaper for an encoder."""
+    original, coded = _sampled(original), _sampled(coded)
+    black: Any = (*BLACK_CODES, 0.0)  # a scalar to OpenCV: numpy takes ten times as long to spread it over the pixels
+    ycc = np.asarray(cv2.subtract(original, black), dtype=np.float32)
+    return _measured(ycc, coded - original, 1.0 / np.array(CODE_SPANS))
+
+
+def _measured(ycc: F32, error: F32, unit: NDArray[np.float64]) -> CodingNoise:
+    """Of components [H, W, 3] in steps of ``unit`` [3]: only the means are brought to it, full pictures cost more."""
+    mean, mean_square = _mean(ycc) * unit, _mean(ycc * ycc) * unit**2
+    broad = np.square(_mean(error) * unit)
+    fine = np.maximum(_mean(error * error) * unit**2 - broad, 0)
     deviation = np.sqrt(np.maximum(mean_square - mean * mean, 0))
     shown = mean_square[..., 0] > VOID_POWER
     if not shown.any():

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cags_common.video.colour import Chroma
+from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder
-from cags_common.video.noise import YCC_OF_RGB, CodingNoise, coding_noise
+from cags_common.video.noise import YCC_OF_RGB, CodingNoise, coding_noise, coding_noise_of_ycbcr
 
 variances = st.floats(0, 1, allow_nan=False)
 components = st.tuples(variances, variances, variances)
@@ -67,3 +67,18 @@ def test_coarser_coding_is_noisier_and_half_chroma_loses_colour_detail() -> None
 def test_a_void_picture_tells_nothing() -> None:
     black = np.zeros((8, 8, 3), np.float32)
     assert coding_noise(black, black) == CodingNoise()
+
+
+@pytest.mark.parametrize("crf", [16, 20, 28])
+@pytest.mark.parametrize("chroma", list(Chroma))
+def test_an_encoder_finds_the_same_in_codes(crf: float, chroma: Chroma) -> None:
+    rgb = picture(3)
+    rgb[:30] = 0.0
+    encoder = H264Encoder(rgb.shape[1], rgb.shape[0], 30, crf=crf, chroma=chroma)
+    decoded = H264Decoder().decode_ycbcr(encoder.encode_ycbcr(ycbcr_of_rgb(rgb)))
+    assert decoded is not None
+    in_codes, in_rgb = coding_noise_of_ycbcr(ycbcr_of_rgb(rgb), decoded), coding_noise(rgb, rgb_of_ycbcr(decoded))
+    assert in_codes.fine == pytest.approx(in_rgb.fine, rel=0.05)
+    assert in_codes.broad == pytest.approx(in_rgb.broad, rel=0.1)
+    black = np.zeros_like(rgb)
+    assert coding_noise_of_ycbcr(ycbcr_of_rgb(black), ycbcr_of_rgb(black)) == CodingNoise()
