@@ -83,7 +83,7 @@ def planes_of_ycbcr(ycbcr: F32, chroma: Chroma) -> U8:
 def ycbcr_of_planes(planes: U8, chroma: Chroma) -> F32:
     """YCbCr codes [H, W, 3] float32 of planes laid out as :func:`planes_of_ycbcr` lays them out."""
     if chroma is Chroma.FULL:
-        return cv2.merge(list(planes)).astype(np.float32)
+        return np.asarray(cv2.merge(list(planes)), dtype=np.float32)
     width = planes.shape[1]
     height = planes.shape[0] * 2 // 3
     flat = planes.reshape(-1)
