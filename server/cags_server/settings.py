@@ -41,6 +41,9 @@ class ServerSettings:
         low=0.01,
         high=1,
     )
+    reference_most: float = setting(
+        0.5, "share of the link that references may take; beyond it there are fewer of them, 1: never", low=0.01, high=1
+    )
     opening_tiles: bool = setting(True, "send the base layers of the first frame before the play begins")
     rasteriser: str = setting("auto", "rendering backend: auto, reference, cpu or cuda")
     render_threads: int = setting(2, "threads of one reference render", low=1, high=256)

@@ -22,6 +22,7 @@ from cags_server.lingering import Lingering
 from cags_server.opening import Opening, guessed_contribution
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
+from cags_server.reference_budget import ReferenceBudget
 from cags_server.reference_encoder import ReferenceEncoder
 from cags_server.reference_video import ReferenceVideo
 from cags_server.schedule import Schedule
@@ -65,6 +66,7 @@ class Streamer:
         self._budget = ByteBudget(settings.queue_ms)
         self._opening: Opening | None = None
         self._video = ReferenceVideo()
+        self._reference_budget = ReferenceBudget(settings.reference_most)
         self._lingering = Lingering(library, settings.visible_px)
         self._went_ahead: FrameRecord | None = None  # what was sent for the look that is out
         self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
@@ -176,7 +178,7 @@ class Streamer:
         Frames that became due before it and were not begun are skipped: their references would come too late.
         """
         due_us = self.next_due_us()
-        if self._schedule.looking or self._between_looks() or due_us is None or now_us < due_us:
+        if self._schedule.looking or self._between_looks(now_us) or due_us is None or now_us < due_us:
             return None
         tick, frame, covered = self._schedule.look(now_us - due_us)
         plan = self._plan(tick, frame, covered, now_us)
@@ -201,7 +203,7 @@ class Streamer:
         Media goes on without new references; only they wait for the renderer. Where nothing was seen yet, the tiles'
         bounds say what is in view.
         """
-        due_us, frame, between = self.next_due_us(), self._schedule.next_frame, self._between_looks()
+        due_us, frame, between = self.next_due_us(), self._schedule.next_frame, self._between_looks(now_us)
         if not (self._schedule.looking or between) or frame is None or due_us is None or now_us < due_us:
             return []
         seen = self._next_is_seen()
@@ -233,9 +235,12 @@ class Streamer:
         pixels = self._encoder.width_px * self._encoder.height_px
         return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
 
-    def _between_looks(self) -> bool:
-        """Whether the next frame is one of those that get no reference of their own."""
-        return not self._video.needs_idr and self._schedule.between_looks(seen=self._next_is_seen())
+    def _between_looks(self, now_us: int) -> bool:
+        """Whether the next frame is one of those that get no reference of their own: so asked for, or too dear."""
+        seen = self._next_is_seen()
+        if not self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us)):
+            return seen and not self._schedule.looking
+        return not self._video.needs_idr and self._schedule.between_looks(seen=seen)
 
     def _next_is_seen(self) -> bool:
         """Whether what was seen last says what the next media frame will show: not in another group of frames."""
@@ -307,6 +312,7 @@ class Streamer:
             self._video.broken()
             return []
         record.reference_bytes = len(render.access_unit)
+        self._reference_budget.spent(record.reference_bytes)
         return [self._video.message(render, self._reference_deadline_us(render.plan))]
 
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:

@@ -64,6 +64,7 @@ METHODS: dict[str, Method] = {
             "opening_tiles": False,
             "reference_full_size": True,
             "reference_share": 0.85,
+            "reference_most": 1.0,
             "reference_crf": 14.0,
             "reference_chroma": "yuv420p",
             "fov": "fixed",

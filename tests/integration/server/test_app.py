@@ -5,13 +5,9 @@ from __future__ import annotations
 import asyncio
 import json
 import ssl
-import time
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any
 
 import aiohttp
 import pytest
@@ -25,81 +21,17 @@ from cryptography.x509.oid import NameOID
 from cags_bench.network.clients import watch_all
 from cags_common.errors import NetworkError
 from cags_common.geometry import Pose
-from cags_common.transport.base import ConnectionEndedError
-from cags_common.transport.websocket import ClientWebSocket, connect
-from cags_protocol import SUBPROTOCOL, ClientSession
+from cags_common.transport.websocket import connect
+from cags_protocol import SUBPROTOCOL
 from cags_protocol import events as ev
 from cags_protocol.encoding import encode
 from cags_protocol.limits import MAX_MESSAGE_BYTES
-from cags_protocol.messages import Control, PoseSample
+from cags_protocol.messages import PoseSample
 from cags_server.admission import tls_context
 from cags_server.app import App
 from cags_server.settings import ServeSettings
+from support.live_server import Client, now_us, serving, stream_url
 from support.server_scene import CLIENT, hello, library
-
-
-def now_us() -> int:
-    return time.monotonic_ns() // 1000
-
-
-@asynccontextmanager
-async def serving(**settings: Any) -> AsyncIterator[tuple[App, TestServer]]:
-    chosen = ServeSettings(bundle="in memory", reference_width=64, reference_height=48, **settings)
-    app = App(library(), chosen)
-    server = TestServer(app.web_app())
-    await server.start_server()
-    try:
-        yield app, server
-    finally:
-        await app.drain()
-        await server.close()
-        app.close()
-
-
-def stream_url(server: TestServer) -> str:
-    return f"ws://{server.host}:{server.port}/stream"
-
-
-class Client:
-    """A client that shakes hands and then does as it is told."""
-
-    def __init__(self, transport: ClientWebSocket, **changes: Any) -> None:
-        self.transport, self.events = transport, list[Any]()
-        self.session = ClientSession(now_us=now_us())
-        self.session.hello(hello(**changes), now_us=now_us())
-
-    @classmethod
-    async def join(cls, server: TestServer, **changes: Any) -> Client:
-        token = changes.pop("header_token", "")
-        transport = await connect(
-            stream_url(server), subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES, token=token
-        )
-        return cls(transport, **changes)
-
-    async def until(self, kind: type, count: int = 1) -> list[Any]:
-        """Exchange messages until ``count`` events of ``kind`` have come."""
-        async with asyncio.timeout(20):
-            while len(found := [e for e in self.events if isinstance(e, kind)]) < count:
-                self.session.handle_timer(now_us=now_us())
-                for data in self.session.data_to_send(now_us()):
-                    await self.transport.send(data)
-                try:
-                    async with asyncio.timeout(0.02):
-                        self.session.receive(await self.transport.recv(), now_us=now_us())
-                except TimeoutError:
-                    self.session.send_poses([PoseSample(now_us(), Pose.identity())], now_us=now_us())
-                except ConnectionEndedError as error:
-                    self.session.connection_lost(str(error), now_us=now_us())
-                while (event := self.session.next_event()) is not None:
-                    self.events.append(event)
-        return found
-
-    async def play(self) -> list[int]:
-        """Watch to the end; the media frames of the references that came."""
-        await self.until(ev.FrameEnded)
-        self.session.control(Control("play", 0, now_us() + 300_000), now_us=now_us())
-        await self.until(ev.FrameEnded, 12)
-        return [e.message.frame for e in self.events if isinstance(e, ev.ReferenceReceived)]
 
 
 async def test_several_clients_watch_at_once_and_leave() -> None:

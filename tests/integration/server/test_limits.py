@@ -1,0 +1,138 @@
+"""What the server's settings of safety do while it runs: each is felt by the client that breaks it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from concurrent.futures import ThreadPoolExecutor
+
+import aiohttp
+import pytest
+
+from cags_common.errors import NetworkError
+from cags_common.geometry import Pose
+from cags_protocol import ClientSession
+from cags_protocol import events as ev
+from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+from cags_protocol.messages import Blob, PoseSample
+from cags_server import app, cli, client_task
+from cags_server.client_task import ClientTask
+from cags_server.connection import Connection
+from cags_server.settings import ServerSettings, ServeSettings
+from support.live_server import Client, now_us, serving
+from support.server_scene import hello, library
+
+
+def test_a_server_listens_on_this_machine_alone_unless_told_otherwise() -> None:
+    assert ServeSettings(bundle="x").host == "127.0.0.1"
+
+
+async def test_a_server_is_ready_until_it_drains() -> None:
+    async with serving() as (running, server), aiohttp.ClientSession() as http:
+        async with http.get(server.make_url("/readyz")) as answer:
+            assert (answer.status, await answer.json()) == (200, {"status": "ready"})
+        await running.drain()
+        async with http.get(server.make_url("/readyz")) as answer:
+            assert (answer.status, await answer.json()) == (503, {"status": "draining"})
+        async with http.get(server.make_url("/healthz")) as answer:
+            assert answer.status == 200, "it still lives"
+
+
+async def test_connections_that_never_shake_hands_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app, "HANDSHAKES_BEYOND_CLIENTS", 2)
+    async with serving(max_clients=1) as (_, server):
+        silent = [await Client.join(server) for _ in range(3)]
+        with pytest.raises(NetworkError, match="503"):
+            await Client.join(server)
+        for client in silent:
+            await client.transport.close()
+        async with asyncio.timeout(10):
+            while True:
+                try:
+                    await (await Client.join(server)).until(ev.Welcomed)
+                    break
+                except NetworkError:
+                    await asyncio.sleep(0.02)
+
+
+async def test_too_many_poses_are_refused_by_name() -> None:
+    async with serving(max_pose_rate=20.0) as (_, server):
+        client = await Client.join(server)
+        await client.until(ev.Welcomed)
+        samples = [PoseSample(now_us() + i, Pose.identity()) for i in range(60)]
+        client.session.send_poses(samples, now_us=now_us())
+        (refused,) = await client.until(ev.Refused)
+        assert (refused.refusal.code, refused.refusal.field) == ("quota", "poses")
+
+
+async def test_a_message_larger_than_any_client_needs_ends_the_connection() -> None:
+    async with serving() as (_, server):
+        client = await Client.join(server)
+        await client.until(ev.Welcomed)
+        await client.transport.send(bytes(MAX_CLIENT_MESSAGE_BYTES + 1))
+        (closed,) = await client.until(ev.Closed)
+        assert closed.code == "lost"
+        assert await (await Client.join(server)).until(ev.Welcomed)
+
+
+async def test_what_may_wait_for_one_client_is_bounded() -> None:
+    async with serving(max_queue_mb=0.1) as (running, server):
+        client = await Client.join(server)
+        await client.until(ev.Welcomed)
+        (_, connection) = next(iter(running._clients.values()))
+        for number in range(20):
+            blob = Blob("weights", 30_000 * number, 600_000)
+            connection.session.queue(ev.Outgoing(blob, bytes(30_000), 2), now_us=now_us())
+        assert 60_000 < connection.session.queued_bytes <= 100_000
+
+
+class Stuck:
+    """A transport whose peer shakes hands and then takes nothing."""
+
+    peer = "stuck"
+
+    def __init__(self) -> None:
+        session = ClientSession(now_us=0)
+        session.hello(hello(), now_us=0)
+        self._waiting = session.data_to_send(0)
+
+    async def recv(self) -> bytes:
+        if self._waiting:
+            return self._waiting.pop(0)
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    async def send(self, data: bytes) -> None:
+        await asyncio.Event().wait()
+
+    async def close(self, reason: str = "") -> None:
+        await asyncio.Event().wait()
+
+
+async def test_a_client_that_takes_nothing_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client_task, "CLOSE_TIMEOUT_S", 0.05)
+    settings = ServerSettings(reference_width=64, reference_height=48)
+    connection = Connection(library(), settings, name="slow", now_us=now_us())
+    with ThreadPoolExecutor(1) as executor:
+        async with asyncio.timeout(10):
+            await ClientTask(Stuck(), connection, executor, slow_s=0.1).run()
+    assert connection.ending is not None
+    assert connection.ending.code == "timeout"
+    assert "0.1 s" in connection.ending.reason
+
+
+def test_the_log_is_json_where_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[logging.Handler] = []
+    monkeypatch.setattr(logging, "basicConfig", lambda **named: started.extend(named["handlers"]))
+    for log_format in ("json", "text"):
+        cli._start_logging(ServeSettings(bundle="x", log_format=log_format))
+    record = logging.LogRecord("x", logging.ERROR, "x.py", 1, "%s: frame %d failed", ("s1", 7), None)
+    as_json, as_text = (handler.format(record) for handler in started)
+    assert json.loads(as_json).items() >= {"level": "ERROR", "message": "s1: frame 7 failed"}.items()
+    assert as_text.endswith("ERROR s1: frame 7 failed")
+    try:
+        raise ValueError("why")
+    except ValueError as error:
+        record.exc_info = (ValueError, error, error.__traceback__)
+    assert "ValueError: why" in json.loads(started[0].format(record))["error"]
