@@ -6,9 +6,8 @@ decode and store; :meth:`ClientPipeline.present` draws one frame. One thread may
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,6 +24,8 @@ from cags_client.references import References
 from cags_client.restore import RestoreInput, Restorer, auto
 from cags_client.restore.networks.weights import Weights
 from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.standin import Drawn, StandIn
+from cags_client.stopwatch import Stopwatch
 from cags_client.tile_store import TileStore
 from cags_common import raster
 from cags_common.bundle.manifest import Manifest
@@ -95,6 +96,7 @@ class ClientPipeline:
         self._changes = self._corrections = 0  # of the scene, and of its colours alone
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
+        self._stand_in = StandIn(self._aligner)
         self._weights: dict[str, Weights] = {}
         self._restorer_wanted = self.live.restore
         self._restorer = self._made_restorer()
@@ -175,7 +177,7 @@ class ClientPipeline:
     def present(self, frame: int, camera: Camera) -> PresentedFrame:
         """Draw media frame ``frame`` from ``camera``."""
         started_s = self._clock()
-        watch = _Stopwatch(self._clock)
+        watch = Stopwatch(self._clock)
         if self._restorer_wanted != self.live.restore:
             self._restorer_wanted = self.live.restore
             self._restorer = self._made_restorer()
@@ -220,7 +222,7 @@ class ClientPipeline:
             sh_degree=self._sh_degree,
             scene_sh_degree=self.info.sh_degree,
             changed=committed.fresh or len(committed.rows) > 0,
-            whole=store.full,
+            whole=store.full and not committed.missed,
             reference=reference is not None,
             same_place=there == camera.pose.position,
             same_frame=reference is not None and reference.frame == frame,
@@ -269,7 +271,7 @@ class ClientPipeline:
             self._restorer.controller.observe(now_s, stages_ms.get("restore"), (now_s - started_s) * 1e3)
 
     def _with_reference(
-        self, plan: EffectPlan, drawn: _Drawn, reference: ReferencePicture, frame: int, watch: _Stopwatch
+        self, plan: EffectPlan, drawn: _Drawn, reference: ReferencePicture, frame: int, watch: Stopwatch
     ) -> tuple[Aligned | None, RenderedView | None, F32]:
         """The aligned reference, the client's own view of it, and the restored picture, each where planned."""
         aligned, own, shown = None, None, drawn.distorted
@@ -289,6 +291,10 @@ class ClientPipeline:
         if Effect.RESTORATION in plan and aligned is not None:
             with watch("restore"):
                 shown = self._restorer.restore(RestoreInput(drawn.distorted, drawn.view.alpha, aligned, reference, own))
+        if Effect.STAND_IN in plan and own is not None and depth is not None:
+            with watch("stand-in"):
+                mine = Drawn(drawn.distorted, drawn.view.alpha, depth, drawn.camera)
+                shown = self._stand_in.paint(shown, mine, reference, own, self._freshness(reference, frame))
         return aligned, own, shown
 
     def _seen_from(
@@ -380,20 +386,3 @@ def _faded(aligned: Aligned, freshness: float) -> Aligned:
     if freshness >= 1.0:
         return aligned
     return replace(aligned, paint=lambda: aligned.rgb, confidence=aligned.confidence * np.float32(freshness))
-
-
-class _Stopwatch:
-    """Times named stages by a clock that was passed in (seconds)."""
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self.stages_ms: dict[str, float] = {}
-
-    def __call__(self, stage: str) -> AbstractContextManager[None]:
-        return self._timed(stage)
-
-    @contextmanager
-    def _timed(self, stage: str) -> Iterator[None]:
-        start = self._clock()
-        yield
-        self.stages_ms[stage] = (self._clock() - start) * 1e3

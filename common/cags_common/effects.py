@@ -15,6 +15,7 @@ erosion        as occlusion, and the restorer looks at the aligned colours (whic
 own-view       the restorer or the adapter compares with the client's splats as the reference sees them
 fade           the reference is of another frame than the one on display
 carry          as fade, splats on display have changed since, and the restorer does not replace the picture
+stand-in       as restoration, by a restorer that compares: it tells where the splats are not those of the scene
 depth          something is aligned, or somebody looks at the depth picture
 =============  =========================================================================================================
 
@@ -44,6 +45,7 @@ class Effect(StrEnum):
     EROSION = "erosion"
     FADE = "fade"
     CARRY = "carry"
+    STAND_IN = "stand-in"
     OWN_VIEW = "own-view"
     ADAPTATION = "adaptation"
     RESTORATION = "restoration"
@@ -69,6 +71,7 @@ STAGE_OF = {
     Effect.EROSION: "restore",
     Effect.OWN_VIEW: "own",
     Effect.CARRY: "own",
+    Effect.STAND_IN: "stand-in",
     Effect.ADAPTATION: "adapt",
     Effect.RESTORATION: "restore",
 }
@@ -154,6 +157,8 @@ def _restoring(s: Situation, *, always: bool) -> set[Effect]:
         on |= {Effect.OCCLUSION, *(s.restorer & {Effect.EROSION})}
     if on and (always or s.moved_on) and not s.replaces:
         on |= {Effect.CARRY, Effect.OWN_VIEW}
+    if s.restorer >= {Effect.ALIGNMENT, Effect.OWN_VIEW} and not s.replaces:
+        on.add(Effect.STAND_IN)
     if Effect.ALIGNMENT in on and (always or not s.same_frame):
         on.add(Effect.FADE)
     return on

@@ -16,6 +16,7 @@ from cags_common.bundle import BundleReader
 from cags_common.effects import ALWAYS, POLICIES, Effect, EffectPlan, Situation, plan_frame
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.metrics import psnr
+from cags_common.packing import encode_ids
 from cags_common.poses import Focus, synthetic_walk
 from cags_common.raster.base import Footprint, RenderOptions
 from cags_common.splats import SH_REST_OF_DEGREE
@@ -116,6 +117,19 @@ def all_there(stage: Stage) -> list[PresentedFrame]:
     return [stage.show(0, here), stage.show(0, here)]
 
 
+def torn(stage: Stage) -> list[PresentedFrame]:
+    """The splats of the left of the view are gone, but the reference shows them."""
+    here = walk(stage.reader, 1_400_000)
+    stage.send(0, 2)
+    stage.show(0, here)
+    source = stage.reader.source(0)
+    left = (source.splats.means - np.asarray(here.position)) @ here.rotation_matrix[:, 0] < 0
+    gone = np.sort(source.ids[left])
+    stage.pipe.on_frame_end(FrameEnd(1), memoryview(encode_ids(gone)))
+    stage.refer(1, walk(stage.reader, 1_300_000))
+    return [stage.show(1, here)]
+
+
 def nothing_to_look_at(stage: Stage) -> list[PresentedFrame]:
     stage.send(0)
     return [stage.show(0, walk(stage.reader, 1_400_000))]
@@ -153,7 +167,8 @@ def test_at_the_highest_level_restoration_is_left_out_and_would_do_no_harm(tmp_p
 def test_what_is_on_follows_the_moment(reader: BundleReader, degree: int) -> None:
     view = {Effect.VIEW_COLOUR} if degree else set()
     first, second = (set(f.effects.on) for f in moving_parallax(Stage(reader)))
-    usual = {Effect.DEPTH, Effect.ALIGNMENT, Effect.OCCLUSION, Effect.OWN_VIEW, Effect.RESTORATION}
+    restoring = {Effect.RESTORATION, Effect.ALIGNMENT, Effect.OCCLUSION, Effect.OWN_VIEW, Effect.STAND_IN}
+    usual = restoring | {Effect.DEPTH}
     assert first == usual | view | {Effect.DELTAS}
     assert second == usual | view | {Effect.DELTAS, Effect.FADE, Effect.CARRY}
     assert set(turning_on_the_spot(Stage(reader))[0].effects.on) == (usual - {Effect.OCCLUSION}) | view | {
@@ -181,6 +196,7 @@ def quality(stage: Stage, script: Callable[[Stage], list[PresentedFrame]]) -> fl
         (Effect.ALIGNMENT, moving_parallax, {}, 1.0),
         (Effect.OWN_VIEW, moving_parallax, {}, 0.01),
         (Effect.DEPTH, moving_parallax, {}, 1.0),
+        (Effect.STAND_IN, torn, {}, 2.0),
     ],
 )
 def test_a_scene_that_needs_an_effect_shows_its_absence(

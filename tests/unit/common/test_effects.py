@@ -57,13 +57,14 @@ def test_a_busy_moment_needs_everything() -> None:
         ({"same_place": True}, {Effect.OCCLUSION, Effect.EROSION}),
         ({"same_frame": True}, {Effect.FADE}),
         ({"moved_on": False}, {Effect.CARRY}),
-        ({"replaces": True}, {Effect.CARRY}),
+        ({"replaces": True}, {Effect.CARRY, Effect.STAND_IN}),
         ({"restorer": COMPARING}, {Effect.EROSION}),
         ({"adapts": False}, {Effect.ADAPTATION}),
-        ({"adapts": False, "restorer": PAINTING}, {Effect.ADAPTATION}),  # a reference is carried by way of own views
+        # a reference is carried by way of own views
+        ({"adapts": False, "restorer": PAINTING}, {Effect.ADAPTATION, Effect.STAND_IN}),
         (
             {"adapts": False, "restorer": PAINTING, "moved_on": False},
-            {Effect.ADAPTATION, Effect.OWN_VIEW, Effect.CARRY},
+            {Effect.ADAPTATION, Effect.OWN_VIEW, Effect.CARRY, Effect.STAND_IN},
         ),
         ({"depth_shown": False}, set()),  # alignment needs it
         ({"whole": True, "depth_shown": False}, set(Effect) - {Effect.VIEW_COLOUR, Effect.DELTAS}),
