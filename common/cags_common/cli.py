@@ -6,15 +6,24 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from cags_common.errors import CagsError, ConfigError
 
 EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
 
 
+class CommandParser(argparse.ArgumentParser):
+    """Refuses wrong use in one line, not in a screenful of flags."""
+
+    def error(self, message: str) -> NoReturn:
+        """See :meth:`argparse.ArgumentParser.error`."""
+        self.exit(EXIT_USAGE, f"{self.prog}: {message}; {self.prog} --help shows what there is\n")
+
+
 def command_parser(prog: str, description: str, examples: str) -> argparse.ArgumentParser:
     """An argument parser that keeps the layout of ``examples`` and refuses abbreviated flags."""
-    return argparse.ArgumentParser(
+    return CommandParser(
         prog=prog,
         description=description,
         epilog="examples:\n" + examples.rstrip(),

@@ -25,7 +25,8 @@ _TITLES = {
 def progress_bar() -> Iterator[Tell]:
     """Yield the callback that :func:`~cags_encoder.pipeline.encode` takes; one bar a stage, gone when all is done."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks = {}
 
         def tell(stage: str, done: int, total: int) -> None:

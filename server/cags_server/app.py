@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import itertools
 import logging
 import os
@@ -169,8 +170,7 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
             await site.start()
         except OSError as error:
             raise NetworkError(
-                f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); "
-                "stop the program that uses it or give another --port"
+                f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); {_way_out(error)}"
             ) from error
         stop = _stop_on_signals()
         on_ready(settings.host, int(runner.addresses[0][1]), app)
@@ -183,6 +183,12 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
 
 def _reason(error: OSError) -> str:
     return os.strerror(error.errno).lower() if error.errno and error.errno > 0 else str(error)
+
+
+def _way_out(error: OSError) -> str:
+    if error.errno in (errno.EADDRINUSE, errno.EACCES):
+        return "stop the program that uses it or give another --port"
+    return "give --host an address of this machine, such as 127.0.0.1 or 0.0.0.0"
 
 
 def _stop_on_signals() -> asyncio.Event:

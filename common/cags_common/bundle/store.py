@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -32,7 +34,9 @@ def filesystem(url: str) -> tuple[Any, str]:
     try:
         fs, path = fsspec.core.url_to_fs(url)
     except (ValueError, ImportError) as error:
-        raise BundleError(f"{url}: cannot be opened ({error})") from error
+        raise BundleError(
+            f"{url}: cannot be opened ({error}); give a folder or an address such as s3://BUCKET/NAME"
+        ) from error
     return fs, str(path).rstrip("/")
 
 
@@ -68,18 +72,25 @@ class UrlStore:
 
     def has(self, name: str) -> bool:
         """Whether there is such a file."""
-        try:
+        with self._reading(name):
             return bool(self._fs.exists(f"{self._path}/{name}"))
-        except OSError as error:
-            raise BundleError(f"{self._url}/{name}: cannot be read ({error.strerror or error})") from error
 
     def _cat(self, name: str, start: int, end: int) -> bytes:
-        try:
+        with self._reading(name):
             return bytes(self._fs.cat_file(f"{self._path}/{name}", start=start, end=end))
-        except FileNotFoundError as error:
+
+    @contextmanager
+    def _reading(self, name: str) -> Iterator[None]:
+        """Whatever goes wrong in it is a bundle's error: stores of other makers raise what they like."""
+        try:
+            yield
+        except (FileNotFoundError, NotADirectoryError) as error:
             raise BundleError(f"{self._url}: has no {name}; is it a bundle made by cags-encode?") from error
         except OSError as error:
             raise BundleError(f"{self._url}/{name}: cannot be read ({error.strerror or error})") from error
+        except Exception as error:
+            way_out = "check the address and, for s3, the credentials in the environment"
+            raise BundleError(f"{self._url}/{name}: cannot be read ({error}); {way_out}") from error
 
 
 def remove_tree(path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from cags_bench.demo.run import NATIVE, link_trace
+from cags_bench.demo.run import NATIVE, link_trace, threads_each
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.jsonl import check, dump, summary
 from support.browser import ARTEFACTS, chromium, keep_screenshot, require_browser
@@ -45,8 +45,18 @@ def drag(running: Any) -> None:
 def test_frames_a_second_and_drag_to_photon_are_recorded(tmp_path: Path) -> None:
     require_browser()
     profile = tmp_path / "profile"
-    link, more = link_trace(DemoSettings()), ("--exactness", "fast", "--restore", "affine")
-    stack = live_stack(SCENE, tmp_path, width=WIDTH, height=HEIGHT, delay_ms=20.0, trace=link, more=more)
+    link, threads = link_trace(DemoSettings()), threads_each()
+    more = ("--exactness", "fast", "--restore", "affine", "--threads", threads)
+    stack = live_stack(
+        SCENE,
+        tmp_path,
+        width=WIDTH,
+        height=HEIGHT,
+        delay_ms=20.0,
+        trace=link,
+        more=more,
+        server=("--render-threads", threads),
+    )
     with stack as url, chromium(profile) as running:
         running.get(url)
         deadline = time.monotonic() + 60
