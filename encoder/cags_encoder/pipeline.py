@@ -22,7 +22,7 @@ from cags_encoder.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.frames.tasks import read
 from cags_encoder.journal import Journal
 from cags_encoder.measuring import VIEWS, LodMeasurement, measure
-from cags_encoder.pruning import PrunedSource, pruning_cost
+from cags_encoder.pruning import prune, prune_within
 from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS
 from cags_encoder.quantiser.importance import importance
 from cags_encoder.sampling import looked_at, training_splats
@@ -116,7 +116,7 @@ class _Encoding:
         self._count = len(source) if settings.frames is None else min(settings.frames, len(source))
         self._pruning: Pruning | None = None
         self._quality: LodQuality | None = None
-        self._source = self._pruned(source) if settings.prune else source
+        self._source = self._pruned(source)
 
     def run(self, writer: BundleWriter) -> Manifest:
         """Write the bundle."""
@@ -129,10 +129,15 @@ class _Encoding:
         return writer.commit(self._manifest(codec, clip))
 
     def _pruned(self, source: FrameSource) -> FrameSource:
-        share = self._settings.prune
-        pruned = PrunedSource(source, share, self._count)
-        self._pruning = pruning_cost(source, pruned, share, self._count, lambda at, end: self._tell("prune", at, end))
-        return pruned
+        def tell(done: int, total: int) -> None:
+            self._tell("prune", done, total)
+
+        share, psnr_db = self._settings.prune, self._settings.prune_psnr_db
+        if psnr_db is not None:
+            source, self._pruning = prune_within(source, psnr_db, self._count, tell)
+        elif share:
+            source, self._pruning = prune(source, share, self._count, tell)
+        return source
 
     def _codec(self) -> ClipCodec:
         """The codec, trained and its LoD order measured (or remembered from a run that was killed)."""

@@ -8,15 +8,17 @@ splats that none of those moments holds stay. Other sequences are pruned frame b
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.bundle.manifest import Pruning
-from cags_common.geometry import F32, Camera, Vec3
+from cags_common.geometry import F32, Vec3
 from cags_common.metrics import covered_mask, ssim_map
-from cags_common.raster import DepthKind, Rasteriser, RenderOptions, create
+from cags_common.raster import DepthKind, RenderOptions, create
 from cags_common.splats import Ids, Splats
 from cags_encoder.scenes import Focus, FrameSource
 from cags_encoder.views import cameras_around, contributions
@@ -28,6 +30,46 @@ SAMPLED_FRAMES = 8
 JUDGED_VIEWS = 8
 """Views that the cost is measured on: between those that contributions were sampled from."""
 
+MOST = 0.99
+"""Largest share that may go."""
+
+_STEPS = 7
+"""Bisections for a PSNR: the share is found to 0.8 % of the splats."""
+
+_FRAMES_HELD = 3
+"""Frames without identities whose order is kept: those that costs are judged on."""
+
+Tell: TypeAlias = Callable[[int, int], None]
+"""Takes what is done and what there is to do."""
+
+
+class Ranking:
+    """The splats of a scene's frames in the order of what they contribute, the least first."""
+
+    def __init__(self, source: FrameSource, frames: int) -> None:
+        """Looks at :data:`SAMPLED_FRAMES` of ``frames``, where splats have identities. Raises :class:`SceneError`."""
+        self._source = source
+        self._clip = _clip_order(source, frames) if source.ids(0) is not None else None
+        self._frames: OrderedDict[int, NDArray[np.intp]] = OrderedDict()
+
+    def kept(self, index: int, share: float) -> NDArray[np.intp]:
+        """Rows of frame ``index`` that stay when a ``share`` goes, ascending; at least one does."""
+        if self._clip is None:
+            order = self._order(index)
+            return np.sort(order[int(share * len(order)) :])
+        known = self._source.ids(index)
+        assert known is not None  # sources know identities of all frames or of none
+        rows = np.flatnonzero(~np.isin(known, self._clip[: int(share * len(self._clip))]))
+        return rows if len(rows) else np.arange(1)
+
+    def _order(self, index: int) -> NDArray[np.intp]:
+        if index not in self._frames:
+            weights = _weights(self._source, self._source.frame(index))
+            self._frames[index] = np.argsort(weights, kind="stable")
+            if len(self._frames) > _FRAMES_HELD:
+                self._frames.popitem(last=False)
+        return self._frames[index]
+
 
 class PrunedSource:
     """A scene without the ``share`` of its splats that contribute least; a :class:`FrameSource`.
@@ -35,10 +77,8 @@ class PrunedSource:
     Raises :class:`SceneError` for frames that cannot be read.
     """
 
-    def __init__(self, source: FrameSource, share: float, frames: int) -> None:
-        self._source, self._share = source, share
-        known = source.ids(0) is not None
-        self._gone = _least(source, share, frames) if known else np.zeros(0, np.int32)
+    def __init__(self, source: FrameSource, ranking: Ranking, share: float) -> None:
+        self._source, self._ranking, self.share = source, ranking, share
         self._held: tuple[int, NDArray[np.intp]] | None = None
 
     @property
@@ -66,74 +106,93 @@ class PrunedSource:
 
     def frame(self, index: int) -> Splats:
         """Frame ``index`` without what was pruned."""
-        splats = self._source.frame(index)
-        return splats.take(self._kept(index, splats))
+        return self._source.frame(index).take(self._kept(index))
 
     def ids(self, index: int) -> Ids | None:
         """The scene's identities of what is left."""
         known = self._source.ids(index)
-        return None if known is None else known[self._kept(index, None)]
+        return None if known is None else known[self._kept(index)]
 
-    def _kept(self, index: int, splats: Splats | None) -> NDArray[np.intp]:
-        """Rows of frame ``index`` that stay; at least one does."""
+    def _kept(self, index: int) -> NDArray[np.intp]:
         if self._held is None or self._held[0] != index:
-            known = self._source.ids(index)
-            if known is not None:
-                rows = np.flatnonzero(~np.isin(known, self._gone))
-                self._held = index, rows if len(rows) else np.arange(1)
-            else:
-                weights = _weights(self._source, splats if splats is not None else self._source.frame(index))
-                self._held = index, np.sort(np.argsort(weights, kind="stable")[int(self._share * len(weights)) :])
+            self._held = index, self._ranking.kept(index, self.share)
         return self._held[1]
 
 
-def pruning_cost(
-    source: FrameSource, pruned: FrameSource, share: float, frames: int, tell: Callable[[int, int], None]
-) -> Pruning:
-    """What pruning costs in pictures: PSNR and SSIM of the pruned scene against the whole one, both unquantised.
+class PruningJudge:
+    """Says what pruning costs in pictures: PSNR and SSIM against those of the whole scene, both unquantised.
 
     Over the covered pixels of :data:`JUDGED_VIEWS` views of the first, middle and last frame.
     """
-    cameras = cameras_around(source.focus, source.up, JUDGED_VIEWS, phase=0.8)
-    rasteriser, judged = create("auto"), sorted({0, frames // 2, frames - 1})
-    error, likeness, pixels, before, after = 1e-12, 0.0, 1e-9, 0, 0
-    for done, index in enumerate(judged):
-        whole, left = source.frame(index), pruned.frame(index)
-        before, after = before + len(whole), after + len(left)
-        for true, shown in zip(
-            _pictures(whole, cameras, rasteriser), _pictures(left, cameras, rasteriser), strict=True
-        ):
-            mask = covered_mask(np.maximum(true[1], shown[1]))
-            error += float(np.square(true[0] - shown[0])[mask].mean(axis=1).sum())
-            likeness += float(ssim_map(shown[0], true[0])[mask].mean(axis=1).sum())
-            pixels += int(mask.sum())
-        tell(done + 1, len(judged))
-    psnr_db = min(-10 * math.log10(error / pixels), 100.0) if pixels >= 1 else 100.0
-    similar = likeness / pixels if pixels >= 1 else 1.0
-    return Pruning(share, before // len(judged), after // len(judged), round(psnr_db, 3), round(similar, 5))
+
+    def __init__(self, source: FrameSource, frames: int) -> None:
+        self._cameras = cameras_around(source.focus, source.up, JUDGED_VIEWS, phase=0.8)
+        self._rasteriser, judged = create("auto"), sorted({0, frames // 2, frames - 1})
+        whole = {index: source.frame(index) for index in judged}
+        self._before = sum(map(len, whole.values())) // len(whole)
+        self._true = {index: self._pictures(splats) for index, splats in whole.items()}
+
+    def __call__(self, pruned: PrunedSource) -> Pruning:
+        """The cost of what ``pruned`` leaves out."""
+        error, likeness, pixels, after = 1e-12, 0.0, 1e-9, 0
+        for index, pictures in self._true.items():
+            left = pruned.frame(index)
+            after += len(left)
+            for true, shown in zip(pictures, self._pictures(left), strict=True):
+                mask = covered_mask(np.maximum(true[1], shown[1]))
+                error += float(np.square(true[0] - shown[0])[mask].mean(axis=1).sum())
+                likeness += float(ssim_map(shown[0], true[0])[mask].mean(axis=1).sum())
+                pixels += int(mask.sum())
+        psnr_db = min(-10 * math.log10(error / pixels), 100.0) if pixels >= 1 else 100.0
+        similar = likeness / pixels if pixels >= 1 else 1.0
+        return Pruning(pruned.share, self._before, after // len(self._true), round(psnr_db, 3), round(similar, 5))
+
+    def _pictures(self, splats: Splats) -> list[tuple[F32, F32]]:
+        """Colours [H, W, 3] and alpha [H, W] of each view."""
+        scene, options = self._rasteriser.load(splats), RenderOptions(depth=DepthKind.NONE)
+        views = [scene.render(camera, options) for camera in self._cameras]
+        return [(np.clip(view.rgb, 0, 1), view.alpha) for view in views]
 
 
-def _least(source: FrameSource, share: float, frames: int) -> Ids:
-    """The ``share`` of a clip's identities that contribute least at their best moment, ascending."""
+def prune(source: FrameSource, share: float, frames: int, tell: Tell) -> tuple[PrunedSource, Pruning]:
+    """The scene without a ``share`` of its splats, and what that costs."""
+    pruned = PrunedSource(source, Ranking(source, frames), share)
+    tell(1, 2)
+    cost = PruningJudge(source, frames)(pruned)
+    tell(2, 2)
+    return pruned, cost
+
+
+def prune_within(source: FrameSource, psnr_db: float, frames: int, tell: Tell) -> tuple[PrunedSource, Pruning]:
+    """The scene without as many splats as pictures may lose and still have ``psnr_db``, and what that costs."""
+    ranking, judge = Ranking(source, frames), PruningJudge(source, frames)
+    best = PrunedSource(source, ranking, 0.0)
+    cost, too_many = judge(best), MOST
+    for step in range(_STEPS):
+        tell(step, _STEPS)
+        tried = PrunedSource(source, ranking, (best.share + too_many) / 2)
+        found = judge(tried)
+        if found.psnr_db >= psnr_db:
+            best, cost = tried, found
+        else:
+            too_many = tried.share
+    tell(_STEPS, _STEPS)
+    return best, cost
+
+
+def _clip_order(source: FrameSource, frames: int) -> Ids:
+    """A clip's identities by what they contribute at their best moment, the least first."""
     best: NDArray[np.float64] = np.full(0, -1.0)
     looks = np.unique(np.linspace(0, frames - 1, min(SAMPLED_FRAMES, frames)).astype(int))
     for index in looks:
         ids = source.ids(int(index))
-        assert ids is not None  # sources know identities of all frames or of none
+        assert ids is not None
         more = int(ids.max()) + 1 - len(best)
         best = np.concatenate([best, np.full(max(more, 0), -1.0)])
         np.maximum.at(best, ids, _weights(source, source.frame(int(index))))
     seen = np.flatnonzero(best >= 0)
-    order = seen[np.argsort(best[seen], kind="stable")]
-    return np.sort(order[: int(share * len(order))]).astype(np.int32)
+    return seen[np.argsort(best[seen], kind="stable")].astype(np.int32)
 
 
 def _weights(source: FrameSource, splats: Splats) -> NDArray[np.float64]:
     return contributions(splats, cameras_around(source.focus, source.up, SAMPLED_VIEWS), create("auto"))
-
-
-def _pictures(splats: Splats, cameras: list[Camera], rasteriser: Rasteriser) -> list[tuple[F32, F32]]:
-    """Colours [H, W, 3] and alpha [H, W] of each view."""
-    scene, options = rasteriser.load(splats), RenderOptions(depth=DepthKind.NONE)
-    views = [scene.render(camera, options) for camera in cameras]
-    return [(np.clip(view.rgb, 0, 1), view.alpha) for view in views]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, fields
 from typing import ClassVar
 
+from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
 
 QUANTISERS = ("layered", "layered-fine", "paper-66", "paper-76")
@@ -47,11 +48,20 @@ class EncodeSettings:
         low=0,
         high=0.99,
     )
+    prune_psnr_db: float | None = setting(
+        None,
+        "leave out as many of those splats as pictures may lose and keep this PSNR to pictures of all, in place of a "
+        "share; 45 is hardly seen",
+        low=20,
+        high=80,
+    )
     train_splats: int = setting(65_536, "splats that codebooks are trained on, drawn over the clip", low=256)
     seed: int = setting(0, "seed of the random subset and of k-means", low=0)
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.prune and self.prune_psnr_db is not None:
+            raise ConfigError(f"prune = {self.prune} and prune_psnr_db = {self.prune_psnr_db}: give one of them")
 
 
 @dataclass(frozen=True)

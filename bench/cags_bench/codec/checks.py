@@ -15,6 +15,8 @@ DEFAULT, FINE, ANCHOR = "layered", "layered-fine", "paper-66"
 
 def checks(lines: Sequence[Line]) -> list[Line]:
     """Every target that the measured ``lines`` have something to say about."""
+    clips = [line for line in lines if "clip" in line]
+    lines = [line for line in lines if "codec" in line]
     ours = [line for line in lines if line["codec"] == DEFAULT]
     scenes = list(dict.fromkeys(line["scene"] for line in ours))
     tops = {scene: max((x for x in ours if x["scene"] == scene), key=lambda x: x["lod"]) for scene in scenes}
@@ -24,6 +26,7 @@ def checks(lines: Sequence[Line]) -> list[Line]:
         *(_time(scene, tops[scene]) for scene in scenes),
         *(_changed(scene, tops[scene]) for scene in scenes),
         *_beside(lines),
+        *_workers(clips),
     ]
 
 
@@ -79,3 +82,13 @@ def _beside(lines: Sequence[Line]) -> Iterator[Line]:
         yield check(
             f"bytes_beside {at}", "at equal quality no larger [bytes, bytes, dB, dB]", bytes_, bool(as_good) and smaller
         )
+
+
+def _workers(clips: Sequence[Line]) -> Iterator[Line]:
+    """Speed-up over the first line's number of workers, and equal bytes."""
+    for line in clips[1:]:
+        first = clips[0]
+        faster, wanted = first["total_s"] / line["total_s"], 0.75 * line["workers"] / first["workers"]
+        at, same = f"{first['workers']} -> {line['workers']} workers", line["sha256"] == first["sha256"]
+        yield check(f"encode_speed_up {at}", f">= {wanted:g}, three quarters of ideal", faster, faster >= wanted)
+        yield check(f"encode_same_bytes {at}", "equal", same, same)

@@ -18,6 +18,7 @@ EXAMPLES = """\
   cags-bench codec procedural:size=20000 --json
   cags-bench codec plant.splat angel.sog --quantisers layered paper-66 --views 8
   cags-bench codec plant.splat --lpips lpips_alex.npz --json
+  cags-bench codec plant.splat --quantisers layered --points 2 --clip frames/ --workers 1 2 --json
   npm install --prefix sog @playcanvas/splat-transform && cags-bench codec plant.splat --splat-transform sog --json"""
 
 SHARED = Path("../shared")
@@ -48,14 +49,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--splat-transform", metavar="FOLDER", help="where npm installed @playcanvas/splat-transform")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="threads of decoding (default: 2)")
+    parser.add_argument("--clip", metavar="SCENE", help="a moving scene that is encoded whole by --workers processes")
+    parser.add_argument("--clip-frames", type=int, default=24, metavar="N", help="frames of the clip (default: 24)")
+    parser.add_argument(
+        "--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="numbers of processes (default: 1 2)"
+    )
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="timed runs after a warm-up (default: 5)")
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Yield one line a scene, codec and LoD, and the summary with the targets."""
-    for name in ("views", "points", "repeats", "threads"):
-        if not 1 <= getattr(arguments, name) <= 1000:
-            raise ConfigError(f"{name} = {getattr(arguments, name)} must lie in [1, 1000]")
+    """Yield one line a scene, codec and LoD, one a number of workers, and the summary with the targets."""
+    counts = [(name, getattr(arguments, name)) for name in ("views", "points", "repeats", "threads", "clip_frames")]
+    for name, value in [*counts, *(("workers", count) for count in arguments.workers)]:
+        if not 1 <= value <= 1000:
+            raise ConfigError(f"{name} = {value} must lie in [1, 1000]")
     if not 64 <= arguments.width <= 4096:
         raise ConfigError(f"width = {arguments.width} must lie in [64, 4096]")
     from cags_bench.codec.experiment import compare

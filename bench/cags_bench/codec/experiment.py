@@ -12,6 +12,7 @@ from cags_bench.codec.checks import checks
 from cags_bench.codec.ladder import LadderSettings, ladder, median_ms
 from cags_bench.codec.peers import Peer, peers
 from cags_bench.codec.readers import SplatTransform
+from cags_bench.codec.scaling import scaling
 from cags_bench.codec.views import Judge, views_around
 from cags_bench.jsonl import summary
 from cags_common.lpips import Lpips
@@ -44,6 +45,10 @@ def compare(scenes: Sequence[str], options: argparse.Namespace) -> Iterator[Line
         for peer in peers(splats, None if isinstance(tool, str) else tool):
             seen.append({**known, **_point(splats, peer, judge, options.repeats)})
             yield seen[-1]
+    if options.clip:
+        for line in scaling(options.clip, options.clip_frames, options.workers):
+            seen.append(line)
+            yield line
     yield summary("codec", checks(seen), scenes=list(scenes), views=options.views, threads=options.threads)
 
 

@@ -9,6 +9,7 @@ import pytest
 from cags_bench.codec.checks import checks
 from cags_bench.codec.command import add_arguments, run
 from cags_bench.codec.readers import PACKAGE, SplatTransform
+from cags_bench.codec.scaling import scaling
 from cags_common.errors import ConfigError
 
 
@@ -83,3 +84,20 @@ def test_a_folder_without_the_package_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="npm install @playcanvas/splat-transform"):
         SplatTransform.find(str(tmp_path))
     assert PACKAGE.name == "splat-transform"
+
+
+def clip(workers: int, total_s: float, sha256: str = "a") -> dict[str, Any]:
+    return {"clip": "c", "workers": workers, "total_s": total_s, "sha256": sha256}
+
+
+def test_more_workers_are_held_against_the_first_number() -> None:
+    good = verdicts(clip(1, 10.0), clip(2, 6.0))
+    assert good == {"encode_speed_up 1 -> 2 workers": True, "encode_same_bytes 1 -> 2 workers": True}
+    assert not any(verdicts(clip(1, 10.0), clip(2, 8.0, "b")).values())
+
+
+def test_a_clip_is_encoded_by_each_number_of_workers() -> None:
+    (line,) = scaling("procedural:size=1000,frames=3", 2, [1])
+    assert (line["frames"], line["workers"], len(line["sha256"])) == (2, 1, 64)
+    assert set(line["stages_s"]) >= {"sample", "codebooks", "encode"}
+    assert sum(line["stages_s"].values()) <= line["total_s"]

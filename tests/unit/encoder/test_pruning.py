@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import BundleReader, Manifest
-from cags_common.errors import BundleError
+from cags_common.errors import BundleError, ConfigError
 from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.pipeline import SplatSequence
-from cags_encoder.pruning import PrunedSource, pruning_cost
+from cags_encoder.pruning import PrunedSource, Ranking, prune, prune_within
 from cags_encoder.scenes import Focus, open_scene
 from cags_encoder.views import cameras_around, contributions
 from support.codec_scenes import cloud, with_changes
@@ -37,12 +37,11 @@ def test_contributions_are_those_of_pictures() -> None:
 @needs_kernels
 def test_what_does_not_show_goes_first_and_costs_little() -> None:
     source = SplatSequence((half_hidden(),) * 2, focus=FOCUS)
-    pruned = PrunedSource(source, 0.5, 2)
+    told: list[tuple[int, int]] = []
+    pruned, cheap = prune(source, 0.5, 2, lambda at, end: told.append((at, end)))
     left = pruned.frame(1)
     assert len(left) == 200 and (left.logit_opacities > 0).all()
-    told: list[tuple[int, int]] = []
-    cheap = pruning_cost(source, pruned, 0.5, 2, lambda at, end: told.append((at, end)))
-    dear = pruning_cost(source, PrunedSource(source, 0.9, 2), 0.9, 2, lambda at, end: None)
+    _, dear = prune(source, 0.9, 2, lambda at, end: None)
     assert cheap.psnr_db > 45 > 30 > dear.psnr_db
     assert cheap.ssim > dear.ssim
     assert (cheap.splats_before, cheap.splats_after, dear.splats_after) == (400, 200, 40)
@@ -50,9 +49,35 @@ def test_what_does_not_show_goes_first_and_costs_little() -> None:
 
 
 @needs_kernels
+def test_as_many_go_as_the_picture_allows() -> None:
+    source = SplatSequence((half_hidden(),), focus=FOCUS)
+    told: list[tuple[int, int]] = []
+    few, loose = prune_within(source, 30.0, 1, lambda at, end: told.append((at, end)))
+    many, tight = prune_within(source, 45.0, 1, lambda at, end: None)
+    assert tight.psnr_db >= 45 and loose.psnr_db >= 30
+    assert len(few.frame(0)) < len(many.frame(0)) <= 200
+    assert (tight.splats_before, tight.splats_after) == (400, len(many.frame(0)))
+    _, dearer = prune(source, loose.share + 2 / 128, 1, lambda at, end: None)
+    assert dearer.psnr_db < 30, "the next step of the search would have cost too much"
+    assert told[0][0] == 0 and told[-1][0] == told[-1][1]
+
+
+@needs_kernels
+def test_nothing_goes_where_nothing_may_be_lost() -> None:
+    few = half_hidden().take(np.arange(1, 40, 2))  # all of them show
+    pruned, cost = prune_within(SplatSequence((few,), focus=FOCUS), 80.0, 1, lambda at, end: None)
+    assert (len(pruned.frame(0)), cost.splats_after, cost.psnr_db) == (20, 20, 100.0)
+
+
+def test_a_share_and_a_loss_together_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"prune = 0.2 and prune_psnr_db = 45.0: give one of them"):
+        EncodeSettings(prune=0.2, prune_psnr_db=45.0)
+
+
+@needs_kernels
 def test_clips_with_identities_lose_the_same_splats_in_every_frame() -> None:
     source = open_scene("procedural:size=1500,frames=5")
-    pruned = PrunedSource(source, 0.2, 5)
+    pruned = PrunedSource(source, Ranking(source, 5), 0.2)
     known = [source.ids(k) for k in range(5)]
     left = [pruned.ids(k) for k in range(5)]
     pairs = [(a, b) for a, b in zip(known, left, strict=True) if a is not None and b is not None]
