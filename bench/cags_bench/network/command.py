@@ -94,9 +94,10 @@ def _cases(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
 
         yield from sending_lines(round(settings.seconds * 1e6), delay_us)
     if "sockets" in parts:
-        from cags_bench.network.sockets import socket_lines
+        from cags_bench.network.sockets import direct_lines, socket_lines
 
         yield from socket_lines(round(settings.seconds * 1e6), delay_us)
+        yield from direct_lines(round(settings.seconds * 1e6), delay_us)
     if "first" in parts:
         yield from _first_pictures(settings)
     if {"content", "realtime", "clients"} & set(parts):

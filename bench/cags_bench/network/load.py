@@ -6,6 +6,7 @@ client notes when each arrives. What is measured is the sending alone, and a tho
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from cags_bench.sim.world import Direction, World
@@ -36,6 +37,7 @@ class Arrivals:
     tiles: list[tuple[int, int, int]] = field(default_factory=list)  # (arrived, latency, bytes)
     references: list[tuple[int, int]] = field(default_factory=list)  # (arrived, latency)
     estimates: list[tuple[int, float]] = field(default_factory=list)  # (time, bps)
+    kernel: list[tuple[int, float]] = field(default_factory=list)  # (time, bps): TCP's own delivery rate, if looked at
     sent_bytes: int = 0
     dropped: int = 0
     wasted_bytes: int = 0
@@ -45,8 +47,16 @@ class Arrivals:
 class LoadServer:
     """Plans by the clock, sends by the session."""
 
-    def __init__(self, estimator: BandwidthEstimator, log: Arrivals, fps: float) -> None:
+    def __init__(
+        self,
+        estimator: BandwidthEstimator,
+        log: Arrivals,
+        fps: float,
+        kernel_bps: Callable[[], float | None] = lambda: None,
+    ) -> None:
+        """``kernel_bps`` is asked at every plan what the operating system takes the path to carry."""
         self.session = ServerSession(now_us=0)
+        self._kernel_bps = kernel_bps
         self._estimator, self._log, self._fps = estimator, log, fps
         self._frame = 0
         self._due_us: int | None = None
@@ -78,6 +88,9 @@ class LoadServer:
 
     def _plan(self, now_us: int) -> None:
         self._log.estimates.append((now_us, self._estimator.estimate_bps(now_us)))
+        kernel_bps = self._kernel_bps()
+        if kernel_bps is not None:
+            self._log.kernel.append((now_us, kernel_bps))
         allowed_bps = self._estimator.allowance_bps(now_us)
         self._frame += 1
         budget = int(allowed_bps / self._fps / 8) - REFERENCE_BYTES - self.session.queued_bytes

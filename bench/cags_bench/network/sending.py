@@ -59,16 +59,16 @@ def figures(log: Arrivals, trace: Trace, start_us: int, end_us: int) -> dict[str
         "latency_p95_ms": percentile(latencies, 95),
         "reference_latency_ms": percentile(references, 50),
         "reference_latency_p95_ms": percentile(references, 95),
-        "estimate_error": estimate_error(log, trace, start_us, end_us),
+        "estimate_error": estimate_error(log.estimates, trace, start_us, end_us),
         "wasted_share": log.wasted_bytes / max(log.sent_bytes, 1),
         "dropped": log.dropped,
     }
 
 
-def estimate_error(log: Arrivals, trace: Trace, start_us: int, end_us: int) -> float:
-    """Median of |estimate - capacity| / capacity where the link carries anything."""
+def estimate_error(estimates: list[tuple[int, float]], trace: Trace, start_us: int, end_us: int) -> float:
+    """Median of |estimate - capacity| / capacity where the link carries anything; estimates are (time, bps)."""
     errors = []
-    for now_us, estimate_bps in log.estimates:
+    for now_us, estimate_bps in estimates:
         if start_us < now_us <= end_us:
             true_bps = trace.mean_bps(now_us, now_us + AHEAD_US)
             if true_bps > 0:

@@ -1,5 +1,6 @@
 """Parts of ``cags-bench network`` that need no scene."""
 
+import asyncio
 import json
 from types import SimpleNamespace
 
@@ -12,7 +13,8 @@ from cags_bench.network.content import black_frames, freezes, outage_ends, recov
 from cags_bench.network.crowd import crowd_line
 from cags_bench.network.load import run_load
 from cags_bench.network.plot import plot_session
-from cags_bench.network.sending import figures
+from cags_bench.network.sending import estimate_error, figures
+from cags_bench.network.sockets import direct_lines, kernel_bps, run_direct
 from cags_bench.parallel import in_parallel
 from cags_bench.traces import scaled_trace
 from cags_common.errors import ConfigError, TraceError
@@ -21,6 +23,7 @@ from cags_protocol.tracing import EventTrace
 from cags_server.bandwidth import MeasuredEstimator, OracleEstimator
 from cags_shaper.link import LinkSettings
 from cags_shaper.trace import open_trace, trace_of_rates
+from cags_shaper.tun import why_unavailable
 from support.wire_pair import Pair, tile
 
 LINK = LinkSettings(delay_us=10_000)
@@ -155,3 +158,29 @@ def test_a_session_trace_is_drawn(tmp_path):
     path.write_text("{}\n")
     with pytest.raises(TraceError, match="is no event trace"):
         plot_session(path)
+
+
+def test_estimates_are_judged_where_the_link_carries_anything():
+    trace = trace_of_rates("t", [0, 1, 2], [10, 20, 0], 6)
+    early, late, never = (100_000, 11e6), (1_100_000, 10e6), (3_000_000, 5e6)
+    assert estimate_error([early], trace, 0, 6_000_000) == pytest.approx(0.1, rel=0.02)
+    assert estimate_error([late, never], trace, 0, 6_000_000) == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize(("rate_bps", "known"), [(None, None), (0.0, None), (5e6, 5e6)])
+def test_tcp_knows_a_rate_only_once_it_has_measured_one(rate_bps, known):
+    info = None if rate_bps is None else SimpleNamespace(delivery_rate_bps=rate_bps)
+    assert kernel_bps(SimpleNamespace(tcp_info=lambda: info)) == known
+
+
+def test_without_packets_a_direct_path_is_left_out_with_its_reason(monkeypatch):
+    monkeypatch.setattr("cags_bench.network.sockets.why_unavailable", lambda: "no root")
+    assert list(direct_lines(1_000_000, 0)) == [{"case": "direct", "skipped": "no root"}]
+
+
+@pytest.mark.skipif(why_unavailable() is not None, reason=f"packets cannot be shaped here: {why_unavailable()}")
+def test_a_direct_path_shows_both_estimates():
+    log = asyncio.run(run_direct(open_trace("generated:steady-20"), 1_500_000, 5_000))
+    assert len(log.estimates) > 5
+    assert log.kernel
+    assert all(rate_bps > 0 for _, rate_bps in log.kernel)
