@@ -16,7 +16,7 @@ from cags_common.packing import U32
 from cags_common.splats import Ids, Splats
 from cags_common.tiles import MAX_POSITION_BITS, PositionGrid, encode_base, encode_layer
 from cags_encoder.lod_order import order_of
-from cags_encoder.quantiser.configs import quantiser_config
+from cags_encoder.quantiser.configs import QuantiserConfig, quantiser_config
 from cags_encoder.quantiser.training import Quantiser, train
 from cags_encoder.settings import EncodeSettings
 
@@ -50,9 +50,17 @@ class SvqCodec:
     position_step: float
 
     @staticmethod
-    def train(samples: Splats, settings: EncodeSettings, weights: F64 | None = None) -> SvqCodec:
-        """Train codebooks on ``samples`` [n], which count by ``weights`` [n], and choose the LoD order."""
-        config = quantiser_config(settings.quantiser)
+    def train(
+        samples: Splats,
+        settings: EncodeSettings,
+        weights: F64 | None = None,
+        config: QuantiserConfig | None = None,
+    ) -> SvqCodec:
+        """Train codebooks on ``samples`` [n], which count by ``weights`` [n], and choose the LoD order.
+
+        ``config`` stands in for that which the settings name. Raises :class:`ConfigError`.
+        """
+        config = config or quantiser_config(settings.quantiser)
         quantiser = train(samples, config, settings.seed, weights)
         order = order_of(settings.lod_order, quantiser.books)
         step = config.position_step if settings.position_step is None else settings.position_step

@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--splat-transform", metavar="FOLDER", help="where npm installed @playcanvas/splat-transform")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="threads of decoding (default: 2)")
+    parser.add_argument("--ablations", action="store_true", help="also the default without one of its ideas at a time")
     parser.add_argument("--clip", metavar="SCENE", help="a moving scene that is encoded whole by --workers processes")
     parser.add_argument("--clip-frames", type=int, default=24, metavar="N", help="frames of the clip (default: 24)")
     parser.add_argument(

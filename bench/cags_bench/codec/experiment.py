@@ -8,7 +8,8 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from cags_bench.codec.checks import checks
+from cags_bench.codec.ablation import VARIANTS, Variant, gains
+from cags_bench.codec.checks import DEFAULT, checks
 from cags_bench.codec.ladder import LadderSettings, ladder, median_ms
 from cags_bench.codec.peers import Peer, peers
 from cags_bench.codec.readers import SplatTransform
@@ -36,10 +37,12 @@ def compare(scenes: Sequence[str], options: argparse.Namespace) -> Iterator[Line
         splats = splats.take(morton_order(splats.means))
         judge = Judge(splats, views_around(source, options.views, options.width), create("auto"), lpips)
         known = {"scene": spec, "sh_degree": splats.sh_degree}
-        for name in options.quantisers:
-            for line in ladder(source, splats, name, judge, settings):
+        variants = [Variant.named(name) for name in options.quantisers]
+        for variant in [*variants, *(VARIANTS if options.ablations else ())]:
+            for line in ladder(source, splats, variant, judge, settings):
                 seen.append({**known, **line})
                 yield seen[-1]
+        yield from gains(seen, spec, DEFAULT)
         if isinstance(tool, str):
             yield {**known, "codec": "sog", "skipped": tool}
         for peer in peers(splats, None if isinstance(tool, str) else tool):

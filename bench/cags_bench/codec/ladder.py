@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cags_bench.codec.ablation import Variant
 from cags_bench.codec.views import Judge
 from cags_client.opening import TileOpener
 from cags_common.bundle import Manifest
@@ -20,7 +21,6 @@ from cags_common.morton import tile_ranges
 from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_common.tiles import KEY_TILE_SPLATS, position_bytes
-from cags_encoder import EncodeSettings
 from cags_encoder.measuring import VIEWS, measure
 from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS
 from cags_encoder.quantiser.importance import importance
@@ -50,11 +50,11 @@ class LadderSettings:
 
 
 def ladder(
-    source: FrameSource, splats: Splats, quantiser: str, judge: Judge, settings: LadderSettings
+    source: FrameSource, splats: Splats, variant: Variant, judge: Judge, settings: LadderSettings
 ) -> Iterator[Line]:
     """A line a LoD. ``splats`` are in Morton order."""
     start = time.perf_counter()
-    codec = train(source, splats, quantiser)
+    codec = train(source, splats, variant)
     train_s = time.perf_counter() - start
     tiles, books = encode(codec, splats), codec.codebooks()
     changed = encode_changed(codec, splats)
@@ -71,7 +71,7 @@ def ladder(
     for lod in np.unique(np.linspace(0, len(codec.lod_order), settings.points).astype(int)):
         shown = partial(decode, opener, tiles, int(lod), splats.sh_degree)
         yield {
-            "codec": quantiser,
+            "codec": variant.name,
             "lod": int(lod),
             **sizes(tiles, int(lod), len(books), len(splats)),
             **asdict(judge(shown())),
@@ -80,14 +80,17 @@ def ladder(
         }
 
 
-def train(source: FrameSource, splats: Splats, quantiser: str) -> SvqCodec:
+def train(source: FrameSource, splats: Splats, variant: Variant) -> SvqCodec:
     """Codebooks of a sample and, with a rasteriser, the measured LoD order."""
     rows = np.sort(np.random.default_rng(0).permutation(len(splats))[:TRAIN_SPLATS])
-    samples, settings, rasteriser = splats.take(rows), EncodeSettings(quantiser=quantiser), create("auto")
+    samples, rasteriser = splats.take(rows), create("auto")
     if rasteriser.name == "reference":
-        return SvqCodec.train(samples, settings)
+        return SvqCodec.train(samples, variant.settings, None, variant.config)
     around = cameras_around(source.focus, source.up, IMPORTANCE_VIEWS)
-    codec = SvqCodec.train(samples, settings, importance(samples, around, rasteriser))
+    weights = importance(samples, around, rasteriser) if variant.weighted else None
+    codec = SvqCodec.train(samples, variant.settings, weights, variant.config)
+    if not variant.measured:
+        return codec
     cameras = cameras_around(source.focus, source.up, VIEWS)
     return measure(codec, splats, cameras, rasteriser, lambda at, end: None).applied(codec)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from cags_bench.codec.ablation import VARIANTS, Variant, gains
 from cags_bench.codec.checks import checks
 from cags_bench.codec.command import add_arguments, run
 from cags_bench.codec.readers import PACKAGE, SplatTransform
@@ -101,3 +102,20 @@ def test_a_clip_is_encoded_by_each_number_of_workers() -> None:
     assert (line["frames"], line["workers"], len(line["sha256"])) == (2, 1, 64)
     assert set(line["stages_s"]) >= {"sample", "codebooks", "encode"}
     assert sum(line["stages_s"].values()) <= line["total_s"]
+
+
+def test_ablations_take_back_one_idea_each_and_the_gain_is_the_defaults() -> None:
+    shipped = Variant.named("layered")
+    for variant in VARIANTS:
+        taken_back = [
+            variant.config.attributes != shipped.config.attributes,
+            variant.settings != shipped.settings,
+            not variant.weighted,
+            not variant.measured,
+        ]
+        assert sum(taken_back) == 1, variant.name
+    curve = [(4, 25), (7, 35), (10, 45)]
+    lines = [line("layered", size, quality) for size, quality in curve]
+    lines += [line("opacity logits", size, quality - 2) for size, quality in curve]
+    (gain,) = gains(lines, "s", "layered")
+    assert gain == {"scene": "s", "instead": "opacity logits", "default_gains_db": pytest.approx(2.0)}
