@@ -110,6 +110,15 @@ def test_inputs_are_not_changed():
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize(("sees", "shown"), [(Sees.BOTH, 1), (Sees.REFERENCE, 0), (Sees.DISTORTED, 1)])
+def test_the_papers_network_starts_from_a_picture(sees, shown):
+    """With both, from the distorted one: from the reference it would have to win back decibels first."""
+    torch = pytest.importorskip("torch")
+    pictures = torch.rand(2, 1, 12, 16, 3, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        assert torch.allclose(SrResNet(sees)(*pictures), pictures[shown], atol=1e-6)
+
+
 def test_one_input_variants_look_at_one_input():
     inputs, _ = scene()
     other = replace(inputs, distorted=inputs.distorted[::-1] * np.float32(0.5))

@@ -69,7 +69,7 @@ ERROR_FLOOR = 1e-6
 """Squared error (60 dB) under which pictures count as equal: nothing may be lost at the top of the ladder."""
 
 
-REGRET = 1.0
+REGRET = 0.2
 """How much more a loss against what the network improves on counts than a gain."""
 
 THERE_SHARE = 0.3

@@ -42,6 +42,27 @@ class SrResNet(nn.Module):
         nn.init.zeros_(self.tail.weight)  # an untrained network shows the picture that it adds to
         assert self.tail.bias is not None
         nn.init.zeros_(self.tail.bias)
+        if sees is Sees.BOTH:
+            self._start_at_distorted()
+
+    @torch.no_grad()
+    def _start_at_distorted(self) -> None:
+        """Six channels carry distorted - reference, both signs, to the end: untrained, it shows the distorted picture.
+
+        Begun at the reference, which lies decibels below it, training on a CPU spends its hours on getting back.
+        """
+        carried = range(2 * 3)
+        last_of_blocks = (block.second for block in self.blocks if isinstance(block, ResidualBlock))
+        for convolution in (self.head, *last_of_blocks, *self.mix):
+            _clear(convolution, carried)
+        for channel in carried:
+            colour, sign = channel // 2, 1.0 - 2.0 * (channel % 2)
+            self.head.weight[channel, 3 + colour, 1, 1] = sign
+            self.head.weight[channel, colour, 1, 1] = -sign
+            for convolution in self.mix:
+                assert isinstance(convolution, nn.Conv2d)
+                convolution.weight[channel, channel, 1, 1] = 1.0
+            self.tail.weight[colour, channel, 1, 1] = sign / (1.0 + SLOPE ** (1 + len(self.mix)))
 
     def forward(self, aligned: Tensor, distorted: Tensor) -> Tensor:
         """The restored picture before clipping: the loss looks at this, so that no gradient dies."""
@@ -67,6 +88,14 @@ class ResidualBlock(nn.Module):
         """[B, 24, H, W] to the same shape."""
         inner: Tensor = self.second(functional.leaky_relu(self.first(features), SLOPE, inplace=True))
         return features + inner
+
+
+def _clear(convolution: nn.Module, channels: range) -> None:
+    assert isinstance(convolution, nn.Conv2d)
+    assert convolution.bias is not None
+    for channel in channels:
+        convolution.weight[channel] = 0.0
+        convolution.bias[channel] = 0.0
 
 
 def _convolution(inputs: int, outputs: int) -> nn.Conv2d:
