@@ -7,11 +7,14 @@ torch = pytest.importorskip("torch")
 
 from cags_client.restore.networks.inputs import noise_features  # noqa: E402
 from cags_client.restore.networks.lite import (  # noqa: E402
+    FACTOR_REACH,
     GATE_HALF,
+    REACH,
     Lite,
     LiteShape,
     from_blocks,
     gate,
+    spread,
     to_blocks,
 )
 from cags_client.restore.networks.srresnet import Sees, SrResNet  # noqa: E402
@@ -65,7 +68,7 @@ def test_without_a_correction_there_is_none_whatever_the_weights_are():
     own, reference, fields, noise = seen()
     with torch.no_grad():
         assert (loud()(own, reference, torch.zeros_like(fields), noise) == 0).all()
-        assert (loud()(own, reference, fields, noise) - fields).abs().max() > 0.1
+        assert (loud()(own, reference, fields, noise) - fields).abs().max() > 1e-3
 
 
 def test_far_from_any_correction_there_is_none():
@@ -90,11 +93,30 @@ def test_a_change_of_the_factor_leaves_the_mean_of_the_own_view_to_the_correctio
     network = Lite()
     torch.nn.init.zeros_(network.tail.weight)
     with torch.no_grad():
-        network.tail.bias[::4] = 0.3  # the factor of each of the four pixels of a block
+        network.tail.bias[::4] = 1.0  # the factor of each of the four pixels of a block
         found = network(own, reference, fields, noise)
     assert (found[..., :1] - fields[..., :1]).abs().min() > 0.2
     before, after = (f[..., :1] * own + f[..., 1:] for f in (fields, found))
     assert torch.allclose(before, after, atol=1e-6)
+
+
+def test_no_weights_move_a_correction_by_more_than_the_noise_allows():
+    own, reference, fields, noise = seen()
+    network = loud()
+    torch.nn.init.normal_(network.tail.weight, std=10.0)
+    for coarser in (0.0, 1.0):
+        with torch.no_grad():
+            found = network(own, reference, fields, noise + coarser)
+        moved = [f[..., :1] * own + f[..., 1:] for f in (fields, found)]
+        bound = REACH * spread(noise + coarser).item()
+        assert 0.5 * bound < (moved[1] - moved[0]).abs().max() <= bound * 1.001
+        assert (found - fields)[..., 0].abs().max() <= FACTOR_REACH * 1.001
+
+
+def test_the_spread_of_noise_is_in_display_range():
+    noise = CodingNoise(fine=(1e-3, 1e-3, 1e-3), broad=(1e-5, 1e-5, 1e-5))
+    given = torch.from_numpy(noise_features(noise))[None, None, None]
+    assert spread(given).item() == pytest.approx((1e-5 + 3e-5 + 2e-6) ** 0.5, rel=1e-3)
 
 
 def test_the_gate_is_half_open_at_an_eighth_of_a_code_and_never_beyond_one():

@@ -11,7 +11,8 @@ with a change to the field; all that follows is the closed form's. Its cost does
 
 An untrained network *is* the closed form. The gate is part of the graph, so that training sees it: where the closed
 form corrects nothing nearby - near the top of the ladder - it is exactly 0 and the distorted picture stays, bit for
-bit, whatever the weights are; where it corrects half a display code the gate is nearly open.
+bit, whatever the weights are; where it corrects half a display code the gate is nearly open. How far it may go is
+bounded by the coding noise.
 
 Outside, images are [B, h, w, C]; inside, blocks are channels (space to depth), so that the convolutions run at 200x150.
 """
@@ -23,6 +24,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+
+from cags_client.restore.affine import NOISE_FLOOR
 
 SLOPE = 0.1
 """Of the leaky rectifiers."""
@@ -37,6 +40,16 @@ SEEN_CHANNELS = 10
 
 FIELD_CHANNELS = 4
 NOISE_CHANNELS = 6
+
+REACH = 0.5
+"""How far a correction may be moved, in standard deviations of the coding noise: more is not the codec's doing. Weights
+that were trained on another encoder's noise lost up to 7 dB in single crops without a bound; with it they cannot."""
+
+FACTOR_REACH = 0.3
+"""How far a factor may be moved."""
+
+USUAL_DEVIATION = 0.03
+"""Standard deviation of pictures within a window, about; the codec's noise grows with it."""
 
 FAINT = 8.0
 """By how much faint channels count for more than colours: differences going in, corrections coming out."""
@@ -79,8 +92,20 @@ class Lite(nn.Module):
             features = features + functional.leaky_relu(second(inner), SLOPE)
         answer = (self.tail(features) * gate(correction)).permute(0, 2, 3, 1)
         change = from_blocks(answer)
-        more, less = change[..., 1:] / FAINT, change[..., :1]
+        more, less = bounded(change[..., 1:] / FAINT, REACH * spread(noise)), bounded(change[..., :1], FACTOR_REACH)
         return torch.cat([factor + less, offset + more - less * own], dim=3)
+
+
+def bounded(value: Tensor, bound: Tensor | float) -> Tensor:
+    """``value``, drawn together so that its size stays below ``bound``."""
+    return bound * torch.tanh(value / bound)
+
+
+def spread(noise: Tensor) -> Tensor:
+    """Standard deviation [B, 1, 1, 1] of coding noise, about, from its features [B, 1, 1, 6]."""
+    variance = torch.pow(10.0, noise - 4.0)
+    fine, broad = variance[..., :3].mean(dim=3, keepdim=True), variance[..., 3:].mean(dim=3, keepdim=True)
+    return torch.sqrt(broad + USUAL_DEVIATION * fine + NOISE_FLOOR)
 
 
 def gate(correction: Tensor) -> Tensor:
