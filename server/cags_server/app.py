@@ -23,6 +23,7 @@ from cags_server.admission import HANDSHAKES_BEYOND_CLIENTS, origin_allowed, tls
 from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
 from cags_server.library import SceneLibrary
+from cags_server.looks import Looks
 from cags_server.metrics import Totals, exposition
 from cags_server.quota import Quotas
 from cags_server.records import StreamStats
@@ -39,6 +40,7 @@ class App:
         self._library, self._settings = library, settings
         self._executor = ThreadPoolExecutor(settings.workers, thread_name_prefix="reference")
         self._executor.submit(library.warm)
+        self._looks = Looks(settings.workers)
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
         self._ended = Totals()
@@ -140,11 +142,13 @@ class App:
             now_us=now_us(),
             session_settings=session,
             admit=admit,
+            looks=self._looks,
             quotas=Quotas(messages=settings.max_message_rate, poses=settings.max_pose_rate),
         )
 
     def _leave(self, name: str, connection: Connection) -> None:
         del self._clients[name]
+        connection.release()
         if not self._clients:
             self._empty.set()
         if connection.streamer is not None:

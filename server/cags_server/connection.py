@@ -17,6 +17,7 @@ from cags_protocol.messages import Buffer, Hello
 from cags_protocol.server import ServerSessionSettings
 from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
 from cags_server.library import SceneLibrary
+from cags_server.looks import Looks
 from cags_server.quota import ClientQuota, Quotas
 from cags_server.records import StreamStats
 from cags_server.reference import FrameJob, FrameRender
@@ -41,7 +42,9 @@ class Connection:
         session_settings: ServerSessionSettings | None = None,
         admit: Admission | None = None,
         quotas: Quotas | None = None,
+        looks: Looks | None = None,
     ) -> None:
+        """``looks``: the renderer's places, shared with other clients; without them there is always room."""
         self.name = name
         self.session = ServerSession(session_settings, now_us=now_us)
         self.streamer: Streamer | None = None
@@ -49,6 +52,7 @@ class Connection:
         """How the session ended; None while it goes on."""
         self._library, self._settings, self._admit = library, settings, admit
         self._estimator = estimator or MeasuredEstimator()
+        self._looks, self._looking = looks, False
         self._quota = ClientQuota(quotas or Quotas(), now_us)
 
     @property
@@ -90,10 +94,15 @@ class Connection:
 
     def next_job(self, now_us: int) -> FrameJob | None:
         """The next frame to render, if one is due and none is being rendered."""
-        return None if self.closed or self.streamer is None else self.streamer.begin(now_us)
+        job = None if self.closed or self.streamer is None else self.streamer.begin(now_us)
+        if job is not None and self._looks is not None:
+            self._looks.begun(self.name)
+            self._looking = True
+        return job
 
     def job_done(self, render: FrameRender, now_us: int) -> None:
         """A job has ended well."""
+        self._look_ended()
         if self.streamer is not None and not self.closed:
             self._queue(self.streamer.finish(render, now_us), now_us)
             self._cancel_superseded(self.streamer, now_us)
@@ -101,8 +110,23 @@ class Connection:
 
     def job_failed(self, job: FrameJob) -> None:
         """A job has raised; the stream goes on with the next frame."""
+        self._look_ended()
         if self.streamer is not None:
             self.streamer.abandon(job)
+
+    def _may_look(self, now_us: int) -> bool:
+        return self._looks is None or self._looks.may(self.name, now_us)
+
+    def _look_ended(self) -> None:
+        if self._looks is not None and self._looking:
+            self._looks.ended()
+        self._looking = False
+
+    def release(self) -> None:
+        """Give back the renderer's place and turn: the client is gone, and what is rendered for it is for nobody."""
+        self._look_ended()
+        if self._looks is not None:
+            self._looks.left(self.name)
 
     def connection_lost(self, reason: str, now_us: int) -> None:
         """The transport ended by itself."""
@@ -145,7 +169,7 @@ class Connection:
         except ProtocolError as error:
             self.session.refuse("malformed", "inventory", str(error), now_us=now_us)
             return
-        streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator)
+        streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, may_look=self._may_look)
         if resumed:
             streamer.resume(inventory)
         self.streamer = streamer

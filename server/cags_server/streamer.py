@@ -7,7 +7,7 @@ Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from cags_common.geometry import F32, Camera, Pose
 from cags_protocol import events as ev
@@ -51,10 +51,12 @@ class Streamer:
         hello: Hello,
         *,
         estimator: BandwidthEstimator,
+        may_look: Callable[[int], bool] = lambda now_us: True,
     ) -> None:
+        """``may_look(now_us)``: whether the renderer has room for this client; asked when a look is due."""
         self.stats = StreamStats()
         self._library, self._settings, self._hello = library, settings, hello
-        self._estimator = estimator
+        self._estimator, self._may_look = estimator, may_look
         self._viewer = Viewer(settings, hello)
         self._policy = create_rate_policy(settings.abr)
         self._encoder = ReferenceEncoder(settings, hello.intrinsics, library.manifest.fps)
@@ -178,7 +180,7 @@ class Streamer:
         Frames that became due before it and were not begun are skipped: their references would come too late.
         """
         due_us = self.next_due_us()
-        if self._schedule.looking or self._between_looks(now_us) or due_us is None or now_us < due_us:
+        if self._schedule.looking or due_us is None or now_us < due_us or self._between_looks(now_us):
             return None
         tick, frame, covered = self._schedule.look(now_us - due_us)
         plan = self._plan(tick, frame, covered, now_us)
@@ -203,8 +205,11 @@ class Streamer:
         Media goes on without new references; only they wait for the renderer. Where nothing was seen yet, the tiles'
         bounds say what is in view.
         """
-        due_us, frame, between = self.next_due_us(), self._schedule.next_frame, self._between_looks(now_us)
-        if not (self._schedule.looking or between) or frame is None or due_us is None or now_us < due_us:
+        due_us, frame = self.next_due_us(), self._schedule.next_frame
+        if frame is None or due_us is None or now_us < due_us:
+            return []
+        between = self._between_looks(now_us)
+        if not (self._schedule.looking or between):
             return []
         seen = self._next_is_seen()
         tick, covered = self._schedule.go_blind()
@@ -236,10 +241,11 @@ class Streamer:
         return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
 
     def _between_looks(self, now_us: int) -> bool:
-        """Whether the next frame is one of those that get no reference of their own: so asked for, or too dear."""
+        """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
         seen = self._next_is_seen()
-        if not self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us)):
-            return seen and not self._schedule.looking
+        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us))
+        if seen and not self._schedule.looking and not (affordable and self._may_look(now_us)):
+            return True
         return not self._video.needs_idr and self._schedule.between_looks(seen=seen)
 
     def _next_is_seen(self) -> bool:

@@ -6,6 +6,7 @@ from cags_protocol import events as ev
 from cags_protocol.inventory import pack_inventory
 from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample
 from cags_server.connection import Connection
+from cags_server.looks import Looks
 from support.server_scene import SETTINGS, hello, library
 
 STEP_US = 5_000
@@ -136,3 +137,19 @@ def test_a_damaged_inventory_is_refused() -> None:
     pair = Pair(resume=name, inventory=b"\xff\xff\xff")
     pair.run(100)
     assert pair.of(ev.Refused)[0].refusal.field == "inventory"
+
+
+def test_a_client_that_goes_gives_its_place_at_the_renderer_back() -> None:
+    looks = Looks(workers=1)
+    pair = Pair(looks=looks)
+    pair.run(100)
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(150)
+    assert looks._out == 0, "looks that came back"
+    due_us = pair.connection.streamer.next_due_us()
+    assert pair.connection.next_job(due_us) is not None
+    assert looks._out == 1
+    pair.connection.connection_lost("cut", due_us)
+    pair.connection.release()
+    pair.connection.release()
+    assert looks._out == 0
