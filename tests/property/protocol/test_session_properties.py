@@ -16,7 +16,7 @@ SIZES = st.lists(st.tuples(st.integers(0, 40_000), st.integers(0, 5), st.integer
 
 
 @given(SIZES, st.integers(0, 2**32))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_over_a_reliable_network_everything_arrives_whole_and_exactly_once(plan, seed):
     rng = random.Random(seed)
     delay_us = rng.randrange(1, 80_000)
@@ -60,7 +60,7 @@ def hostile(rng, damage, lose, double, worst_us):
     st.floats(0, 0.3),
     st.integers(2, 200_000),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_over_a_hostile_network_every_message_is_settled_once_and_nothing_false_arrives(
     plan, seed, damage, lose, double, worst_us
 ):
@@ -92,7 +92,7 @@ def test_over_a_hostile_network_every_message_is_settled_once_and_nothing_false_
 
 
 @given(st.binary(max_size=300))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_any_bytes_are_a_message_or_a_protocol_error(data):
     try:
         message, payload = decode(data)
@@ -103,7 +103,6 @@ def test_any_bytes_are_a_message_or_a_protocol_error(data):
         assert (again, bytes(rest)) == (message, bytes(payload))
 
 
-@settings(deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=10), st.booleans())
 def test_any_bytes_leave_a_session_open_or_cleanly_closed(messages, after_handshake):
     pair = Pair().open() if after_handshake else Pair()
@@ -116,7 +115,7 @@ def test_any_bytes_leave_a_session_open_or_cleanly_closed(messages, after_handsh
 
 
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_references_never_wait_behind_tiles(data):
     rng = random.Random(data.draw(st.integers(0, 2**32)))
     pair = Pair().open()

@@ -63,7 +63,7 @@ options = st.builds(
     threads=st.integers(1, 3),
     shortcuts=st.builds(Shortcuts, colour_angle_rad=st.floats(0, 0.5), half_resolution=st.booleans()),
 )
-quick = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+quick = settings(max_examples=150, suppress_health_check=list(HealthCheck))
 
 
 @quick

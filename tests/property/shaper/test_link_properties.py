@@ -1,6 +1,6 @@
 """The link against mahimahi's own loop, written out as its source does it, and conservation of bytes and order."""
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_shaper.link import Link, LinkSettings
@@ -12,7 +12,6 @@ ARRIVALS = st.lists(st.tuples(st.integers(0, 30_000), st.integers(1, 1504)), max
 BOUND = st.none() | st.integers(1, 6000)
 
 
-@settings(deadline=None)
 @given(TIMES, ARRIVALS, BOUND, st.none() | st.integers(1, 8))
 def test_delivery_times_and_drops_are_mahimahis(times_ms, arrivals, queue_bytes, queue_packets):
     ours = Link(trace_of_times("t", times_ms), LinkSettings(queue_bytes=queue_bytes, queue_packets=queue_packets))
@@ -30,7 +29,6 @@ def test_delivery_times_and_drops_are_mahimahis(times_ms, arrivals, queue_bytes,
     assert ours_out == theirs.out
 
 
-@settings(deadline=None)
 @given(
     TIMES,
     st.lists(st.tuples(st.integers(0, 30_000), st.integers(1, 20_000)), max_size=60),
@@ -60,7 +58,6 @@ def test_bytes_and_order_are_conserved_under_every_effect(times_ms, arrivals, qu
     assert link.queued_bytes(last_us) == 0
 
 
-@settings(deadline=None)
 @given(TIMES, st.integers(0, 10**6), st.integers(1, 10**6))
 def test_capacity_counts_and_times_agree(times_ms, start_us, length_us):
     trace = trace_of_times("t", times_ms)

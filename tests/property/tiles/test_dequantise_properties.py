@@ -15,7 +15,7 @@ from cags_common.splats import Splats
 from cags_common.svq import Codebook, CodebookSet
 
 pytestmark = pytest.mark.skipif(not cags_kernels.native_available(), reason="needs the native kernels")
-QUICK = settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+QUICK = settings(max_examples=120, suppress_health_check=[HealthCheck.too_slow])
 
 FORMS = (
     ("scale", "rotation", "alpha", "sh0"),

@@ -18,7 +18,7 @@ from support.codec_scenes import books, cloud
 from support.mutation import mutate
 
 BOOKS = books((4, 2))
-QUICK = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+QUICK = settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 
 
 def some_payload() -> bytes:

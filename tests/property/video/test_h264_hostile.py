@@ -20,13 +20,13 @@ def decode_or_refuse(data: bytes) -> None:
     assert picture is None or (picture.ndim == 3 and np.isfinite(picture).all())
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.binary(max_size=300))
 def test_noise(data: bytes) -> None:
     decode_or_refuse(data)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.lists(st.tuples(st.integers(0, len(_UNIT) - 1), st.integers(0, 255)), max_size=6), st.integers(0, len(_UNIT)))
 def test_damaged_and_cut_units(changes: list[tuple[int, int]], keep: int) -> None:
     damaged = bytearray(_UNIT)

@@ -162,5 +162,5 @@ class Weather(RuleBasedStateMachine):
             assert self.settled == self.sent
 
 
-Weather.TestCase.settings = settings(max_examples=25, stateful_step_count=40, deadline=None)
+Weather.TestCase.settings = settings(max_examples=25, stateful_step_count=40)
 test_any_weather = Weather.TestCase

@@ -124,7 +124,7 @@ def test_depth_is_carried_over_holes():
 sizes = st.tuples(st.integers(1, 23), st.integers(1, 23))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(sizes, sizes, st.data())
 def test_whatever_is_drawn_the_picture_stays_one(mine: tuple[int, int], theirs: tuple[int, int], data: st.DataObject):
     unit = st.floats(0, 1, width=32)

@@ -117,7 +117,7 @@ def test_memory_stays_within_its_bound(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PARSERS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.binary(max_size=400))
 def test_noise(name: str, data: bytes) -> None:
     parse_or_refuse(name, data)
@@ -133,7 +133,7 @@ LINES = st.sampled_from(
 
 
 @pytest.mark.parametrize("name", ["ply", "compressed-ply"])
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(lines=st.lists(LINES, max_size=12), body=st.binary(max_size=64))
 def test_ply_headers_of_any_lines(name: str, lines: list[str], body: bytes) -> None:
     header = "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""])
@@ -151,7 +151,7 @@ FIELDS = st.sampled_from(
 )  # fmt: skip
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(field=FIELDS, value=JSON)
 def test_sog_meta_of_any_json(field: str, value: object) -> None:
     parse_or_refuse("sog", with_meta(originals("sog")[1], **{field: value}))

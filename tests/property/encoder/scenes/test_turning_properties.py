@@ -1,7 +1,7 @@
 """Rotations of many splats and of their harmonics agree with each other."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common import so3
@@ -50,7 +50,6 @@ def test_frames_lie_along_their_axes(seed: int) -> None:
     np.testing.assert_allclose(np.sum(matrices[..., 2] * y, axis=1), 0, atol=1e-8)
 
 
-@settings(deadline=None)
 @given(SEEDS, DEGREES)
 def test_turned_harmonics_show_in_turned_directions_what_they_showed_before(seed: int, degree: int) -> None:
     rng = np.random.default_rng(seed)
@@ -74,7 +73,6 @@ def test_the_basis_is_orthonormal_and_in_the_files_order() -> None:
     np.testing.assert_allclose(basis(np.array([x, y, z_]), 2)[1:6], expected, atol=1e-6)
 
 
-@settings(deadline=None)
 @given(SEEDS, DEGREES)
 def test_a_lobe_peaks_with_one_at_its_axis(seed: int, degree: int) -> None:
     rng = np.random.default_rng(seed)
