@@ -32,8 +32,9 @@ class FakeControls:
 
     def __init__(self, has_truth: bool = True) -> None:
         self.playing, self.loop, self.rate = True, True, 1.0
-        self.restorer, self.restorers = "affine", ("none", "affine")
+        self.restorer, self.restorers = "affine", ("auto", "none", "affine")
         self.exactness = "balanced"
+        self.away = False
         self.has_truth = has_truth
         self.frame = 0
         self.truths = 0
@@ -125,6 +126,7 @@ def shown_frame(frame: int, pose: Pose) -> ShownFrame:
             "buffer_ms": 66.0 + 20 * math.sin(t * 5),
             "prediction_error_deg": 2 + abs(math.sin(t * 4)) * 3,
         },
+        tier="affine",
     )
 
 

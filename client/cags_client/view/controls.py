@@ -56,6 +56,8 @@ class ShownFrame:
     stats: Mapping[str, float | None] = field(default_factory=dict)
     """Further figures by name, such as ``goodput_mbps``, ``lod_mean``, ``buffer_ms``, ``prediction_error_deg``."""
     missed: bool = False
+    tier: str = ""
+    """The restorer in use: with ``auto``, the one that was chosen."""
 
 
 class Controls(Protocol):
@@ -84,6 +86,11 @@ class Controls(Protocol):
     @property
     def restorers(self) -> tuple[str, ...]:
         """Names that :meth:`set_restorer` takes."""
+        ...
+
+    @property
+    def away(self) -> bool:
+        """Whether the server is gone and looked for: the picture stands on what is held."""
         ...
 
     @property

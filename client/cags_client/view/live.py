@@ -250,6 +250,7 @@ class LiveView:
             "restorer": controls.restorer,
             "exactness": controls.exactness,
             "held": self.poses.held,
+            "away": controls.away,
         }
 
     # ---------------------------------------------------------------------------------------------------------- frames

@@ -68,6 +68,11 @@ class PlayerControls:
         return (auto.NAME, *RESTORERS)
 
     @property
+    def away(self) -> bool:
+        """Whether the connection is lost and not yet restored."""
+        return self._player.away
+
+    @property
     def exactness(self) -> str:
         """How exactly is drawn."""
         return self._live.exactness

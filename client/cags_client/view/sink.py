@@ -68,6 +68,7 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
         stages_ms=presented.stages_ms,
         stats=figures,
         missed=presented.missed,
+        tier=presented.tier,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -56,10 +57,10 @@ def page(show: BallShow, tmp_path: Path) -> Iterator[Any]:
         assert complaints(running) == []
 
 
-def wait(running: Any, condition: Callable[[], bool]) -> None:
+def wait(running: Any, condition: Callable[[], bool], seconds: float = WAIT_S) -> None:
     from selenium.webdriver.support.ui import WebDriverWait
 
-    WebDriverWait(running, WAIT_S, poll_frequency=0.1).until(lambda _: condition())
+    WebDriverWait(running, seconds, poll_frequency=0.1).until(lambda _: condition())
 
 
 def measured(running: Any) -> dict[str, Any]:
@@ -152,6 +153,46 @@ def test_two_pictures_overlays_and_figures(page: Any, show: BallShow) -> None:
     keep_screenshot(page, "side-by-side-light")
     page.find_element("css selector", "#restorer option[value=none]").click()
     wait(page, lambda: show.controls.restorer == "none")
+
+
+@pytest.mark.parametrize("name", ["occlusion", "confidence", "detail", "tiles", "reference"])
+def test_an_overlay_is_drawn_over_the_picture_and_goes_again(page: Any, show: BallShow, name: str) -> None:
+    press(page, " ")
+    wait(page, lambda: not show.controls.playing and measured(page)["frame"] == show.controls.frame)
+    before = measured(page)["frames"]
+    wait(page, lambda: measured(page)["frames"] > before + 5)  # by then the video has settled on the still picture
+    bare = page.execute_script(CENTRE)
+    click(page, f"#overlays input[value={name}]")
+    wait(page, lambda: difference(bare, page.execute_script(CENTRE)) > 0.2)
+    drawn = difference(bare, page.execute_script(CENTRE))
+    keep_screenshot(page, f"overlay-{name}")
+    click(page, f"#overlays input[value={name}]")
+    wait(page, lambda: difference(bare, page.execute_script(CENTRE)) < drawn / 2)
+
+
+def test_the_choice_of_auto_and_a_lost_server_are_told(page: Any, show: BallShow) -> None:
+    page.find_element("css selector", "#restorer option[value=auto]").click()
+    wait(page, lambda: page.find_element("id", "tier").text == "chose affine")
+    page.find_element("css selector", "#restorer option[value=affine]").click()
+    wait(page, lambda: page.find_element("id", "tier").text == "")
+    show.controls.away = True
+    wait(page, lambda: page.find_element("id", "link-state").text == "server lost")
+    show.controls.away = False
+    wait(page, lambda: page.find_element("id", "link-state").text == "live")
+
+
+def test_a_page_that_nobody_sees_is_not_drawn_for(page: Any, show: BallShow) -> None:
+    (state,) = show.view._pages.values()
+    page.execute_script("""
+        Object.defineProperty(document, 'hidden', {configurable: true, get: () => true});
+        window.requestAnimationFrame = (later) => { window.later = later; return 0; };
+    """)
+    wait(page, lambda: not state.ready)
+    sent = state.sent
+    time.sleep(1.0)
+    assert state.sent == sent
+    page.execute_script("delete document.hidden; window.later(performance.now())")
+    wait(page, lambda: state.sent > sent)
 
 
 def test_a_browser_without_webcodecs_gets_jpeg(show: BallShow, tmp_path: Path) -> None:

@@ -92,10 +92,11 @@ function changeRig(rig) {
 
 let waiting = null;
 
-/** Keep the newest decoded frame for the next refresh of the screen. */
+/** Keep the newest decoded frame for the next refresh of the screen. A page that nobody sees says nothing of what it
+ *  was sent, so that the server soon stops drawing for it; the first refresh afterwards says it all at once. */
 function show(frame) {
-  if (waiting) acknowledge(waiting);
-  else requestAnimationFrame(refresh);
+  if (!waiting) requestAnimationFrame(refresh);
+  else if (!document.hidden) acknowledge(waiting);
   waiting?.images.forEach((image) => image.close());
   waiting = frame;
 }
@@ -113,7 +114,6 @@ function acknowledge(frame) {
 }
 
 function measure(header, now) {
-  panel.link("live", "live");
   panel.frame(header);
   if (panel.rig === "walk") camera?.follow(header.camera);
   else if (camera) camera.fovY = header.camera.fov_y;

@@ -61,6 +61,7 @@ export class Panel {
     if (document.activeElement !== $("rate")) $("rate").value = String(state.rate);
     if (!state.held && this.rig !== "walk") this.setRig("walk");
     if (state.held && this.rig === "walk") this.setRig("orbit");
+    if (state.away) this.link("gone", "server lost");
   }
 
   shaper(message) {
@@ -77,11 +78,13 @@ export class Panel {
 
   frame(header) {
     this.#frame = header.frame;
+    if (!this.#state.away) this.link("live", "live");
     const now = performance.now();
     if (now - this.#clocked < CLOCK_MS && this.#state.playing) return;
     this.#clocked = now;
     $("waiting").hidden = true;
     if (!this.#seeking) $("seek").value = header.frame;
+    $("tier").textContent = this.#state.restorer === "auto" ? `chose ${header.tier}` : "";
     $("clock").textContent = `${header.frame + 1} / ${this.#scene?.frames ?? "?"}`;
   }
 

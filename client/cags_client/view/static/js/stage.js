@@ -29,6 +29,7 @@ export class Stage {
     this.wipe = 0.5;
     this.names = ["restored", "distorted"];
     this.frame = null;
+    this.view = { width: 1, height: 1 }; // until the page is laid out
     this.scale = devicePixelRatio; // canvas pixels a CSS pixel
     this.#watchSize();
     this.#watchWipe();
@@ -162,7 +163,7 @@ export class Stage {
    *  much as decoding it. Others fill the stage, on a canvas of as many pixels as the picture has, which the compositor
    *  scales at a third of what drawing it larger costs; lines over it want the screen's own pixels. */
   #resize(image) {
-    const { canvas, frame, view = { width: 1, height: 1 } } = this;
+    const { canvas, frame, view } = this;
     const { grids, tiles, reference } = frame?.header.overlays ?? {};
     this.scale = devicePixelRatio;
     let [width, height] = [view.width, view.height];
