@@ -44,10 +44,12 @@ class Seen:
         footprint = Footprint.of(self.camera.intrinsics, reference.camera.intrinsics)
         return self.scene.render(reference.camera, RenderOptions(footprint=footprint))
 
-    def carried(self, reference: ReferencePicture, then: Seen) -> ReferencePicture:
-        """``reference`` as it would look now; ``then`` is what the client drew at the reference's own frame."""
-        pictures = (view.own(reference).rgb.clip(0, 1) for view in (then, self))
-        return replace(reference, rgb=carried(reference.rgb, *pictures))
+    def carried(self, reference: ReferencePicture, then: Seen, frame: int) -> ReferencePicture:
+        """``reference`` as it would look at ``frame``; ``then`` is what the client drew at the reference's own."""
+        if reference.frame == frame:
+            return reference
+        before, now = (view.own(reference).rgb.clip(0, 1) for view in (then, self))
+        return replace(reference, rgb=carried(reference.rgb, before, now, frame - reference.frame))
 
     def restored(self, reference: ReferencePicture, restorer: Restorer) -> F32:
         """The picture that is shown."""

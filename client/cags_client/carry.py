@@ -5,13 +5,19 @@ of t_r*. Against the splats of a later frame it would show what has moved, not w
 painted where it was. So the client draws its splats from the reference's camera twice, as of t_r (undoing the changes
 of content since, :class:`~cags_client.past.SplatPast`) and as of now, and hands on the reference as it would look now,
 
-    carried = own_now + weight * (reference - own_then),    weight = E / (E + CAUTION * C),
+    carried = own_now + (1 - b) w (reference - own_then) + b (reference - own_now),
+    w = min(A, B) / (min(A, B) + CAUTION * C),    b = max(0, 1 - B / A),
 
-with E the local mean power of (reference - own_then) and C that of (own_now - own_then), what has visibly changed:
-moved parts where they were and where they are, recoloured ones, a cut. Both views are through one camera, so what
-stands still differs by nothing at all and keeps its whole correction, while nothing is said about what has changed by
-much more than the correction is worth. Everything behind (alignment, its z-test, restoration, the adapter) then works
-on one frame.
+with A and B the local mean powers of (reference - own_then) and (reference - own_now), and C that of (own_now -
+own_then), what has visibly changed: moved parts where they were and where they are, recoloured ones, a cut. The views
+are through one camera, so what stands still differs by nothing at all and keeps its whole correction (w = 1, b = 0),
+while nothing is said about what has changed by much more than the correction is worth. Where the splats of now look
+more like the reference than those of then do (b), they had been out of date, and what is still wrong in them counts.
+Last, no correction may stand out: what the client was not sent in time it cannot know to have moved, and a reference is
+right about that for its own frame alone. Where min(A, B) is more than PLAUSIBLE / age times its median, which
+quantisation seldom is and a misplaced part is by far, the correction falls in proportion.
+
+Everything behind (alignment, its z-test, restoration, the adapter) then works on one frame.
 """
 
 from __future__ import annotations
@@ -35,17 +41,35 @@ RADIUS_PX = 2
 CAUTION = 3.0
 """Weight of what has changed against what the correction is worth."""
 
+PLAUSIBLE = 64.0
+"""Power of a correction against the median of the picture's, times the frames that have gone by, that is too much."""
+
+VISIBLE_POWER = 1e-6
+"""Of a correction of less than half a step of 8 bits: void, or nothing to correct."""
+
 LEAST_POWER = 1e-12
 
 
-def carried(reference: F32, then: F32, now: F32) -> F32:
-    """``reference`` [h, w, 3] as it would look now, by the client's own views of both frames; all in [0, 1]."""
-    residual = reference - then
-    worth, changed = _local_power(residual), _local_power(now - then)
-    worth += np.float32(LEAST_POWER)
-    residual *= (worth / (worth + np.float32(CAUTION) * changed))[..., None]
+def carried(reference: F32, then: F32, now: F32, age: int = 1) -> F32:
+    """``reference`` [h, w, 3] as it would look ``age`` frames later, by the client's own views of both; in [0, 1]."""
+    residual, against_now = reference - then, reference - now
+    a, b, changed = _local_power(residual), _local_power(against_now), _local_power(now - then)
+    a += np.float32(LEAST_POWER)
+    worth = np.minimum(a, b + np.float32(LEAST_POWER))
+    better = np.maximum(1 - b / a, np.float32(0))
+    plausible = np.minimum(np.float32(PLAUSIBLE / age * _median(worth)) / worth, np.float32(1))
+    residual *= ((1 - better) * worth / (worth + np.float32(CAUTION) * changed))[..., None]
+    residual += better[..., None] * against_now
+    residual *= plausible[..., None]
     residual += now
     return np.clip(residual, 0.0, 1.0, out=residual)
+
+
+def _median(power: F32) -> float:
+    """Of the pixels where there is anything to correct; every fourth row is looked at."""
+    rows = power[::4]
+    shown = rows[rows > VISIBLE_POWER]
+    return float(np.median(shown)) if shown.size else VISIBLE_POWER
 
 
 def _local_power(picture: F32) -> F32:
@@ -113,10 +137,8 @@ class ReferenceViews:
         """
         own = self.now(reference, held, options)
         then = self._as_of_reference(reference, held, options)
-        if then is own:
-            return reference, own
         pictures = reference.rgb, then.rgb.clip(0.0, 1.0), own.rgb.clip(0.0, 1.0)
-        return replace(reference, rgb=carried(*pictures)), own
+        return replace(reference, rgb=carried(*pictures, max(held.store.shown_frame - reference.frame, 1))), own
 
     def _as_of_reference(self, reference: ReferencePicture, held: Held, options: RenderOptions) -> RenderedView:
         key, known = self._quality(held, options), held.store.past.knows(reference.frame)

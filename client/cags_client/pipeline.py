@@ -226,7 +226,6 @@ class ClientPipeline:
             reference=reference is not None,
             same_place=there == camera.pose.position,
             same_frame=reference is not None and reference.frame == frame,
-            moved_on=reference is not None and self._moved_on(reference, store),
             restorer=self._restorer.needs,
             replaces=self._replaces,
             adapts=self._adapter is not None,
@@ -239,9 +238,6 @@ class ClientPipeline:
         if reference is None or self._replaces or self._views.usable(reference, store):
             return reference
         return None
-
-    def _moved_on(self, reference: ReferencePicture, store: GofStore) -> bool:
-        return not store.past.knows(reference.frame) or store.past.changed_since(reference.frame)
 
     @property
     def _compares(self) -> bool:

@@ -14,7 +14,7 @@ occlusion      as alignment, and the two cameras stand at different places: from
 erosion        as occlusion, and the restorer looks at the aligned colours (which are filled where a pixel is hidden)
 own-view       the restorer or the adapter compares with the client's splats as the reference sees them
 fade           the reference is of another frame than the one on display
-carry          as fade, splats on display have changed since, and the restorer does not replace the picture
+carry          the reference is of another frame, and the restorer does not stand in the picture's place
 stand-in       as restoration, by a restorer that compares: it tells where the splats are not those of the scene
 depth          something is aligned, or somebody looks at the depth picture
 =============  =========================================================================================================
@@ -100,8 +100,6 @@ class Situation:
     """The reference's camera stands where the client's does (whichever way they look)."""
     same_frame: bool
     """The reference is of the frame on display."""
-    moved_on: bool
-    """Splats on display have changed since the reference's frame, or may have."""
     restorer: frozenset[Effect]
     """What the restorer looks at; with nothing it shows the picture as it is."""
     replaces: bool
@@ -155,7 +153,7 @@ def _restoring(s: Situation, *, always: bool) -> set[Effect]:
         on |= {Effect.ALIGNMENT, Effect.OWN_VIEW}
     if Effect.ALIGNMENT in on and (always or not s.same_place):
         on |= {Effect.OCCLUSION, *(s.restorer & {Effect.EROSION})}
-    if on and (always or s.moved_on) and not s.replaces:
+    if on and (always or not s.same_frame) and not s.replaces:
         on |= {Effect.CARRY, Effect.OWN_VIEW}
     if s.restorer >= {Effect.ALIGNMENT, Effect.OWN_VIEW} and not s.replaces:
         on.add(Effect.STAND_IN)

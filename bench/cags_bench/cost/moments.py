@@ -86,7 +86,7 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
             see(rasteriser.load(decoder.frame(frame).splats), presented.camera)
             for frame in (reference.frame, presented.frame)
         )
-        reference = seen.carried(reference, then)
+        reference = seen.carried(reference, then, presented.frame)
         moments.append(Moment(presented.frame, presented.camera, reference, seen, rgb.clip(0, 1), alpha, source))
     reader.close()
     return Workbench(bundle, scenario, tuple(moments))
