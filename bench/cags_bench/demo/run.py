@@ -27,12 +27,12 @@ CLIENT_GRACE_S = 240.0
 """How long the client may take to score its frames after the last one was shown."""
 
 
-def threads_each() -> str:
-    """Threads of a render in server and client, which draw at the same time: half of the cores each.
+def threads_each(settings: DemoSettings) -> str:
+    """Threads of a render in server and client, which draw at the same time: half of the cores each, unless told.
 
     More would wait for each other: on two busy cores, a picture by two threads took one and a half times as long.
     """
-    return str(max(1, usable_cores() // 2))
+    return str(settings.threads or max(1, usable_cores() // 2))
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def show_live(scene: str, settings: DemoSettings, progress: IO[str]) -> None:
                 *("--url", f"ws://127.0.0.1:{shaper['port']}/stream", "--view", "--view-port", "0", "--json", "-"),
                 *("--shaper-control", f"127.0.0.1:{shaper['control']}", "--poses", settings.poses),
                 *("--width", str(width), "--height", str(height), "--truth", str(bundle)),
-                *("--threads", threads_each()),
+                *("--threads", threads_each(settings)),
                 *("--exactness", "fast"),  # 70 dB: far below what the page's own video coding leaves
             ],
         )
@@ -125,7 +125,7 @@ def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[
 
 def start_link(group: ProcessGroup, bundle: str, settings: DemoSettings, *more: str) -> dict[str, Any]:
     """Start server and shaper; returns the shaper's ready line."""
-    serve = ["--bundle", bundle, "--port", "0", "--json", "--render-threads", threads_each()]
+    serve = ["--bundle", bundle, "--port", "0", "--json", "--render-threads", threads_each(settings)]
     server = group.start("cags_server", serve).ready()
     ends = ("--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}")
     rate = ("--trace", link_trace(settings), "--delay-ms", str(settings.delay_ms))
@@ -145,7 +145,7 @@ def client_arguments(bundle: str, port: int, settings: DemoSettings, report: Pat
     return [
         *("--url", f"ws://127.0.0.1:{port}/stream", "--poses", settings.poses, "--truth", bundle),
         *("--json", str(report / "frames.jsonl"), "--stages", str(stages), "--stages-every", str(STAGES_EVERY)),
-        *("--width", str(settings.width), "--height", str(settings.height), "--threads", threads_each()),
+        *("--width", str(settings.width), "--height", str(settings.height), "--threads", threads_each(settings)),
     ]
 
 

@@ -66,6 +66,7 @@ def test_the_image_is_built_from_two_stages_and_ends_as_another_user() -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1800)
 def test_the_steps_of_the_image_end_in_working_commands(tmp_path: Path) -> None:
     build, final = stages()
     source, opt, data = tmp_path / "src", tmp_path / "opt", tmp_path / "data"
