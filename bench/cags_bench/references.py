@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
 from cags_client.align import ReferencePicture
+from cags_common.errors import ConfigError
 from cags_common.geometry import F32, F64, Camera, Pose, multiply_quaternions, quaternion_of_rotation_vector
 from cags_common.raster.base import RasterScene, RenderOptions
 from cags_common.video.colour import Chroma
@@ -29,3 +32,11 @@ def moved(pose: Pose, angle_rad: float, distance: float, axis: F64, step: F64) -
     ax, ay, az = (float(c) * angle_rad for c in axis)
     x, y, z = (p + distance * float(s) for p, s in zip(pose.position, step, strict=True))
     return Pose((x, y, z), multiply_quaternions(pose.rotation, quaternion_of_rotation_vector((ax, ay, az))))
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Width and height of ``WIDTHxHEIGHT``. Raises :class:`ConfigError`."""
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if match is None:
+        raise ConfigError(f"size {text!r} must be WIDTHxHEIGHT, such as 800x600")
+    return int(match[1]), int(match[2])

@@ -6,7 +6,9 @@ frames after its own was shown. ``held``: it comes in time, and no other follows
 
 from __future__ import annotations
 
+import argparse
 import math
+import re
 import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,11 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from cags_bench.references import REFERENCE_PX, moved
+from cags_bench.bundles import cached_bundle
+from cags_bench.jsonl import check, provenance, summary
+from cags_bench.references import REFERENCE_PX, moved, size_of
 from cags_client.pipeline import ClientPipeline
 from cags_client.settings import ClientSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader
+from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
 from cags_common.metrics import covered_mask, psnr
 from cags_common.poses import Focus, PoseTrace, synthetic_walk
@@ -26,13 +31,18 @@ from cags_common.raster.base import Footprint, RenderOptions
 from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Decoder, H264Encoder
 from cags_common.video.noise import coding_noise
+from cags_encoder import EncodeSettings
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_server.settings import ServerSettings
 
 COMINGS = ("late", "held")
 CHANGED = 0.02
 """A pixel of the truth that changes by more than this between two frames belongs to something that moves."""
 
 MARGIN = 1.2
+LOD_SHARES = (0.0, 0.3, 0.6)
+ERROR_DEG = 2.0
+STATS = ("mean", "least")
 
 
 @dataclass(frozen=True)
@@ -124,3 +134,37 @@ def gains(records: Sequence[dict[str, Any]], kind: str = "covered") -> tuple[flo
     found = [r[f"psnr_{kind}_restored_db"] - r[f"psnr_{kind}_distorted_db"] for r in records]
     known = [g for g in found if math.isfinite(g)]
     return (statistics.mean(known), min(known)) if known else (math.nan, math.nan)
+
+
+def measure_ages(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """One line for every age, way of coming and LoD, then a summary. Raises :class:`CagsError`."""
+    ages, (width, height) = _ages(args.ages), size_of(args.size)
+    bundle = cached_bundle(args.scene, args.cache, EncodeSettings(frames=2 * max(ages) + 2))
+    records = []
+    with BundleReader.open(str(bundle)) as reader:
+        frames = [reader.manifest.frames - 1 - max(ages), reader.manifest.frames - 1]
+        client = ClientSettings(width=width, height=height, threads=args.threads, reference_age=2 * max(ages))
+        play = AgedPlay(reader, client, crf=ServerSettings().reference_crf, seed=args.seed)
+        top = reader.manifest.lods - 1
+        for age in ages:
+            for coming in COMINGS:
+                for lod in sorted({round(share * top) for share in LOD_SHARES}):
+                    found = list(play.play(AgeCase(coming, age, lod, ERROR_DEG), frames))
+                    figures = {kind: gains(found, kind) for kind in ("covered", "moving")}
+                    records.append(figures)
+                    names = {
+                        f"gain_{k}_{n}_db": v for k, both in figures.items() for n, v in zip(STATS, both, strict=True)
+                    }
+                    yield {"benchmark": "align", "coming": coming, "age": age, "lod": lod, **names, **provenance()}
+    least, mean = min(r["covered"][1] for r in records), statistics.mean(r["covered"][0] for r in records)
+    checks = [
+        check("least gain with references of another frame, dB", ">= -0.1", least, least >= -0.1),
+        check("mean gain with references of another frame, dB", "> 0", mean, mean > 0),
+    ]
+    yield summary("align", checks, size=args.size)
+
+
+def _ages(text: str) -> list[int]:
+    if re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2})*", text) is None:
+        raise ConfigError(f"ages {text!r} must be whole numbers from 1 to 999, such as 1,3,10")
+    return sorted({int(part) for part in text.split(",")})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import statistics
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ import numpy as np
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import check, provenance, summary
-from cags_bench.references import REFERENCE_PX, coded_reference, moved
+from cags_bench.references import REFERENCE_PX, coded_reference, moved, size_of
 from cags_client.adapt import SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture, create
 from cags_client.restore import RestoreInput
@@ -23,7 +22,6 @@ from cags_client.restore.affine import AffineRestorer, AffineSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
-from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.metrics import covered_mask, psnr, ssim
 from cags_common.poses import Focus, synthetic_walk
@@ -78,10 +76,7 @@ def measure(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 class _Bench:
     def __init__(self, reader: BundleReader, args: argparse.Namespace) -> None:
-        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", args.size)
-        if match is None:
-            raise ConfigError(f"size {args.size!r} must be WIDTHxHEIGHT, such as 800x600")
-        width, height = int(match[1]), int(match[2])
+        width, height = size_of(args.size)
         self.top = reader.manifest.lods - 1
         self._reader, self._args = reader, args
         focal = width / (2 * math.tan(FOV_RAD / 2))
