@@ -173,6 +173,21 @@ def test_a_frame_that_did_not_come_shows_the_one_before(reader: BundleReader) ->
     assert not pipe.present(1, pipe.camera(pose)).missed
 
 
+def test_a_half_received_frame_is_no_worse_for_being_restored(reader: BundleReader) -> None:
+    """Every other tile of the first frame has not come: the reference shows what the client has no splats for."""
+    pipe, pose = pipeline(reader), pose_of(reader)
+    for entry in reader.frame(0).tiles[::2]:
+        payload = reader.payload(0, entry.tile, 0)
+        message = TileLayers(0, entry.tile, 0, 1, (len(payload),), entry.crcs[:1])
+        assert pipe.on_tiles([(message, memoryview(payload))]) == []
+    pipe.on_frame_end(FrameEnd(0), memoryview(reader.removed_payload(0)))
+    pipe.on_reference(*reference(pipe, reader, 0, pose))
+    shown, true = pipe.present(0, pipe.camera(pose)), truth(reader, 0, pipe.camera(pose))
+    assert psnr(shown.rgb, true) >= psnr(shown.distorted, true) - 0.1
+    assert np.isfinite(shown.rgb).all()
+    assert 0 <= shown.rgb.min() <= shown.rgb.max() <= 1
+
+
 def test_adaptation_improves_the_clients_own_picture_frame_by_frame(reader: BundleReader) -> None:
     pipe, pose = pipeline(reader, adapt="sirt"), pose_of(reader)
     send(pipe, reader, 0)
