@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from cags_bench.codec import readers
 from cags_bench.codec.ablation import VARIANTS, Variant, gains
 from cags_bench.codec.checks import checks
 from cags_bench.codec.command import add_arguments, run
@@ -119,3 +120,12 @@ def test_ablations_take_back_one_idea_each_and_the_gain_is_the_defaults() -> Non
     lines += [line("opacity logits", size, quality - 2) for size, quality in curve]
     (gain,) = gains(lines, "s", "layered")
     assert gain == {"scene": "s", "instead": "opacity logits", "default_gains_db": pytest.approx(2.0)}
+
+
+def test_a_program_that_does_not_end_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(readers, "_LIMIT_S", 0.1)
+    stuck = tmp_path / "node"
+    stuck.write_text("#!/bin/sh\nexec sleep 5\n")
+    stuck.chmod(0o755)
+    with pytest.raises(ConfigError, match="took over 0.1 s"):
+        SplatTransform(str(stuck), tmp_path).read_ms(b"", ".spz", 1)
