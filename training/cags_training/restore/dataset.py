@@ -30,9 +30,6 @@ class Batch:
     fields: F32  # [B, R, R, 4]
     noise: F32  # [B, 1, 1, 6] as networks take it
 
-    def __len__(self) -> int:
-        return len(self.truth)
-
 
 _PICTURES = ("distorted", "aligned", "closed_form", "truth")
 _MASKS = ("confidence", "covered", "weight")
