@@ -31,15 +31,7 @@ class Variant:
         return Variant(quantiser, EncodeSettings(quantiser=quantiser), quantiser_config(quantiser))
 
 
-_BITS = {
-    "scale": (10, 6),
-    "rotation": (10, 8),
-    "alpha": (6, 0),
-    "sh0": (10, 6),
-    "sh1": (8, 8),
-    "sh2": (8, 8),
-    "sh3": (8, 8),
-}
+_BITS = {a.attribute: (a.tree_bits, a.refine_bits) for a in quantiser_config("layered").attributes}
 
 
 def _with(*left_out: str, **bits: tuple[int, int]) -> QuantiserConfig:
