@@ -18,7 +18,9 @@ Both fields are sampled through the alignment:
 The weight says how well the alignment fits. Sampled through it, the client's own view should look like the client's
 picture, block by block; where it does not (a wrong depth, half-transparent layers, something hidden, a grazing view),
 the difference lands in the wrong place just as well. Blocks that disagree by much more than the correction is worth
-(:func:`registration`) keep the distorted picture. Splats of few bits need large corrections, which stay.
+(:func:`registration`) keep the distorted picture. Splats of few bits need large corrections, which stay. Where
+the two views differ on the average of the whole picture, something close to one camera veils that view alone (large
+splats, haze): the correction counts as far as it is worth more than the veil.
 """
 
 from __future__ import annotations
@@ -47,6 +49,9 @@ EVIDENCE_MARGIN = 1.05
 
 NOISE_FLOOR = 2e-6
 """Variance of rounding to 8 bits, in the reference and in what it is compared with."""
+
+VEIL_WEIGHT = 4.0
+"""Weight of what veils one view alone against what the correction is worth; it acts by its square."""
 
 LEAST_POWER = 1e-12
 """Of a correction, where there is none."""
@@ -198,8 +203,9 @@ def correction_fields(own: F32, reference: ReferencePicture, settings: AffineSet
 def registration(inputs: RestoreInput, own: F32, fields: F32, misregistration: float) -> F32:
     """Weight [H, W] of the correction by ``fields`` [h, w, 4], from ``own`` [h, w, 3] against the distorted picture.
 
-    P / (P + misregistration * e): P is the mean power of the correction, e that of the local disagreement, which is
+    S P / (P + misregistration * e): P is the mean power of the correction, e that of the local disagreement, which is
     averaged over 3 x 3 blocks before it is squared, so that detail that the reference cannot hold does not count.
+    S is 1 / (1 + (VEIL_WEIGHT v / P)^2), with v the power of the mean disagreement of the whole picture.
     """
     aligned, block = inputs.aligned, inputs.aligned.geometry.block_px
     height, width = aligned.confidence.shape
@@ -216,7 +222,9 @@ def registration(inputs: RestoreInput, own: F32, fields: F32, misregistration: f
     worth = np.float32(max(power[seen].mean(dtype=np.float64) if seen.any() else 0.0, LEAST_POWER))
     away = np.asarray(c[..., None] * (mean - there), np.float32)
     wrong = np.square(cv2.blur(away, (3, 3), borderType=cv2.BORDER_REPLICATE)).reshape(*c.shape, 3).sum(axis=2)
-    weight = worth / (worth + np.float32(misregistration) * wrong)
+    veil = np.square(away[seen].mean(axis=0, dtype=np.float64)).sum() if seen.any() else 0.0
+    share = np.float32(1 / (1 + (VEIL_WEIGHT * veil / float(worth)) ** 2))
+    weight = share * worth / (worth + np.float32(misregistration) * wrong)
     across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(block)
     down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(block)
     return sample(weight[..., None], *np.meshgrid(across, down))[..., 0]

@@ -194,7 +194,7 @@ def quality(stage: Stage, script: Callable[[Stage], list[PresentedFrame]]) -> fl
     [
         (Effect.RESTORATION, moving_parallax, {}, 1.0),
         (Effect.ALIGNMENT, moving_parallax, {}, 1.0),
-        (Effect.OWN_VIEW, moving_parallax, {}, 0.01),
+        (Effect.OWN_VIEW, turning_on_the_spot, {}, 0.01),
         (Effect.DEPTH, moving_parallax, {}, 1.0),
         (Effect.STAND_IN, torn, {}, 2.0),
     ],

@@ -1,6 +1,7 @@
 """Restorers: what they must never do, and what the closed form must reach."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -180,6 +181,21 @@ def test_large_corrections_outweigh_a_wrong_alignment(affine: AffineRestorer) ->
     distorted = np.clip(truth + np.array([0.2, -0.1, 0.1], np.float32), 0, 1)
     given = slanted(truth, distorted, bend=0.3)
     assert psnr(affine.restore(given), truth) > psnr(distorted, truth) + 2.5
+
+
+def test_what_veils_the_reference_alone_is_not_corrected_away(affine: AffineRestorer) -> None:
+    """A dark splat close to the reference's camera is among the client's splats, and not in the scene."""
+    truth = smooth(120, 160, 6)
+    distorted = np.clip(truth + 0.01 * (smooth(120, 160, 2, seed=1) - 0.5), 0, 1).astype(np.float32)
+    given = inputs(truth, distorted)
+    assert given.own is not None
+    veiled = replace(given, own=replace(given.own, rgb=given.own.rgb - np.float32(0.02)))
+    assert psnr(affine.restore(veiled), truth) > psnr(distorted, truth) - 1.5
+    weak = np.clip(truth + 0.2 * (smooth(120, 160, 20, seed=1) - 0.5), 0, 1).astype(np.float32)
+    given = inputs(truth, weak)
+    assert given.own is not None
+    veiled = replace(given, own=replace(given.own, rgb=given.own.rgb - np.float32(0.005)))
+    assert psnr(affine.restore(veiled), truth) > psnr(weak, truth) + 3, "what is worth more than the veil stays"
 
 
 @pytest.mark.parametrize("size", [(120, 160), (61, 83), (3, 5)])

@@ -21,6 +21,7 @@ constexpr double kLeastPower = 1e-12;                // of a correction, where t
 constexpr int kRowsAPiece = 16;
 constexpr int kEvidenceRows = 4;                     // every fourth row is looked at
 constexpr double kEvidenceMargin = 1.05;             // see cags_client.restore.affine
+constexpr double kVeilWeight = 4.0;
 
 const Stages& stages() {
   switch (active_instruction_set()) {
@@ -171,6 +172,32 @@ float trust_of(double power, double noise) {
   return static_cast<float>(std::clamp(2.0 * (power / std::max(noise, 1e-12) / kEvidenceMargin - 1.0), 0.0, 1.0));
 }
 
+// Means over the blocks that are seen: of the correction's power, and of the disagreement.
+struct Agreement {
+  double power, away[3];
+};
+
+Agreement agreement(const Blocks& blocks, size_t count) {  // in one thread, so that the sums do not depend on their number
+  Agreement all{};
+  int64_t seen = 0;
+  for (size_t i = 0; i < count; i++) {
+    if (blocks.power[i] < 0) continue;
+    for (int c = 0; c < 3; c++) all.away[c] += blocks.disagreement[kColourLanes * i + c];
+    all.power += blocks.power[i], seen++;
+  }
+  const double one = 1.0 / static_cast<double>(std::max<int64_t>(seen, 1));
+  for (double& away : all.away) away *= one;
+  all.power = std::max(all.power * one, kLeastPower);
+  return all;
+}
+
+// What veils one of the client's two views alone veils all of it: its difference stays when all of them are averaged.
+float own_share(const Agreement& all) {
+  const double veil = all.away[0] * all.away[0] + all.away[1] * all.away[1] + all.away[2] * all.away[2];
+  const double ratio = kVeilWeight * veil / all.power;
+  return static_cast<float>(1.0 / (1.0 + ratio * ratio));
+}
+
 // Weighs the correction by how well the client's own two views agree through the alignment. No blocks: all of it counts.
 Blocks registration(const CagsCorrectInput& in, const Padded& fields, const Padded& own, Scratch& scratch, int threads) {
   const int size = in.block_px;
@@ -181,13 +208,10 @@ Blocks registration(const CagsCorrectInput& in, const Padded& fields, const Padd
   blocks.power = scratch.power.reserve(count);
   blocks.weight = scratch.weight.reserve(count);
   for_rows(threads, blocks.height, [&](int row, int) { stages().compare(in, fields, own, row, blocks); });
-  double sum = 0;
-  int64_t seen = 0;
-  for (size_t i = 0; i < count; i++) {  // in one thread, so that the sum does not depend on their number
-    if (blocks.power[i] >= 0) sum += blocks.power[i], seen++;
-  }
-  const float power = static_cast<float>(std::max(sum / static_cast<double>(std::max<int64_t>(seen, 1)), kLeastPower));
-  for_rows(threads, blocks.height, [&](int row, int) { stages().settle(in, row, power, blocks); });
+  const Agreement all = agreement(blocks, count);
+  const float power = static_cast<float>(all.power);
+  const float share = own_share(all);
+  for_rows(threads, blocks.height, [&](int row, int) { stages().settle(in, row, power, share, blocks); });
   return blocks;
 }
 

@@ -37,7 +37,7 @@ struct Evidence {
 // The client's picture in blocks of about a reference pixel: what alignment gets wrong, against what it is to bring.
 struct Blocks {
   int size, width, height;  // client pixels a side; blocks
-  float* disagreement;      // [height, width, 4], the last unused: the picture less the client's own view through the alignment
+  float* disagreement;      // [height, width, 4]: the last unused: the picture less the client's own view through the alignment
   float* power;             // [height, width]: of the correction; below 0 where there is nothing to compare
   float* weight;            // [height, width]: of the correction
 };
@@ -63,7 +63,7 @@ struct Stages {
   // One row of blocks: disagreement and power.
   void (*compare)(const CagsCorrectInput&, const Padded& fields, const Padded& own, int row, const Blocks& blocks);
   // One row of blocks: weights, given the mean power of the correction.
-  void (*settle)(const CagsCorrectInput&, int row, float power, const Blocks& blocks);
+  void (*settle)(const CagsCorrectInput&, int row, float power, float share, const Blocks& blocks);
   // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.
   // `line` [blocks.width] is scratch.
   void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored);

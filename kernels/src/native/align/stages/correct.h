@@ -50,7 +50,8 @@ void compare(const CagsCorrectInput& in, const Padded& fields, const Padded& own
   }
 }
 
-void settle(const CagsCorrectInput& in, int row, float power, const Blocks& blocks) {
+// `share` of the correction that is not an error of the alignment.
+void settle(const CagsCorrectInput& in, int row, float power, float share, const Blocks& blocks) {
   const float* lines[3];
   for (int i = 0; i < 3; i++) {
     lines[i] = blocks.disagreement + int64_t{std::clamp(row + i - 1, 0, blocks.height - 1)} * blocks.width * kColourLanes;
@@ -63,7 +64,7 @@ void settle(const CagsCorrectInput& in, int row, float power, const Blocks& bloc
   Four left = down(-1), middle = down(0);
   for (int column = 0; column < blocks.width; column++) {
     const Four right = down(column + 1);
-    weight[column] = power / (power + in.misregistration * sum_of_squares(left + middle + right) / 81.0f);
+    weight[column] = share * power / (power + in.misregistration * sum_of_squares(left + middle + right) / 81.0f);
     left = middle, middle = right;
   }
 }
