@@ -60,6 +60,31 @@ def test_a_scene_streams_through_three_processes(bundle, tmp_path):
     assert len(list((tmp_path / "pictures").glob("*.png"))) == len(frames)
 
 
+def test_late_and_rare_references_make_no_picture_worse(tmp_path):
+    """A slow link, moving parts, a reference for every third frame: many frames have one of another frame."""
+    scene, length = "procedural:size=12000,frames=30,seed=3", 30
+    bundle = cached_bundle(
+        scene, str(tmp_path / "bundles"), EncodeSettings(frames=length, train_splats=4096, lod_order="paper")
+    )
+    report = tmp_path / "frames.jsonl"
+    with ProcessGroup(tmp_path) as group:
+        server = group.start(
+            "cags_server", ["--bundle", str(bundle), "--port", "0", "--reference-every", "3", "--json"]
+        ).ready()
+        link = ["--listen", "127.0.0.1:0", "--to", f"127.0.0.1:{server['port']}", "--delay-ms", "60", "--json"]
+        shaper = group.start("cags_shaper", [*link, "--trace", "generated:steady-2"]).ready()
+        url = f"ws://127.0.0.1:{shaper['port']}/stream"
+        done = run_module("cags_client", "--url", url, "--truth", str(bundle), "--json", str(report), *SIZE)
+        assert done.returncode == 0, done.stderr
+    frames, _ = frames_and_summary(report)
+    restored = [f for f in frames if "restoration" in f["effects"]]
+    assert restored, "no reference came in time to be of use"
+    gains = [f["psnr_restored_db"] - f["psnr_distorted_db"] for f in restored]
+    worst = restored[gains.index(min(gains))]
+    assert min(gains) >= -0.5, worst
+    assert sum(gains) / len(gains) > 0
+
+
 def test_a_server_that_goes_away_is_named_and_the_client_ends(bundle, tmp_path):
     with ProcessGroup(tmp_path) as group:
         server = group.start("cags_server", ["--bundle", str(bundle), "--port", "0", "--json"])
