@@ -28,11 +28,8 @@ CLIENT_GRACE_S = 240.0
 
 
 def threads_each(settings: DemoSettings) -> str:
-    """Threads of a render in server and client, which draw at the same time: half of the cores each, unless told.
-
-    More would wait for each other: on two busy cores, a picture by two threads took one and a half times as long.
-    """
-    return str(settings.threads or max(1, usable_cores() // 2))
+    """Threads of a render in server and client: all cores for either, unless told; they seldom draw at once."""
+    return str(settings.threads or usable_cores())
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ class DemoSettings:
     width: int = setting(0, "client width in pixels; 0: 640, or 320 without the native kernels", low=0, high=8192)
     height: int = setting(0, "client height in pixels; 0: 480, or 240 without the native kernels", low=0, high=8192)
     threads: int = setting(
-        0, "threads of a render, in the server and in the client; 0: half of the cores each", low=0, high=256
+        0, "threads of a render, in the server and in the client; 0: all cores for either", low=0, high=256
     )
     view: bool = setting(False, "open the live page in place of a report; plays until interrupted")
     cache: str = setting(
