@@ -6,9 +6,7 @@ frames after its own was shown. ``held``: it comes in time, and no other follows
 
 from __future__ import annotations
 
-import argparse
 import math
-import re
 import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from cags_bench.align.command import AlignBenchSettings
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import check, provenance, summary
-from cags_bench.references import REFERENCE_PX, moved, size_of
+from cags_bench.references import REFERENCE_PX, moved
 from cags_client.pipeline import ClientPipeline
 from cags_client.settings import ClientSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader
-from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
 from cags_common.metrics import covered_mask, psnr
 from cags_common.poses import Focus, PoseTrace, synthetic_walk
@@ -33,7 +31,6 @@ from cags_common.video.h264 import H264Decoder, H264Encoder
 from cags_common.video.noise import coding_noise
 from cags_encoder import EncodeSettings
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
-from cags_server.settings import ServerSettings
 
 COMINGS = ("late", "held")
 CHANGED = 0.02
@@ -136,15 +133,15 @@ def gains(records: Sequence[dict[str, Any]], kind: str = "covered") -> tuple[flo
     return (statistics.mean(known), min(known)) if known else (math.nan, math.nan)
 
 
-def measure_ages(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+def measure_ages(settings: AlignBenchSettings) -> Iterator[dict[str, Any]]:
     """One line for every age, way of coming and LoD, then a summary. Raises :class:`CagsError`."""
-    ages, (width, height) = _ages(args.ages), size_of(args.size)
-    bundle = cached_bundle(args.scene, args.cache, EncodeSettings(frames=2 * max(ages) + 2))
+    ages, (width, height) = settings.age_list, settings.size_list[0]
+    bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=2 * max(ages) + 2))
     records = []
     with BundleReader.open(str(bundle)) as reader:
         frames = [reader.manifest.frames - 1 - max(ages), reader.manifest.frames - 1]
-        client = ClientSettings(width=width, height=height, threads=args.threads, reference_age=2 * max(ages))
-        play = AgedPlay(reader, client, crf=ServerSettings().reference_crf, seed=args.seed)
+        client = ClientSettings(width=width, height=height, threads=settings.threads, reference_age=2 * max(ages))
+        play = AgedPlay(reader, client, crf=settings.crf, seed=settings.seed)
         top = reader.manifest.lods - 1
         for age in ages:
             for coming in COMINGS:
@@ -161,10 +158,4 @@ def measure_ages(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
         check("least gain with references of another frame, dB", ">= -0.1", least, least >= -0.1),
         check("mean gain with references of another frame, dB", "> 0", mean, mean > 0),
     ]
-    yield summary("align", checks, size=args.size)
-
-
-def _ages(text: str) -> list[int]:
-    if re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2})*", text) is None:
-        raise ConfigError(f"ages {text!r} must be whole numbers from 1 to 999, such as 1,3,10")
-    return sorted({int(part) for part in text.split(",")})
+    yield summary("align", checks, size=f"{width}x{height}")

@@ -3,38 +3,60 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
+
+from cags_bench.restore.conditions import Conditions
+from cags_common.errors import ConfigError
+from cags_common.settings import add_settings, load_settings, setting
 
 SUMMARY = "time and quality of alignment, closed-form restoration and colour adaptation"
 EXAMPLES = """\
   cags-bench align --json
-  cags-bench align --scene procedural:size=12000,frames=36 --size 400x300 --ages 1,3,10 --json
-  cags-bench align --scene ../shared/scenes/guitar/guitar.compressed.ply --size 1600x1200 --views 2 --json
+  cags-bench align --scene procedural:size=12000,frames=36 --sizes 400x300 --ages 1,3,10 --json
+  cags-bench align --scene ../shared/scenes/guitar/guitar.compressed.ply --sizes 1600x1200 --views 2 --json
+  cags-bench align --scene capture.ply --poses walk.csv --errors predicted --lpips lpips_alex.npz --json
 """
+
+
+@dataclass(frozen=True)
+class AlignBenchSettings(Conditions):
+    """What is measured."""
+
+    scene: str = setting("procedural:size=60000", "scene: a file, a folder, motion:PATH or procedural[:..]")
+    ages: str = setting(
+        "", "instead: a moving scene at the first size with references this many media frames old, such as 1,3,10"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.age_list  # noqa: B018 - refuse what does not parse now
+
+    @property
+    def age_list(self) -> list[int]:
+        """Media frames, each once, rising."""
+        if not self.ages:
+            return []
+        if re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2})*", self.ages) is None:
+            raise ConfigError(f"ages {self.ages!r} must be whole numbers from 1 to 999, such as 1,3,10")
+        return sorted({int(part) for part in self.ages.split(",")})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of the subcommand."""
-    parser.add_argument("--scene", default="procedural:size=60000", help="scene (default: procedural:size=60000)")
-    parser.add_argument("--size", default="800x600", help="client pictures, WIDTHxHEIGHT (default: 800x600)")
-    parser.add_argument("--views", type=int, default=2, help="poses of the walk (default: 2)")
-    parser.add_argument("--repetitions", type=int, default=9, help="timed runs a stage (default: 9)")
-    parser.add_argument("--threads", type=int, default=2, help="threads (default: 2)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the walk and of the pose errors (default: 0)")
-    parser.add_argument(
-        "--ages", default="", help="instead: a moving scene with references this many media frames old, such as 1,3,10"
-    )
-    parser.add_argument("--cache", default="", help="folder of encoded bundles (default: the user's cache)")
+    add_settings(parser, AlignBenchSettings)
 
 
 def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """One line a case, then a summary with its checks. Raises :class:`CagsError`."""
-    if args.ages:
+    settings = load_settings(AlignBenchSettings, args)
+    if settings.ages:
         from cags_bench.align.ages import measure_ages
 
-        yield from measure_ages(args)
+        yield from measure_ages(settings)
         return
     from cags_bench.align.measure import measure
 
-    yield from measure(args)
+    yield from measure(settings)

@@ -1,0 +1,121 @@
+"""``cags-bench restore`` and ``cags-bench align``: conditions, cases, methods, and how targets are judged."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cags_bench.cli import main
+from cags_bench.restore.checks import checks_of, gain, time_checks
+from cags_bench.restore.conditions import PREDICTED, Conditions
+from cags_common.errors import ConfigError
+
+SMALL = ["--scene", "procedural:size=1500,seed=3,frames=1", "--sizes", "96x64", "--lods", "0", "--views", "1"]
+
+
+def test_errors_are_degrees_and_centimetres_or_predicted() -> None:
+    assert Conditions(errors="0/0, 5/20,predicted").error_list == [(0, 0), (5, 20), PREDICTED]
+
+
+@pytest.mark.parametrize(
+    ("field", "text"),
+    [("errors", "5"), ("errors", "5/a"), ("errors", "181/0"), ("references", "3x"), ("lods", "2"), ("sizes", "8x8")],
+)
+def test_other_conditions_are_named(field: str, text: str) -> None:
+    with pytest.raises(ConfigError, match=field):
+        Conditions(**{field: text})
+
+
+def _line(method: str, psnr: float, **more: object) -> dict[str, object]:
+    usual = {"lod_share": 0.0, "error": "0/0", "reference": "footprint", "covered": 1.0, "size": "1600x1200"}
+    return {"method": method, "psnr_covered_db": psnr, "distorted_psnr_covered_db": 25.0, **usual, **more}
+
+
+def _judged(lines: list[dict[str, object]]) -> dict[str, tuple[object, bool]]:
+    return {c["name"]: (c["value"], c["ok"]) for c in checks_of(lines)}
+
+
+def test_gain_kept_compares_an_error_with_none() -> None:
+    judged = _judged([_line("affine", 35.0), _line("affine", 34.0, error="5/0"), _line("affine", 31.0, error="5/20")])
+    assert judged["affine: gain kept at an error of 5/0 (degrees/cm), base LoD"] == (pytest.approx(0.9), True)
+    assert judged["affine: gain kept at an error of 5/20 (degrees/cm), base LoD"] == (pytest.approx(0.6), False)
+    assert not any("2/10" in name for name in judged)
+
+
+def test_a_full_frame_is_asked_for_more_than_an_object() -> None:
+    room, thing = _judged([_line("affine", 28.0)]), _judged([_line("affine", 28.0, covered=0.4)])
+    assert room["affine: gain where distorted is 24-29 dB, a full frame"] == (3.0, False)
+    assert thing["affine: gain where distorted is 24-29 dB, an object"] == (3.0, True)
+
+
+def test_one_loss_is_enough_to_fail_never_lower() -> None:
+    judged = _judged([_line("lite", 30.0), _line("lite", 24.8, lod_share=0.5)])
+    assert judged["lite never lower than distorted"] == (pytest.approx(-0.2), False)
+    assert "lite at the top of the ladder" not in judged
+
+
+def test_targets_are_judged_with_shipped_references_and_both_kinds_compared() -> None:
+    judged = _judged([_line("affine", 30.0), _line("affine", 24.0, reference="plain")])
+    assert judged["affine never lower than distorted"] == (5.0, True)
+    assert judged["affine: the client's footprint against a plain reference"] == (6.0, True)
+
+
+def test_tiers_are_compared_below_the_top() -> None:
+    lines = [_line("affine", 30.0), _line("lite", 30.8), _line("srresnet", 31.0)]
+    judged = _judged([*lines, _line("lite", 20.0, lod_share=1.0)])
+    assert judged["lite against affine"] == (pytest.approx(0.8), True)
+    assert judged["lite against srresnet"] == (pytest.approx(-0.2), True)
+
+
+def test_a_frame_is_the_sum_of_its_stages() -> None:
+    times = {"align_ms": 4.0, "own_ms": 6.0, "restore_ms": 9.0}
+    judged = {c["name"]: c for c in time_checks([_line("affine", 30.0, **times)], {"1600x1200": 20.0}, 2)}
+    assert judged["client frame at 1600x1200: rasterise, own view, align, affine"]["value"] == 39.0
+    assert judged["affine at 1600x1200, 2 threads"]["ok"]
+
+
+def _run(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
+    assert main([*arguments, *SMALL, "--cache", str(tmp_path), "--repetitions", "0", "--threads", "1", "--json"]) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_every_method_runs_on_every_kind_of_reference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    methods = "none,aligned,affine,affine with own depth,sirt,sirt + affine"
+    references = "footprint,plain,2x,full"
+    *lines, last = _run(
+        ["restore", "--methods", methods, "--references", references, "--errors", "2/5"], tmp_path, capsys
+    )
+    assert {(x["method"], x["reference"]) for x in lines} == {
+        (m, r) for m in methods.split(",") for r in references.split(",")
+    }
+    for line in lines:
+        assert line["error_deg"] == pytest.approx(2.0, abs=1e-3)
+        assert line["error_cm"] == pytest.approx(5.0, abs=1e-3)
+        assert line["reference_bytes"] > 100
+        assert np.isfinite(line["psnr_covered_db"])
+    assert all(gain(x) == 0 for x in lines if x["method"] == "none")
+    assert all(gain(x) > 0 for x in lines if x["method"] == "affine" and x["reference"] != "plain")
+    assert {"reference plain", "error 2/5", "lod 0", "ssim"} <= set(last["table"]["affine"])
+
+
+def test_align_times_the_other_stages_and_follows_a_recorded_walk(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walk = tmp_path / "walk.csv"
+    _write_walk(walk)
+    *lines, last = _run(["align", "--poses", str(walk), "--errors", "predicted"], tmp_path, capsys)
+    assert {x["error"] for x in lines if "method" in x} == {"predicted"}
+    assert all(0 < x["error_deg"] < 30 for x in lines if "method" in x)
+    assert lines[-1]["adapt_ms"] > 0
+    names = {c["name"] for c in last["checks"]}
+    assert "pixels called occluded under an identity, 96x64" in names
+    assert "affine: gain at the base LoD" in names
+
+
+def _write_walk(path: Path) -> None:
+    from cags_common.poses import Focus, synthetic_walk, write_poses
+
+    write_poses(synthetic_walk("walking", Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)), seed=5), path)
