@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from types import ModuleType
 from typing import Any
 
-from cags_common.cli import command_parser, run_command
+from cags_common.cli import EXIT_USAGE, command_parser, run_command
 from cags_common.errors import ConfigError
 
 SUBCOMMANDS = {
@@ -38,11 +38,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: Sequence[str]) -> int:
     listing = "subcommands:\n" + "\n".join(f"  {name:<10} {text}" for name, text in SUBCOMMANDS.items())
-    if not argv or argv[0] in ("-h", "--help"):
+    if not argv or argv[0].startswith("-"):
         parser = command_parser("cags-bench", "Benchmarks and experiments.\n\n" + listing, EXAMPLES)
         parser.usage = "cags-bench SUBCOMMAND [options]"
+        parser.parse_args(argv[:1])
         parser.print_help()
-        return 0 if argv else 2
+        return EXIT_USAGE
     name = argv[0]
     if name not in SUBCOMMANDS:
         raise ConfigError(f"unknown subcommand {name!r}; known: {', '.join(SUBCOMMANDS)}")

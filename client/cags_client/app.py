@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import signal
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,7 @@ from typing import Any
 
 from cags_client.actions import Decode, Present
 from cags_client.dial import Dial
+from cags_client.interrupts import interrupts
 from cags_client.pipeline import PresentedFrame
 from cags_client.player import Player, PoseSource
 from cags_client.present.base import FrameSink
@@ -41,6 +43,8 @@ class Playback:
     player: Player
     frames: list[dict[str, Any]] = field(default_factory=list)
     """One record a presented frame (see :func:`cags_client.report.frame_stats`)."""
+    ended_by: signal.Signals | None = None
+    """What ended it before its time; None: nothing did."""
 
 
 async def play(
@@ -53,7 +57,8 @@ async def play(
     live: LiveSettings | None = None,
     on_frame: Callable[[dict[str, Any]], None] | None = None,
 ) -> Playback:
-    """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for what ends it early.
+    """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for what ends it early, but an
+    interrupt or a request to end, which leaves what was shown until then.
 
     ``url`` may name several servers, separated by commas: the first that answers is used, and a dropped connection is
     taken up by the same or the next one.
@@ -74,13 +79,14 @@ async def play(
     )
     shell = Shell(transport, player, sinks, on_frame, dial.again)
     try:
-        await shell.run()
+        with interrupts(shell.leave):
+            await shell.run()
     finally:
         shell.close()
         adapting.shutdown(wait=True, cancel_futures=True)
     if shell.player.error is not None:
         raise shell.player.error
-    return Playback(shell.player, shell.records)
+    return Playback(shell.player, shell.records, shell.ended_by)
 
 
 class Shell:
@@ -96,6 +102,7 @@ class Shell:
     ) -> None:
         """``connect`` opens another connection; it is given the number of the attempt."""
         self.records: list[dict[str, Any]] = []
+        self.ended_by: signal.Signals | None = None
         self.player = player
         self._on_frame = on_frame
         self._transport, self._sinks, self._connect = transport, sinks, connect
@@ -118,6 +125,12 @@ class Shell:
             await self._transport.close()
         if self._failure is not None:
             raise self._failure
+
+    def leave(self, number: signal.Signals) -> None:
+        """A signal asks for the end: say goodbye and stop."""
+        self.ended_by = number
+        self.player.leave(now_us())
+        self._wake.set()
 
     def close(self) -> None:
         """End the threads."""

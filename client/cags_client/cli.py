@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cags_common.cli import command_parser, run_command
+from cags_common.cli import EXIT_SIGNAL, command_parser, run_command
 from cags_common.errors import CagsError, ConfigError
-from cags_common.settings import add_settings, load_settings
+from cags_common.settings import add_flags, add_settings, load_settings
 
 if TYPE_CHECKING:
     from cags_client.present import FrameSink, ScoringSpool
@@ -80,43 +80,34 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_view(parser: argparse.ArgumentParser) -> None:
-    from dataclasses import fields
-
     from cags_client.view.settings import ViewSettings
 
     page = parser.add_argument_group("live page")
     page.add_argument(
         "--view", action="store_true", help="serve a page to look at and to steer; plays until interrupted"
     )
-    for f in fields(ViewSettings):
-        flag, kind = "--" + f.name.replace("_", "-"), type(f.default)
-        page.add_argument(
-            flag,
-            type=kind,
-            default=f.default,
-            metavar=kind.__name__.upper(),
-            help=f"{f.metadata['help']} (default: {f.default})",
-        )
+    add_flags(page, ViewSettings)
 
 
 def _body(argv: Sequence[str]) -> int | None:
     arguments = _parser().parse_args(argv)
     from cags_client.settings import ClientSettings
+    from cags_client.view.settings import ViewSettings
 
-    settings = load_settings(ClientSettings, arguments)
+    settings = load_settings(ClientSettings, arguments, ViewSettings)
     names = ("url", "poses", "save", "json", "truth", "stages", "stages_every", "view", "headless")
     outputs = _Outputs(**{name: getattr(arguments, name) for name in names})
     if outputs.stages_every < 1:
         raise ConfigError(f"stages_every = {outputs.stages_every} must be at least 1")
     if outputs.view:
         _check_view(outputs)
-        _look(settings, outputs, _view_settings(arguments))
-    else:
-        _watch(settings, outputs)
-    return None
+        _look(settings, outputs, load_settings(ViewSettings, arguments, ClientSettings))
+        return None
+    return _watch(settings, outputs)
 
 
-def _watch(settings: ClientSettings, outputs: _Outputs) -> None:
+def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
+    """Play to the end; returns the exit code of a play that was interrupted, whose outputs are written all the same."""
     from cags_client.app import close_sinks, run_playback
     from cags_client.dial import fetch_info
     from cags_client.report import summary
@@ -142,7 +133,11 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> None:
     if spool is not None and truth is not None:
         _score(records, spool, truth, outputs)
     last = summary(records, playback.player.stats)
-    _report(outputs.json, [*records, last])
+    _report(outputs.json, [*records, last], info.frames - settings.start_frame)
+    if playback.ended_by is None:
+        return None
+    print(f"{PROG}: ended by {playback.ended_by.name} after {len(records)} frames", file=sys.stderr)
+    return EXIT_SIGNAL + playback.ended_by
 
 
 @contextmanager
@@ -158,14 +153,6 @@ def _shown_live(info: Manifest, outputs: _Outputs) -> Iterator[Callable[[dict[st
     board = Board(f"{info.name}  {outputs.url}", info.frames)
     with live_table(board.table):
         yield board.add
-
-
-def _view_settings(arguments: argparse.Namespace) -> ViewSettings:
-    from dataclasses import fields
-
-    from cags_client.view.settings import ViewSettings
-
-    return ViewSettings(**{f.name: getattr(arguments, f.name) for f in fields(ViewSettings)})
 
 
 def _check_view(outputs: _Outputs) -> None:
@@ -204,7 +191,7 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
             )
         )
     if outputs.json:
-        _report(outputs.json, [*playback.frames, summary(playback.frames, playback.player.stats)])
+        _report(outputs.json, [*playback.frames, summary(playback.frames, playback.player.stats)], info.frames)
 
 
 def _tell_page(as_json: bool) -> Callable[[str], None]:
@@ -255,23 +242,20 @@ def _check_json(path: str | None) -> None:
         raise CagsError(f"{path}: its folder does not exist; make it first")
 
 
-def _report(path: str | None, records: list[dict[str, Any]]) -> None:
+def _report(path: str | None, records: list[dict[str, Any]], clip_frames: int) -> None:
+    """Write the report, or tell people what it comes to."""
     from cags_client.report import json_text
+    from cags_client.telling import told
 
     if path == "-":
         sys.stdout.write(json_text(records))
     elif path:
-        target = Path(path)
-        partial = target.with_name(f".{target.name}.partial")
-        try:
-            partial.write_text(json_text(records), encoding="utf-8")
-            partial.replace(target)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise CagsError(f"{path}: cannot be written ({error.strerror})") from error
+        from cags_common.files import write_whole
+
+        write_whole(Path(path), json_text(records).encode())
     else:
-        for key, value in records[-1].items():
-            print(f"{key:24} {value:.3f}" if isinstance(value, float) else f"{key:24} {value}")
+        for name, value in told(records[-1], clip_frames):
+            print(f"{name:12} {value}")
 
 
 class _Progress:

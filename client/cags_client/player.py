@@ -169,6 +169,11 @@ class Player:
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
         self._session.hello(self._hello(frame, self._pose(now_us)), now_us=now_us)
 
+    def leave(self, now_us: int) -> None:
+        """End the play here, with a goodbye."""
+        if not self.finished:
+            self._finish(now_us)
+
     # ------------------------------------------------------------------------------------------------------------- work
 
     def next_action(self, now_us: int) -> Decode | Present | None:

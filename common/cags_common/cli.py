@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import io
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 from cags_common.errors import CagsError, ConfigError
 
-EXIT_OK, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
+EXIT_SIGNAL = 128
+"""Plus the number of the signal that ended a command, as shells count."""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -22,29 +29,115 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def command_parser(prog: str, description: str, examples: str) -> argparse.ArgumentParser:
-    """An argument parser that keeps the layout of ``examples`` and refuses abbreviated flags."""
-    return CommandParser(
+    """An argument parser that keeps the layout of ``examples``, refuses abbreviated flags and tells the version."""
+    parser = CommandParser(
         prog=prog,
         description=description,
         epilog="examples:\n" + examples.rstrip(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="tell the version and end")
+    return parser
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when asked: it is read from the installed distribution."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """See :class:`argparse.Action`."""
+        print(f"{parser.prog} {program_version()}")
+        parser.exit()
+
+
+def program_version() -> str:
+    """Version of the installed distribution."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("cags-stream")
+    except PackageNotFoundError:
+        return "(not installed)"
 
 
 def run_command(prog: str, body: Callable[[Sequence[str]], int | None], argv: Sequence[str] | None = None) -> int:
-    """Run a command's body; turn :class:`CagsError` into one line on stderr and the exit code 1 (2 for wrong use)."""
+    """Run a command's body; turn :class:`CagsError` into one line on stderr and the exit code 1 (2 for wrong use).
+
+    So is what the system refuses (a full disk, a folder that cannot be written). A request to end leaves as an
+    interrupt does: children are stopped and files in the making removed.
+    """
+    _print_whatever_the_locale()
     try:
-        return body(sys.argv[1:] if argv is None else argv) or EXIT_OK
+        with _ending_in_order():
+            code = body(sys.argv[1:] if argv is None else argv) or EXIT_OK
+            sys.stdout.flush()  # here, where a full disk is told of, and not while Python ends
+            return code
     except ConfigError as error:
-        print(f"{prog}: {error}", file=sys.stderr)
-        return EXIT_USAGE
+        return _failed(prog, error, EXIT_USAGE)
     except CagsError as error:
-        print(f"{prog}: {error}", file=sys.stderr)
-        return EXIT_FAILED
+        return _failed(prog, error, EXIT_FAILED)
     except KeyboardInterrupt:
-        print(f"{prog}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return _failed(prog, "interrupted", EXIT_SIGNAL + signal.SIGINT)
     except BrokenPipeError:  # the reader of our output (head, less) went away: not an error of ours
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
+    except OSError as error:
+        if error.errno not in REFUSALS:
+            raise
+        where = error.filename or "output"
+        return _failed(prog, f"{where}: {(error.strerror or str(error)).lower()}; {REFUSALS[error.errno]}", EXIT_FAILED)
+
+
+REFUSALS = {
+    errno.ENOSPC: "make room or choose another place",
+    errno.EDQUOT: "make room or choose another place",
+    errno.EFBIG: "choose another place",
+    errno.EROFS: "choose another place",
+    errno.EACCES: "choose another place or change its permissions",
+    errno.EPERM: "choose another place or change its permissions",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EMFILE: "allow more open files (ulimit -n)",
+    errno.ENFILE: "close other programs",
+    errno.EIO: "check the disk",
+}
+"""What a system may refuse to anybody, and the way out; other errors of it are faults of this program."""
+
+
+def _failed(prog: str, why: object, code: int) -> int:
+    with suppress(OSError):  # nowhere to say it
+        print(f"{prog}: {why}", file=sys.stderr)
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        return code
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left cannot be written at the end either
+    return code
+
+
+def _print_whatever_the_locale() -> None:
+    """What a terminal's character set lacks is replaced: a table with a dash is no reason to fail.
+
+    UTF-8 lacks nothing but the odd bytes that names of files may hold, and those go through as they are.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="surrogateescape" if stream.encoding.lower() == "utf-8" else "replace")
+
+
+@contextmanager
+def _ending_in_order() -> Iterator[None]:
+    """SIGTERM and a terminal that is closed raise :class:`SystemExit`, where Python would end on the spot."""
+
+    def end(number: int, _: object) -> None:
+        raise SystemExit(EXIT_SIGNAL + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)

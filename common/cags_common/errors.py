@@ -35,5 +35,14 @@ class ProtocolError(CagsError):
     """A peer broke the wire protocol."""
 
 
+class OutputError(CagsError):
+    """An output cannot be written."""
+
+    @classmethod
+    def of(cls, path: object, error: OSError) -> OutputError:
+        """What the system said of ``path``."""
+        return cls(f"{path}: cannot be written ({error.strerror or error}); choose another place")
+
+
 class NetworkError(CagsError):
     """A connection could not be made, was refused, or went away."""

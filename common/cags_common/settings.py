@@ -56,12 +56,17 @@ def add_settings(parser: argparse.ArgumentParser, cls: type[DataclassInstance]) 
     parser.add_argument(
         "--config", metavar="FILE", help="TOML file with the same names as the flags (dashes as underscores)"
     )
+    add_flags(parser, cls)
+
+
+def add_flags(parser: argparse._ActionsContainer, cls: type[DataclassInstance]) -> None:
+    """Add one flag a field of ``cls``, to a parser or to a group of its flags."""
     hints = typing.get_type_hints(cls)
     for f in fields(cls):
         if "help" not in f.metadata:
             continue
         kind, _ = _plain_type(hints[f.name])
-        text = f.metadata["help"] + ("" if f.default in (None, MISSING) else f" (default: {f.default})")
+        text = f.metadata["help"] + ("" if f.default in (None, MISSING, "") else f" (default: {f.default})")
         flag = "--" + f.name.replace("_", "-")
         text = text.replace("%", "%%")
         if kind is bool:
@@ -76,21 +81,26 @@ SECTIONS = ("encoder", "server", "client")
 """Tables of a configuration file that several commands share."""
 
 
-def load_settings(cls: type[S], arguments: argparse.Namespace) -> S:
+def load_settings(cls: type[S], arguments: argparse.Namespace, *beside: type[DataclassInstance]) -> S:
     """Build ``cls`` from parsed flags over the TOML file over the defaults. Raises :class:`ConfigError`.
 
     A file may serve several commands: of the tables named in :data:`SECTIONS` each reads its own (its settings' class
-    variable ``SECTION``), over the keys outside of any.
+    variable ``SECTION``), over the keys outside of any. Keys of the classes ``beside`` are known, and left to them.
     """
     values: dict[str, Any] = {}
-    names = {f.name for f in fields(cast("Any", cls)) if "help" in f.metadata}
+    names, others = _names(cls), set().union(*map(_names, beside))
     if getattr(arguments, "config", None):
-        values.update(_read_toml(Path(arguments.config), names, getattr(cls, "SECTION", None)))
+        table = _read_toml(Path(arguments.config), names | others, getattr(cls, "SECTION", None))
+        values.update((name, value) for name, value in table.items() if name in names)
     for name in names:
         given = getattr(arguments, name, None)
         if given is not None:
             values[name] = given
     return cls(**values)
+
+
+def _names(cls: type[Any]) -> set[str]:
+    return {f.name for f in fields(cls) if "help" in f.metadata}
 
 
 def _read_toml(path: Path, names: set[str], section: str | None) -> dict[str, Any]:

@@ -21,6 +21,7 @@ import numpy as np
 
 from cags_common.bundle import TilePayloads
 from cags_common.errors import BundleError
+from cags_common.files import whole_file, write_whole
 from cags_common.splats import Ids, Splats
 
 _PARTS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "sh_rest")
@@ -82,7 +83,7 @@ class Journal:
 
     def write_note(self, name: str, value: Any) -> None:
         """Keep a JSON value."""
-        self._write(f"{name}.json", json.dumps(value).encode())
+        write_whole(self._folder / f"{name}.json", json.dumps(value).encode())
 
     def frame(self, index: int) -> FrameRecord | None:
         """The record of frame ``index``, or None where it is not finished (or its file is damaged)."""
@@ -93,11 +94,9 @@ class Journal:
             return None
 
     def add(self, index: int, record: FrameRecord) -> None:
-        """Keep the record of frame ``index``."""
-        partial = self._folder / "frame.part"
-        with partial.open("wb") as file:
+        """Keep the record of frame ``index``. Raises :class:`OutputError` where the disk is full."""
+        with whole_file(self._folder / _name(index)) as writing, writing.open("wb") as file:
             np.savez(file, **_arrays(record))
-        partial.replace(self._folder / _name(index))
 
     def discard(self) -> None:
         """Delete everything: the bundle is complete, or the run is not worth going on with."""
@@ -112,12 +111,7 @@ class Journal:
         for old in self._folder.iterdir():
             if old.suffix in (".npz", ".json"):
                 old.unlink()
-        self._write(path.name, key.encode())
-
-    def _write(self, name: str, data: bytes) -> None:
-        partial = self._folder / f"{name}.part"
-        partial.write_bytes(data)
-        partial.replace(self._folder / name)
+        write_whole(path, key.encode())
 
 
 def _name(index: int) -> str:

@@ -41,6 +41,7 @@ def _serve(argv: Sequence[str]) -> None:
     from cags_common import raster
     from cags_common.bundle import BundleReader
     from cags_common.terminal import live_table, watched
+    from cags_common.transport.tcp import host_port
     from cags_server.admission import tls_context
     from cags_server.app import App, serve
     from cags_server.board import sessions_table
@@ -52,7 +53,7 @@ def _serve(argv: Sequence[str]) -> None:
 
     def ready(host: str, port: int, app: App) -> None:
         line = json.dumps({"ready": True, "host": host, "port": port})
-        address = f"ws://{host}:{port}/stream"
+        address = f"ws://{host_port(host, port)}/stream"
         print(line if arguments.json else f"serving {settings.bundle} on {address}", flush=True)
         if watched(headless=arguments.headless or arguments.json):
             shown.enter_context(live_table(lambda: sessions_table(address, app.sessions())))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from cags_protocol.messages import Control
@@ -44,7 +43,3 @@ class Timeline:
         if frame < self.frames:
             return frame
         return frame % self.frames if self.loop else None
-
-    def first_tick_from(self, client_us: float) -> int:
-        """The first tick displayed at or after ``client_us``; at least 0."""
-        return max(0, math.ceil((client_us - self.at_us) / self.period_us))

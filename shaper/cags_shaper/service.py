@@ -9,6 +9,7 @@ import signal
 import time
 from typing import TYPE_CHECKING
 
+from cags_common.transport.tcp import host_port
 from cags_shaper.control import ControlPort
 from cags_shaper.link import Link
 from cags_shaper.log import LogWriter, open_log
@@ -61,4 +62,4 @@ class Service:
         if self._as_json:
             return json.dumps({"ready": True, **ready})
         control = f", control on port {ready['control']}" if "control" in ready else ""
-        return f"listening on {ready['host']}:{ready['port']}{control}"
+        return f"listening on {host_port(str(ready['host']), int(ready['port']))}{control}"

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,13 @@ SIZE = ("--width", "160", "--height", "120")
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory) -> Path:
     return cached_bundle(SCENE, str(tmp_path_factory.mktemp("bundles")), EncodeSettings(frames=10))
+
+
+@pytest.fixture(scope="module")
+def long_bundle(tmp_path_factory) -> Path:
+    """Sixteen seconds at a frame a second: nothing but a signal ends its play early."""
+    settings = EncodeSettings(frames=16, fps=1, lod_order="paper", train_splats=4096)
+    return cached_bundle(SCENE, str(tmp_path_factory.mktemp("bundles")), settings)
 
 
 def frames_and_summary(path: Path) -> tuple[list[dict], dict]:
@@ -58,6 +66,29 @@ def test_a_scene_streams_through_three_processes(bundle, tmp_path):
     assert summary["bytes_tiles"] > 0
     assert all(frame["psnr_distorted_db"] > 10 for frame in frames)
     assert len(list((tmp_path / "pictures").glob("*.png"))) == len(frames)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_play_keeps_what_it_has_shown(number, long_bundle, tmp_path):
+    report, clip = tmp_path / "frames.jsonl", tmp_path / "clip.mp4"
+    with ProcessGroup(tmp_path) as group:
+        server = group.start("cags_server", ["--bundle", str(long_bundle), "--port", "0", "--json"])
+        url = f"ws://127.0.0.1:{server.ready()['port']}/stream"
+        client = group.start("cags_client", ["--url", url, "--json", str(report), "--record", str(clip), *SIZE])
+        deadline = time.monotonic() + 60
+        while "joined" not in server.log.read_text():
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        time.sleep(2)
+        client.handle.send_signal(number)
+        assert client.handle.wait(30) == 128 + number
+        left = server.log.read_text()
+    frames, summary = frames_and_summary(report)
+    assert summary["frames"] == len(frames)
+    assert 0 < len(frames) < 16
+    assert clip.stat().st_size > 0
+    assert client.last_words() == f"cags-client: ended by {number.name} after {len(frames)} frames"
+    assert "left (bye" in left
 
 
 def test_late_and_rare_references_make_no_picture_worse(tmp_path):

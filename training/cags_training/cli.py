@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from argparse import RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from importlib import import_module
 
@@ -11,6 +12,7 @@ from cags_common.cli import command_parser, run_command
 EXAMPLES = """\
   cags-train predictor --poses poses/ --held-out 09,10,11,12 --out autoregressive.npz
   cags-train fov --poses poses/ --held-out 09,10,11,12 --out lstm.npz --seed 1
+  cags-train restore --scene a.ply --held-out c.sog --steps 12000 --out lite/
 """
 
 SUBCOMMANDS = {
@@ -18,7 +20,7 @@ SUBCOMMANDS = {
     "fov": ("cags_training.fov_command", "train the LSTM that chooses the reference's field of view"),
     "restore": ("cags_training.restore.command", "train the networks that restore colours"),
 }
-"""Name -> module with ``add_arguments(parser)`` and ``run(arguments) -> exit code``, and its help."""
+"""Name -> module with ``add_arguments(parser)``, ``run(arguments) -> exit code`` and ``EXAMPLES``; and its help."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,7 +35,10 @@ def _train(argv: Sequence[str]) -> int:
     for name, (module, summary) in SUBCOMMANDS.items():
         subparser = subparsers.add_parser(name, help=summary, description=summary, allow_abbrev=False)
         if name == chosen:  # the flags of the others are not needed, nor is what they import
-            import_module(module).add_arguments(subparser)
+            part = import_module(module)
+            subparser.formatter_class = RawDescriptionHelpFormatter
+            subparser.epilog = "examples:\n" + part.EXAMPLES
+            part.add_arguments(subparser)
     arguments: argparse.Namespace = parser.parse_args(argv)
     code: int = import_module(SUBCOMMANDS[arguments.part][0]).run(arguments)
     return code

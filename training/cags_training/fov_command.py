@@ -12,6 +12,8 @@ from cags_server.predict.pooled import PooledWeights
 from cags_server.predict.walks import read_walks, split_people
 from cags_training.fov_data import sequence_of
 
+EXAMPLES = "  cags-train fov --poses poses/ --held-out 09,10,11,12 --out lstm.npz --seed 1"
+
 
 @dataclass(frozen=True)
 class FovTraining:

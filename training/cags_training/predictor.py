@@ -16,6 +16,8 @@ from cags_server.predict.pooled import HORIZON_STEPS, ORDERS, PooledWeights, dis
 from cags_server.predict.tangent import STEP_US
 from cags_server.predict.walks import read_walks, split_people
 
+EXAMPLES = "  cags-train predictor --poses poses/ --held-out 09,10,11,12 --out autoregressive.npz"
+
 PHASES = 3
 """Each walk is sampled on so many shifted grids, so that all of its samples are used."""
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 from cags_bench.demo.settings import DemoSettings
 from cags_common.cli import command_parser, run_command
@@ -47,13 +49,29 @@ def _run(argv: Sequence[str]) -> int:
 
         print(dump(summary))
     else:
-        from rich.console import Console
-
-        from cags_bench.tables import summary_table
-
-        Console(highlight=False).print(summary_table(summary))
-        print(f"report: {settings.out}")
+        _tell(summary, settings.out)
     return 0
+
+
+def _tell(summary: dict[str, Any], out: str) -> None:
+    """What was seen, in words, and where the pictures are."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from cags_client.telling import told
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    rate = f"{100 * summary['share']:g} % of its rate"
+    rows = [
+        ("link", f"{summary['trace']} at {rate}, {summary['delay_ms']:g} ms each way"),
+        *told(summary, summary["clip_frames"]),
+        ("pictures", f"{Path(out) / 'strip.png'}: what restoration does, where it did most"),
+        ("over time", f"{Path(out) / 'timeline.png'}; every figure: {Path(out) / 'frames.jsonl'}"),
+    ]
+    for name, value in rows:
+        table.add_row(name, escape(value))
+    Console(highlight=False).print(table)
 
 
 if __name__ == "__main__":

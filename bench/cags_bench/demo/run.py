@@ -61,7 +61,7 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
         report = Path(scratch) / "report"
         report.mkdir()
         client = stream_once(str(bundle), replace(settings, width=width, height=height), report, progress)
-        summary = write_report(report, settings)
+        summary = write_report(report, settings, clip_frames(bundle, settings))
         summary["client_exit_code"] = client
         replace_folder(report, out)
     return summary
@@ -156,7 +156,15 @@ def wait_for_client(client: Process) -> int:
     return client.handle.returncode
 
 
-def write_report(report: Path, settings: DemoSettings) -> dict[str, Any]:
+def clip_frames(bundle: Path, settings: DemoSettings) -> int:
+    """Media frames of the play."""
+    from cags_common.bundle import BundleReader
+
+    with BundleReader.open(str(bundle)) as reader:
+        return reader.manifest.frames
+
+
+def write_report(report: Path, settings: DemoSettings, clip_frames: int) -> dict[str, Any]:
     """Plot, strip and summary of the finished session."""
     from cags_shaper.trace import open_trace
 
@@ -166,7 +174,8 @@ def write_report(report: Path, settings: DemoSettings) -> dict[str, Any]:
     chosen = telling_frame(frames)
     if chosen is not None:
         write_strip(report / "stages", chosen, report / "strip.png")
-    merged = {**summary, "benchmark": "demo", "trace": settings.trace, **provenance()}
+    run = {"trace": settings.trace, "share": settings.share, "delay_ms": settings.delay_ms, "clip_frames": clip_frames}
+    merged = {**summary, "benchmark": "demo", **run, **provenance()}
     (report / "summary.json").write_text(json.dumps(merged, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     return merged
 

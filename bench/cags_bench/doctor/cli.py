@@ -25,6 +25,10 @@ EXAMPLES = """\
 """
 
 
+TABLE_COLUMNS = 70
+"""A terminal narrower than this has lines in place of the table, whose cells would be a few letters wide."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of ``cags-doctor``: 0 when everything that is needed is there, 1 otherwise."""
     return run_command(PROG, _run, argv)
@@ -93,8 +97,12 @@ def _print(findings: Sequence[Finding], timings: Timings | None) -> None:
     marks = {"ok": "[green]ok[/green]", "note": "[yellow]note[/yellow]", "missing": "[red]MISSING[/red]"}
     table = Table("", "what", "found", "what to do", title="this machine", show_lines=False)
     for finding in findings:
-        table.add_row(marks[finding.verdict], finding.matter, escape(finding.found), escape(finding.remedy))
-    console.print(table)
+        cells = marks[finding.verdict], finding.matter, escape(finding.found), escape(finding.remedy)
+        table.add_row(*cells)
+        if console.width < TABLE_COLUMNS:
+            console.print(f"{cells[0]} {cells[1]}: {cells[2]}" + (f"; {cells[3]}" if cells[3] else ""), soft_wrap=True)
+    if console.width >= TABLE_COLUMNS:
+        console.print(table)
     if timings is None:
         return
     console.print(_times(timings))

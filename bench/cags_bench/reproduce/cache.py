@@ -5,13 +5,13 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from cags_bench.bundles import default_cache
 from cags_bench.jsonl import JsonObject, dump
+from cags_common.files import write_whole
 
 PACKAGES = (
     "cags_common",
@@ -71,9 +71,7 @@ class ResultCache:
             return found
         result: dict[str, Any] = json.loads(dump(compute()))
         self.folder.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(f".{os.getpid()}")
-        partial.write_text(dump({"key": key, "result": result}), encoding="utf-8")
-        partial.replace(path)
+        write_whole(path, dump({"key": key, "result": result}).encode())
         return result
 
     def _path(self, key: JsonObject) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,15 +17,12 @@ from numpy.typing import NDArray
 
 from cags_client.pipeline import PresentedFrame
 from cags_client.present.base import FrameSink, FrameStats
-from cags_common.errors import CagsError
+from cags_common.errors import OutputError
+from cags_common.files import WholeFile, write_whole
 from cags_common.geometry import F32
 
 MP4_CRF = 16
 """x264's constant quality of a saved clip: visually lossless."""
-
-
-class OutputError(CagsError):
-    """An output cannot be written."""
 
 
 def bytes_of(picture: F32) -> NDArray[np.uint8]:
@@ -81,13 +77,7 @@ class PictureSpool:
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
     """Write [H, W, 3] uint8 RGB; the file appears whole or not at all. Raises :class:`OutputError`."""
     _, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(data.tobytes())
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+    write_whole(path, data.tobytes())
 
 
 def open_save(spec: str, fps: float) -> FrameSink:
@@ -160,14 +150,14 @@ class Mp4Sink:
     """An H.264 clip at the clip's frame rate; a frame that was not shown holds the one before."""
 
     def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._partial = path, path.with_name(f".{path.name}.partial")
+        self._path, self._file = path, WholeFile(path)
         self._fps = Fraction(fps).limit_denominator(1001 * 60)
         self._first: int | None = None
         self._stream: VideoStream | None = None
         try:
-            self._container = av.open(str(self._partial), mode="w", format="mp4")
+            self._container = av.open(str(self._file.writing), mode="w", format="mp4")
         except OSError as error:
-            raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+            raise OutputError.of(path, error) from error
 
     def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
         """See :class:`FrameSink`."""
@@ -182,17 +172,20 @@ class Mp4Sink:
         try:
             self._container.mux(self._stream.encode(frame))
         except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written ({error.strerror})") from error
+            raise OutputError.of(self._path, error) from error
 
     def close(self, *, completed: bool) -> None:
-        """Finish the file and give it its name, or remove it."""
-        with contextlib.ExitStack() as stack:
-            stack.callback(self._partial.unlink, missing_ok=True)
+        """Finish the file and give it its name, or remove it. Raises :class:`OutputError` where the disk is full."""
+        try:
             if completed and self._stream is not None:
                 self._container.mux(self._stream.encode(None))
             self._container.close()
             if completed and self._stream is not None:
-                self._partial.replace(self._path)
+                self._file.keep()
+        except OSError as error:
+            raise OutputError.of(self._path, error) from error
+        finally:
+            self._file.drop()
 
     def _open(self, width: int, height: int) -> VideoStream:
         stream = self._container.add_stream("libx264", rate=self._fps, options={"crf": str(MP4_CRF), "preset": "fast"})

@@ -78,11 +78,6 @@ class InteractivePlayer(Player):
             self.loop = on
             self.set_rate(self.rate, now_us)  # tells the server in time, or not: the end looks at what it was told
 
-    def leave(self, now_us: int) -> None:
-        """Say goodbye."""
-        if not self.finished:
-            self._finish(now_us)
-
     # --------------------------------------------------------------------------------------------------------- in time
 
     def next_timer_us(self) -> int | None:

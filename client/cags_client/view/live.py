@@ -37,12 +37,15 @@ from cags_client.view.pictures import NEED_TRUTH, PICTURES, Gallery
 from cags_client.view.poses import LivePoses, PoseSource
 from cags_client.view.settings import ViewSettings
 from cags_common.errors import CagsError, ConfigError, NetworkError, ProtocolError
+from cags_common.transport.tcp import host_port
 
 LOG = logging.getLogger(__name__)
 
 MAX_PAGES = 8
+REACHED_AT = {"localhost": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - only compared
+"""Where a browser on this machine finds a page that is served on more than one address."""
+
 STATE_PERIOD_S = 0.25
-STATIC = ("index.html", "style.css", "favicon.svg")
 SCRIPTS = "js"
 TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 
@@ -90,8 +93,7 @@ class LiveView:
                 f"view_port {port} on {host} cannot be used ({reason}); --view-port 0 picks one"
             ) from error
         port = self._runner.addresses[0][1]
-        named = "localhost" if host in ("127.0.0.1", "::1", "0.0.0.0", "::") else host  # noqa: S104 - only compared
-        self.url = f"http://{'127.0.0.1' if named == 'localhost' else named}:{port}/"
+        self.url = f"http://{host_port(REACHED_AT.get(host, host), port)}/"
         self._tasks = [asyncio.create_task(self._pump()), asyncio.create_task(self._tell())]
         return self.url
 

@@ -28,7 +28,6 @@ class Page:
     look: PageLook = DEFAULT_LOOK
     sent: int = 0
     drawn: int = 0
-    skipped: int = 0
     _wants_key: bool = False
     _streams: dict[str, PictureStream] = field(default_factory=dict)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from cags_common.settings import check_settings, setting
 
@@ -10,6 +11,8 @@ from cags_common.settings import check_settings, setting
 @dataclass(frozen=True)
 class ViewSettings:
     """Where the page is served, and what its pictures cost."""
+
+    SECTION: ClassVar[str] = "client"
 
     view_host: str = setting(
         "127.0.0.1", "address that the live page is served on; others than loopback are open to all"

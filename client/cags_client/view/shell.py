@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import asyncio
 import random
-import signal
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from cags_client.app import Playback, Shell, now_us
 from cags_client.dial import Dial
+from cags_client.interrupts import interrupts
 from cags_client.present.base import FrameSink
 from cags_client.restore import RESTORERS, auto
 from cags_client.settings import ClientSettings, LiveSettings
@@ -176,11 +174,7 @@ async def watch_live(
         shell = Shell(transport, player, [ViewSink(view), *sinks], kept, dial.again)
         view.attach(scene_info(info), PlayerControls(player, live, truth, shell._wake.set))
 
-        def leave() -> None:
-            player.leave(now_us())
-            shell._wake.set()
-
-        with _interrupts(leave):
+        with interrupts(shell.leave):
             try:
                 await shell.run()
             finally:
@@ -190,22 +184,3 @@ async def watch_live(
     if player.error is not None:
         raise player.error
     return Playback(player, shell.records)
-
-
-class _interrupts:  # noqa: N801 - used as a context manager
-    """Turns an interrupt or a request to end into a call, so that the session says goodbye."""
-
-    def __init__(self, end: Callable[[], object]) -> None:
-        self._end = end
-
-    def __enter__(self) -> None:
-        loop = asyncio.get_running_loop()
-        with suppress(NotImplementedError, RuntimeError):  # not in the main thread, or not on this system
-            for number in (signal.SIGINT, signal.SIGTERM):
-                loop.add_signal_handler(number, self._end)
-
-    def __exit__(self, *_: object) -> None:
-        loop = asyncio.get_running_loop()
-        with suppress(NotImplementedError, RuntimeError):
-            for number in (signal.SIGINT, signal.SIGTERM):
-                loop.remove_signal_handler(number)

@@ -18,9 +18,6 @@ from cags_common.baselines.scalar import U8
 from cags_common.errors import DecodeError
 from cags_common.tiles import MAX_TILE_SPLATS
 
-BLOCK = 16
-"""Sides of a picture are multiples of H.264's macroblock."""
-
 MAX_PLANES = 64
 
 

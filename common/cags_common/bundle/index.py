@@ -8,7 +8,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -40,11 +39,6 @@ class TileEntry:
     """Smallest and largest corner of the tile's means (without the splats' own extent), world, metres."""
     lod_bytes: tuple[int, ...]
     crcs: tuple[int, ...]
-
-    @cached_property
-    def bytes_to(self) -> tuple[int, ...]:
-        """``bytes_to[lod]``: bytes of levels 0 to ``lod`` together."""
-        return tuple(int(total) for total in np.cumsum(self.lod_bytes))
 
 
 @dataclass(frozen=True, slots=True)

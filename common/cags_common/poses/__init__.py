@@ -13,8 +13,6 @@ from cags_common.poses.trace import Focus, PoseTrace, read_poses, write_poses
 
 __all__ = ["KINDS", "Focus", "PoseTrace", "open_poses", "place", "read_poses", "synthetic_walk", "write_poses"]
 
-DEFAULT_WALK = "synthetic:walking"
-
 
 def open_poses(spec: str, focus: Focus, *, window_us: int | None = None) -> PoseTrace:
     """The walk that ``spec`` names, in the scene's world frame.

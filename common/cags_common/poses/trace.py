@@ -81,14 +81,6 @@ class PoseTrace:
         """:meth:`pose_at` for many times."""
         return self._poses_at(np.fromiter(times_us, dtype=np.int64))
 
-    def resampled(self, period_us: int) -> PoseTrace:
-        """The same walk on a regular clock, from 0 to the last multiple of ``period_us`` in it."""
-        if period_us < 1:
-            raise ValueError(f"period_us = {period_us} must be at least 1")
-        times = np.arange(0, self.duration_us + 1, period_us, dtype=np.int64)
-        positions, rotations = self._sample(times)
-        return PoseTrace(times, positions, rotations)
-
     def window(self, start_us: int, end_us: int) -> PoseTrace:
         """The samples in ``[start_us, end_us]``, with times from zero. Raises ``ValueError`` where there are none."""
         inside = (self.times_us >= start_us) & (self.times_us <= end_us)

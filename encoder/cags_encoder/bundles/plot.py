@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cags_common.errors import BundleError
+from cags_common.errors import BundleError, OutputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 def plot(found: Description, path: Path) -> None:
-    """Draw what :func:`~cags_encoder.bundles.describe.describe` found. Raises :class:`BundleError`."""
+    """Draw what :func:`~cags_encoder.bundles.describe.describe` found. Raises :class:`BundleError` for
+    formats that cannot be drawn and :class:`OutputError` for places that cannot be written.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 8), layout="constrained")
@@ -33,10 +35,10 @@ def plot(found: Description, path: Path) -> None:
     )
     try:
         figure.savefig(path, dpi=120)
-    except (OSError, ValueError) as error:
-        raise BundleError(
-            f"{path}: cannot be written ({error}); give a name that ends in .png, .svg or .pdf"
-        ) from error
+    except OSError as error:
+        raise OutputError.of(path, error) from error
+    except ValueError as error:
+        raise BundleError(f"{path}: is no kind of picture; give a name that ends in .png, .svg or .pdf") from error
 
 
 def _frames(axis: Axes, frames: list[Any]) -> None:

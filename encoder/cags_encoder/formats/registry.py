@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from cags_common.errors import SceneError
+from cags_common.files import write_whole
 from cags_common.geometry import Vec3
 from cags_common.splats import Splats
 from cags_encoder.formats.compressed_ply import compressed_ply_bytes, is_compressed_ply, parse_compressed_ply
@@ -92,17 +92,10 @@ def read_splats(path: Path, check: Check = Splats.checked) -> tuple[Splats, Form
 def write_splats(path: Path, splats: Splats) -> Format:
     """Write ``splats`` in the format that the name of ``path`` asks for; a file is there whole or not at all.
 
-    Raises :class:`SceneError` for unknown suffixes and for places that cannot be written.
+    Raises :class:`SceneError` for unknown suffixes and :class:`OutputError` for places that cannot be written.
     """
     entry = format_of_name(path)
-    data = entry.write(splats)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_bytes(data)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise SceneError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
+    write_whole(path, entry.write(splats))
     return entry
 
 

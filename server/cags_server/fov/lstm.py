@@ -20,6 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from cags_common.errors import ConfigError
+from cags_common.files import whole_file
 from cags_common.geometry import F32, Intrinsics, Pose
 from cags_server.fov.base import FovObservation
 from cags_server.fov.truth import fast_margins
@@ -54,7 +55,7 @@ class LstmWeights:
     def save(self, path: Path) -> None:
         """Write an ``.npz`` of float32 arrays and a JSON text."""
         text = np.frombuffer(json.dumps(self.provenance, sort_keys=True).encode(), np.uint8)
-        with path.open("wb") as file:
+        with whole_file(path) as writing, writing.open("wb") as file:
             np.savez(file, provenance=text, **{name: getattr(self, name) for name in _NAMES})
 
     @staticmethod

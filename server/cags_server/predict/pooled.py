@@ -18,6 +18,7 @@ import numpy as np
 
 from cags_common import so3
 from cags_common.errors import ConfigError
+from cags_common.files import whole_file
 from cags_common.geometry import F64
 
 ORDERS = (1, 2, 4, 8, 12)
@@ -81,7 +82,7 @@ class PooledWeights:
         """Write an ``.npz`` of float32 arrays and a JSON text."""
         text = np.frombuffer(json.dumps(self.provenance, sort_keys=True).encode(), np.uint8)
         arrays = {f"order_{order}": matrix.astype(np.float32) for order, matrix in self.matrices.items()}
-        with path.open("wb") as file:
+        with whole_file(path) as writing, writing.open("wb") as file:
             np.savez(file, provenance=text, **arrays)  # type: ignore[arg-type]
 
     @staticmethod

@@ -43,6 +43,13 @@ def test_a_bundle_of_another_version_is_refused(tmp_path) -> None:
     assert "version 99" in result.stderr
 
 
+def test_the_ready_line_is_an_address_with_brackets_where_it_must_have_them() -> None:
+    from cags_common.transport.tcp import host_port
+
+    assert host_port("::1", 8765) == "[::1]:8765"
+    assert host_port("127.0.0.1", 8765) == "127.0.0.1:8765"
+
+
 async def test_a_port_in_use_is_named() -> None:
     from cags_common.errors import NetworkError
     from cags_server.app import serve

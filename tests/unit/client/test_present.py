@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from cags_client.present import ScoringSpool, StagesSink
-from cags_client.present.files import OutputError, PictureSpool, bytes_of, stage_path
+from cags_client.present.files import PictureSpool, bytes_of, stage_path
+from cags_common.errors import OutputError
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
 
 CAMERA = Camera(Intrinsics(6, 4, 5.0, 5.0, 3.0, 2.0), Pose.looking_at((0.0, 0.0, -2.0), (0.0, 0.0, 0.0)))

@@ -104,13 +104,6 @@ def test_a_single_sample_holds_for_ever() -> None:
     assert trace((0, Pose((1, 2, 3), (1, 0, 0, 0)))).pose_at(10**12).position == (1, 2, 3)
 
 
-def test_resampling_keeps_the_samples_it_hits() -> None:
-    walk = synthetic_walk("turning", FOCUS, duration_s=1.0, rate_hz=100)
-    again = walk.resampled(20_000)
-    np.testing.assert_allclose(again.positions, walk.positions[::2], atol=1e-9)
-    np.testing.assert_allclose(again.matrices, walk.matrices[::2], atol=1e-7)
-
-
 def test_gravity_is_found_though_the_walker_looks_down() -> None:
     down = [Pose.looking_at((0, 0, 0), (math.cos(a), -0.7, math.sin(a))) for a in np.linspace(0, 2.0, 20)]
     up = gravity_up(trace(*((float(i), pose) for i, pose in enumerate(down))))

@@ -116,6 +116,19 @@ def test_a_missing_part_makes_the_command_fail(
     assert "fetch c" in said
 
 
+@pytest.mark.parametrize("columns", ["20", "69", "70", "200"])
+def test_every_width_of_a_terminal_shows_what_to_do(
+    columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    remedy = "fetch"
+    monkeypatch.setattr(parts, "part_findings", lambda: [missing("part", "gone", remedy)])
+    monkeypatch.setenv("COLUMNS", columns)
+    assert cli.main(["--quick"]) == 1
+    said = capsys.readouterr().out
+    assert all(word in said for word in ("MISSING", "part", "gone", remedy))
+    assert ("┃" in said) == (int(columns) >= cli.TABLE_COLUMNS)
+
+
 def test_wrong_use_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--threads", "-2"]) == 2
     assert "threads" in capsys.readouterr().err

@@ -18,8 +18,6 @@ def test_frames_follow_the_rate() -> None:
     assert timeline.display_us(3) == 1_050_000
     assert timeline.media_frame(3) == 13
     assert timeline.media_frame(90) is None
-    assert timeline.first_tick_from(1_049_999) == 3
-    assert timeline.first_tick_from(0) == 0
 
 
 def test_a_loop_starts_again_after_the_last_frame() -> None:

@@ -200,6 +200,17 @@ async def test_a_taken_port_is_one_clear_line(show: BallShow) -> None:
     await second.stop()
 
 
+async def test_the_address_is_one_that_a_browser_here_can_open(show: BallShow, client: aiohttp.ClientSession) -> None:
+    for host, named in (("::1", "http://[::1]:"), ("0.0.0.0", "http://127.0.0.1:"), ("localhost", "http://127.0.0.1:")):
+        view = LiveView(ViewSettings(view_host=host, view_port=0), show.view.poses)
+        assert (await view.start()).startswith(named)
+        try:
+            async with client.get(view.url) as response:
+                assert response.status == 200
+        finally:
+            await view.stop()
+
+
 async def test_the_shaper_is_asked_over_its_control_port(client: aiohttp.ClientSession) -> None:
     asked: list[dict[str, Any]] = []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from cags_client.restore.affine import AffineSettings, correction_fields, own_view, registration
 from cags_common.errors import SceneError
+from cags_common.files import whole_file
 from cags_common.geometry import F32
 from cags_common.metrics import COVERED_ALPHA
 from cags_training.pairs.maker import Pair, PairMaker
@@ -66,12 +66,8 @@ class Crops:
     def save(self, path: Path) -> None:
         """Write an ``.npz``, atomically."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        staged = path.with_name(f".{path.name}.{os.getpid()}.npz")
-        try:
-            np.savez(staged, **{f.name: getattr(self, f.name) for f in fields(self)})
-            staged.replace(path)
-        finally:
-            staged.unlink(missing_ok=True)
+        with whole_file(path) as writing, writing.open("wb") as file:
+            np.savez(file, **{f.name: getattr(self, f.name) for f in fields(self)})
 
     @staticmethod
     def load(path: Path) -> Crops:

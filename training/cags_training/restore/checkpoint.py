@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cags_common.errors import ConfigError
+from cags_common.files import whole_file
 from cags_common.geometry import F32
 
 _FACTS = "facts"
@@ -26,13 +26,9 @@ class Checkpoint:
 
     def save(self, path: Path) -> None:
         """Replace the checkpoint at ``path``."""
-        staged = path.with_name(f".{path.name}.{os.getpid()}.npz")
         facts = np.frombuffer(json.dumps(self.facts).encode(), np.uint8)
-        try:
-            np.savez(staged, **{_FACTS: facts}, **self.arrays)  # type: ignore[arg-type]
-            staged.replace(path)
-        finally:
-            staged.unlink(missing_ok=True)
+        with whole_file(path) as writing, writing.open("wb") as file:
+            np.savez(file, **{_FACTS: facts}, **self.arrays)  # type: ignore[arg-type]
 
     @staticmethod
     def load(path: Path) -> Checkpoint:

@@ -6,12 +6,12 @@ import argparse
 import json
 import shlex
 import sys
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cags_common.errors import ConfigError
-from cags_common.settings import add_settings, load_settings
+from cags_common.settings import add_flags, add_settings, load_settings
 from cags_training.pairs.settings import PairSettings
 from cags_training.restore.settings import TrainSettings
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from cags_client.restore.networks.weights import Weights
     from cags_training.pairs.crops import Crops
     from cags_training.restore.trainer import Trainer
-
-SUMMARY = "train a restoration network on pairs that the streaming pipeline itself makes"
 
 EXAMPLES = """\
   cags-train restore --scene procedural:seed=5 --held-out procedural:seed=9 --out lite/
@@ -53,16 +51,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--restart", action="store_true", help="ignore the checkpoint in OUT")
     parser.add_argument("--json", action="store_true", help="print the history as JSON lines to stdout")
     add_settings(parser, TrainSettings)
-    group = parser.add_argument_group("pairs")
-    _add_pair_flags(group)
+    add_flags(parser.add_argument_group("pairs"), PairSettings)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Make what pairs are missing, train, and write ``NETWORK.npz``, ``report.md`` and ``curves.png``."""
     from cags_training.restore.trainer import Trainer
 
-    settings = load_settings(TrainSettings, _only(arguments, TrainSettings))
-    pairs = load_settings(PairSettings, _only(arguments, PairSettings))
+    settings = load_settings(TrainSettings, arguments, PairSettings)
+    pairs = load_settings(PairSettings, arguments, TrainSettings)
     if arguments.bundle:
         _aim_at_bundle(arguments)
     if not arguments.scene or not arguments.held_out:
@@ -100,20 +97,6 @@ def _store(weights: Weights, trainer: Trainer, bundle: str) -> None:
         return
     store_weights(bundle, weights.to_bytes())
     print(f"{bundle}: holds the weights now; servers that open it offer them", file=sys.stderr)
-
-
-def _add_pair_flags(group: Any) -> None:
-    """The settings of pairs; ``--config`` is there already, and holds those of training."""
-    inner = argparse.ArgumentParser(add_help=False, conflict_handler="resolve")
-    add_settings(inner, PairSettings)
-    for action in inner._actions:
-        if action.dest != "config":
-            group._add_action(action)
-
-
-def _only(arguments: argparse.Namespace, cls: type[TrainSettings] | type[PairSettings]) -> argparse.Namespace:
-    names = {f.name for f in fields(cls)} | ({"config"} if cls is TrainSettings else set())
-    return argparse.Namespace(**{name: value for name, value in vars(arguments).items() if name in names})
 
 
 def _data(arguments: argparse.Namespace, pairs: PairSettings, out: Path) -> tuple[Crops, Crops]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.errors import ConfigError
+from cags_common.files import write_whole
 from cags_common.geometry import F32
 
 VERSION = 1
 MAX_FILE_BYTES = 4 << 20
 MAX_ARRAYS = 256
-MAX_ABOUT_BYTES = 64 << 10
 
 _ABOUT = "about"
 _SHIPPED = "cags_client.restore.networks.shipped"
@@ -56,12 +55,7 @@ class Weights:
 
     def save(self, path: Path) -> None:
         """Write :meth:`to_bytes` to ``path``, atomically."""
-        staged = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            staged.write_bytes(self.to_bytes())
-            staged.replace(path)
-        finally:
-            staged.unlink(missing_ok=True)
+        write_whole(path, self.to_bytes())
 
     @staticmethod
     def from_bytes(data: bytes, source: str) -> Weights:

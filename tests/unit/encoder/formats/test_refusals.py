@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cags_common.errors import SceneError
+from cags_common.errors import OutputError, SceneError
 from cags_common.splats import MAX_SPLATS
 from cags_encoder.formats import FORMATS, read_splats, write_splats
 from cags_encoder.formats.compressed_ply import compressed_ply_bytes
@@ -66,7 +66,7 @@ def test_unknown_suffixes_are_named_with_the_known_ones(tmp_path: Path) -> None:
 
 
 def test_writing_where_one_cannot_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="cannot be written"):
+    with pytest.raises(OutputError, match="cannot be written"):
         write_splats(tmp_path / "no" / "where.ply", SPLATS)
     assert list(tmp_path.iterdir()) == []
 
