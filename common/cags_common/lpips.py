@@ -10,12 +10,16 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn import functional
 
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
+from cags_common.openmp import yield_cores
+
+yield_cores()
+
+import torch  # noqa: E402
+from torch import Tensor  # noqa: E402
+from torch.nn import functional  # noqa: E402
 
 # stride and padding of AlexNet's five convolutions; a 3x3 max-pool of stride 2 precedes the second and the third
 CONVOLUTIONS = ((4, 2), (1, 2), (1, 1), (1, 1), (1, 1))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from cags_client.restore.networks.weights import Weights
 from cags_common.errors import ConfigError
+from cags_common.openmp import yield_cores
 
 if TYPE_CHECKING:
     from torch import nn
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from cags_client.restore.base import Restorer
 
 __all__ = ["NETWORKS", "Weights", "create", "from_weights"]
+
+yield_cores()
 
 NETWORKS = ("lite", "srresnet", "sr-align-ref", "cr-no-ref")
 """Networks by name, the tiers first."""
