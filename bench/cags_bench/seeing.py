@@ -31,9 +31,9 @@ class Seen:
         assert self.view.depth is not None
         return self.view.depth
 
-    def aligned(self, reference: ReferencePicture, aligner: Aligner | None = None) -> Aligned:
-        """``reference`` brought to this view."""
-        return (aligner or align.create("auto")).align(reference, self.depth, self.camera)
+    def aligned(self, reference: ReferencePicture, aligner: Aligner | None = None, *, colours: bool = False) -> Aligned:
+        """``reference`` brought to this view, its ``colours`` at once or when they are looked at."""
+        return (aligner or align.create("auto")).align(reference, self.depth, self.camera, colours=colours)
 
     def inputs(self, reference: ReferencePicture, aligned: Aligned) -> RestoreInput:
         """What a restorer gets: the client's own splats from the reference's camera are drawn for it."""

@@ -277,8 +277,8 @@ class ClientPipeline:
                 reference, own = self._seen_from(plan, reference, drawn, options)
         if Effect.ALIGNMENT in plan and depth is not None:
             with watch("align"):
-                occlusion = Effect.OCCLUSION in plan
-                aligned = self._aligner.align(reference, depth, drawn.camera, occlusion=occlusion)
+                occlusion, colours = Effect.OCCLUSION in plan, Effect.EROSION in self._restorer.needs
+                aligned = self._aligner.align(reference, depth, drawn.camera, occlusion=occlusion, colours=colours)
                 if Effect.FADE in plan:
                     aligned = _faded(aligned, self._freshness(reference, frame))
         if Effect.ADAPTATION in plan and own is not None and self._adapter is not None and self._adapting is None:

@@ -101,7 +101,7 @@ class StandIn:
         i = camera.intrinsics
         seen = Intrinsics(columns, rows, i.fx_px, i.fy_px, i.cx_px - left, i.cy_px - top)
         there = Camera(seen, camera.pose, camera.near)
-        bent = self._aligner.align(reference, np.ascontiguousarray(full[part]), there, occlusion=False)
+        bent = self._aligner.align(reference, np.ascontiguousarray(full[part]), there, occlusion=False, colours=True)
         change = bent.rgb  # made for this call alone
         change -= out[part]
         change *= (share[part] * bent.confidence)[..., None]

@@ -29,7 +29,7 @@ def _erosion(bench: Workbench) -> Stage:
         aligner = align.create("auto", AlignSettings(erosion_iterations=iterations))
 
         def run() -> list[Aligned]:
-            return [m.seen.aligned(m.reference, aligner) for m in bench.moments]
+            return [m.seen.aligned(m.reference, aligner, colours=True) for m in bench.moments]
 
         def judge(found: list[Aligned]) -> Outcome:
             masks = [a.occluded | (a.confidence > 0) for a in found]

@@ -71,7 +71,8 @@ class Method:
             return distorted, watch.stages_ms
         assert case.distorted.depth is not None
         reference = case.plain if self.plain_reference else case.reference
-        aligned = self.aligner.align(reference, case.distorted.depth, case.camera)
+        colours = Effect.EROSION in self.restorer.needs
+        aligned = self.aligner.align(reference, case.distorted.depth, case.camera, colours=colours)
         watch("align")
         own = None
         if Effect.OWN_VIEW in self.restorer.needs:

@@ -143,7 +143,8 @@ class Aligned:
     def rgb(self) -> F32:
         """[H, W, 3] in [0, 1]; black where the reference says nothing and no clean neighbour is near.
 
-        Made when first looked at: restorers that work at the reference's resolution never do.
+        Made when first looked at, unless the aligner was asked for it: restorers at the reference's resolution
+        never look.
         """
         return self.paint()
 
@@ -166,10 +167,19 @@ class Aligner(Protocol):
         """Name in the registry."""
         ...
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
+    def align(
+        self,
+        reference: ReferencePicture,
+        depth: F32,
+        camera: Camera,
+        *,
+        occlusion: bool = True,
+        colours: bool = False,
+    ) -> Aligned:
         """Align ``reference`` to ``camera`` by its depth [H, W] (camera-space z; non-finite or <= 0 is void).
 
         Without ``occlusion`` every pixel counts as seen: for cameras at one place, where nothing can be hidden.
+        With ``colours`` they are made in the same pass, which is cheaper than when they are first looked at.
         Raises ``ValueError`` where ``depth`` does not have the camera's size.
         """
         ...

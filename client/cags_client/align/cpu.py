@@ -24,7 +24,15 @@ class CpuAligner:
             raise ConfigError(f"aligner 'cpu' cannot run: {cags_kernels.why_unavailable()}; use 'fast'")
         self._settings = settings or AlignSettings()
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
+    def align(
+        self,
+        reference: ReferencePicture,
+        depth: F32,
+        camera: Camera,
+        *,
+        occlusion: bool = True,
+        colours: bool = False,
+    ) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`."""
         from cags_kernels import align as kernels
 
@@ -41,9 +49,11 @@ class CpuAligner:
             threads=s.threads,
         )
         view = kernels.Reprojection(depth, *geometry.matrix)
-        image = kernels.align(reference.rgb, view, parameters)
+        image = kernels.align(reference.rgb, view, parameters, colours=colours)
 
         def paint() -> F32:
-            return kernels.paint(reference.rgb, view, parameters, image.occluded)
+            whole = image if image.rgb is not None else kernels.align(reference.rgb, view, parameters, colours=True)
+            assert whole.rgb is not None
+            return whole.rgb
 
         return Aligned(paint, image.confidence, image.occluded, geometry)

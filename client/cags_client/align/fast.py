@@ -20,7 +20,15 @@ class FastAligner:
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self._settings = settings or AlignSettings()
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
+    def align(
+        self,
+        reference: ReferencePicture,
+        depth: F32,
+        camera: Camera,
+        *,
+        occlusion: bool = True,
+        colours: bool = False,
+    ) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`."""
         geometry = Reprojection(depth, camera, reference.camera)
         s, w, h = self._settings, reference.camera.width_px, reference.camera.height_px

@@ -33,7 +33,15 @@ class ReferenceAligner:
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self._settings = settings or AlignSettings()
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
+    def align(
+        self,
+        reference: ReferencePicture,
+        depth: F32,
+        camera: Camera,
+        *,
+        occlusion: bool = True,
+        colours: bool = False,
+    ) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`."""
         geometry = Reprojection(depth, camera, reference.camera)
         d = np.where(np.isfinite(depth) & (depth > 0), depth, np.nan).astype(np.float64)

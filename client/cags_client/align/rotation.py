@@ -24,9 +24,17 @@ class RotationAligner:
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self._inner = FastAligner(settings)
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
+    def align(
+        self,
+        reference: ReferencePicture,
+        depth: F32,
+        camera: Camera,
+        *,
+        occlusion: bool = True,
+        colours: bool = False,
+    ) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`; of ``depth`` only the size counts."""
         del occlusion  # as if from one place: nothing is hidden
         pose = Pose(camera.pose.position, reference.camera.pose.rotation)
         there = replace(reference, camera=reference.camera.at(pose))
-        return self._inner.align(there, np.ones_like(depth), camera, occlusion=False)
+        return self._inner.align(there, np.ones_like(depth), camera, occlusion=False, colours=colours)

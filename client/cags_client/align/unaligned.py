@@ -17,8 +17,16 @@ class UnalignedAligner:
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self._inner = FastAligner(settings)
 
-    def align(self, reference: ReferencePicture, depth: F32, camera: Camera, *, occlusion: bool = True) -> Aligned:
+    def align(
+        self,
+        reference: ReferencePicture,
+        depth: F32,
+        camera: Camera,
+        *,
+        occlusion: bool = True,
+        colours: bool = False,
+    ) -> Aligned:
         """See :class:`cags_client.align.base.Aligner`; ``depth`` only tells void pixels."""
         del occlusion  # as if from one place: nothing is hidden
         there = replace(reference, camera=reference.camera.at(camera.pose))
-        return self._inner.align(there, depth, camera, occlusion=False)
+        return self._inner.align(there, depth, camera, occlusion=False, colours=colours)

@@ -40,7 +40,7 @@ class _AlignInput(ctypes.Structure):
 
 
 class _AlignOutput(ctypes.Structure):
-    _fields_ = [(name, _Pointer) for name in ("confidence", "occluded")]
+    _fields_ = [(name, _Pointer) for name in ("confidence", "occluded", "rgb")]
 
 
 class _CorrectInput(ctypes.Structure):
@@ -104,6 +104,7 @@ class AlignedImage:
 
     confidence: F32  # [H, W]
     occluded: NDArray[np.bool_]  # [H, W]
+    rgb: F32 | None  # [H, W, 3], where it was asked for
 
 
 FIELD_CHANNELS = 4
@@ -112,39 +113,21 @@ FIELD_CHANNELS = 4
 _buffers = BufferPool()
 
 
-def align(reference: F32, view: Reprojection, parameters: AlignParameters) -> AlignedImage:
-    """What a ``reference`` [h, w, 3] shows of a view; of its colours see :func:`paint`. Raises ``KernelError``."""
+def align(reference: F32, view: Reprojection, p: AlignParameters, *, colours: bool) -> AlignedImage:
+    """What a ``reference`` [h, w, 3] shows of a view, with its ``colours`` or without. Raises ``KernelError``."""
     shape = view.depth.shape
-    image = AlignedImage(_buffers.empty(shape), _buffers.empty_mask(shape))
-    kept, given = _align_input(reference, view, parameters)
-    wanted = _AlignOutput(_address(image.confidence), _address(image.occluded))
-    check(library().cags_align(ctypes.byref(given), ctypes.byref(wanted)), "align")
-    del kept
-    return image
-
-
-def paint(reference: F32, view: Reprojection, parameters: AlignParameters, occluded: NDArray[np.bool_]) -> F32:
-    """Colours [H, W, 3] of an alignment whose ``occluded`` [H, W] :func:`align` told. Raises ``KernelError``."""
-    if occluded.shape != view.depth.shape:
-        raise ValueError(f"occlusion of shape {occluded.shape} for a depth of shape {view.depth.shape}")
-    occluded = np.ascontiguousarray(occluded, np.bool_)
-    rgb = _buffers.empty((*view.depth.shape, 3))
-    kept, given = _align_input(reference, view, parameters)
-    check(library().cags_paint(ctypes.byref(given), _address(occluded), _address(rgb)), "paint")
-    del kept
-    return rgb
-
-
-def _align_input(reference: F32, view: Reprojection, p: AlignParameters) -> tuple[tuple[F32, F32], _AlignInput]:
-    """The input, and the arrays that it points into, to be held while it is used."""
-    reference, depth = _checked(reference, (*reference.shape[:2], 3)), _checked(view.depth, view.depth.shape)
+    rgb = _buffers.empty((*shape, 3)) if colours else None
+    image = AlignedImage(_buffers.empty(shape), _buffers.empty_mask(shape), rgb)
+    reference, depth = _checked(reference, (*reference.shape[:2], 3)), _checked(view.depth, shape)
     given = _AlignInput(
         _reprojection(view, depth, reference),
         _address(reference),
         *(*p.cell_px, p.stride, p.depth_tolerance, p.slope_cells, p.border_px),
         *(p.erosion_radius, p.erosion_iterations, p.threads),
     )
-    return (reference, depth), given
+    wanted = _AlignOutput(_address(image.confidence), _address(image.occluded), _address(image.rgb))
+    check(library().cags_align(ctypes.byref(given), ctypes.byref(wanted)), "align")
+    return image
 
 
 def fields(own: F32, reference: F32, parameters: CorrectParameters) -> F32:

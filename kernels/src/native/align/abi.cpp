@@ -36,7 +36,8 @@ const Stages& stages() {
 // Memory of one call, kept for the next one: fresh pages cost more than the work on them.
 struct Scratch {
   AlignedArray<float> nearest_depth, reference, sums, fields, lines, disagreement, power, weight;
-  AlignedArray<uint8_t> clean, shared;
+  AlignedArray<uint8_t> shared;
+  AlignedArray<uint64_t> bits;
   AlignedArray<Nearest> nearest;
 };
 
@@ -58,6 +59,7 @@ class ScratchLease {
   ScratchLease(const ScratchLease&) = delete;
   ScratchLease& operator=(const ScratchLease&) = delete;
   Scratch* operator->() const { return scratch_.get(); }
+  Scratch& operator*() const { return *scratch_; }
 
  private:
   static std::mutex& mutex() {
@@ -86,75 +88,63 @@ bool valid(const CagsReprojection& view) {
 }
 
 bool valid(const CagsAlignInput& in) {
-  return valid(in.view) && in.threads >= 1 && in.stride >= 1 && in.erosion_radius >= 0 && in.erosion_radius <= kMaxRadius &&
+  return valid(in.view) && in.threads >= 1 && in.stride >= 1 && in.erosion_radius >= 0 && in.erosion_radius <= kMaxErosion &&
          in.erosion_iterations >= 0;
 }
 
 Padded padded_colours(const CagsAlignInput& in, AlignedArray<float>& memory) {
   const int w = in.view.reference_width, h = in.view.reference_height;
   Padded out{memory.reserve(size_t(w + 2) * (h + 2) * kColourLanes), w, h};
-  float* to = out.data;
-  for (int row = -1; row <= h; row++) {
-    const float* from = in.reference + int64_t{std::clamp(row, 0, h - 1)} * w * 3;
+  for_rows(in.threads, h + 2, [&](int row, int) {
+    const float* from = in.reference + int64_t{std::clamp(row - 1, 0, h - 1)} * w * 3;
+    float* to = out.data + int64_t{row} * (w + 2) * kColourLanes;
     for (int column = -1; column <= w; column++, to += kColourLanes) {
       const float* pixel = from + 3 * std::clamp(column, 0, w - 1);
       to[0] = pixel[0], to[1] = pixel[1], to[2] = pixel[2], to[3] = 0.0f;
     }
-  }
+  });
   return out;
 }
 
 size_t cells_of(const CagsReprojection& view) { return size_t(view.reference_width + 1) * (view.reference_height + 1); }
 
-void align(const CagsAlignInput& in, const CagsAlignOutput& out) {
-  ScratchLease scratch;
-  const int threads = std::min(in.threads, kMaxThreads), rows = (in.view.height + in.stride - 1) / in.stride;
+// The nearest of the client's pixels in each cell.
+Occlusion looked_over(const CagsAlignInput& in, Scratch& scratch, int threads) {
+  const int rows = (in.view.height + in.stride - 1) / in.stride, across = in.view.reference_width + 1;
   const size_t cells = cells_of(in.view);
-  Nearest* nearest = scratch->nearest.reserve(cells * threads);
-  float* depth = scratch->nearest_depth.reserve(cells);
+  Nearest* nearest = scratch.nearest.reserve(cells * threads);
+  float* depth = scratch.nearest_depth.reserve(cells);
   std::fill_n(nearest, cells * threads, kNobody);
   for_rows(threads, rows, [&](int row, int worker) { stages().nearest(in, row * in.stride, nearest + cells * worker); });
-  for (size_t i = 0; i < cells; i++) {
-    for (int worker = 1; worker < threads; worker++) nearest[i] = std::min(nearest[i], nearest[i + cells * worker]);
-    depth[i] = std::bit_cast<float>(static_cast<uint32_t>(nearest[i] >> 32));
-  }
-  for_rows(threads, in.view.height, [&](int row, int) { stages().resolve(in, out, {nearest, depth}, row); });
-}
-
-// The reference pixel that a client's pixel lies in, as the stages number them.
-int cell_of(const CagsReprojection& view, int64_t pixel) {
-  const float d = view.depth[pixel], u = static_cast<float>(pixel % view.width) + 0.5f;
-  const float v = static_cast<float>(pixel / view.width) + 0.5f;
-  float p[3];
-  for (int i = 0; i < 3; i++) p[i] = d * (view.m[3 * i] * u + (view.m[3 * i + 1] * v + view.m[3 * i + 2])) + view.b[i];
-  const int column = static_cast<int>(std::clamp(p[0] / p[2], 0.0f, static_cast<float>(view.reference_width)));
-  const int row = static_cast<int>(std::clamp(p[1] / p[2], 0.0f, static_cast<float>(view.reference_height)));
-  return row * (view.reference_width + 1) + column;
-}
-
-// Erosion, on the rows that it can reach.
-void fill(const CagsAlignInput& in, const uint8_t* occluded, std::vector<int64_t> holes, Scratch& scratch, float* rgb) {
-  const int width = in.view.width, height = in.view.height, reach = in.erosion_radius * in.erosion_iterations;
-  const int threads = std::min(in.threads, kMaxThreads);
-  uint8_t* shared = scratch.shared.reserve(cells_of(in.view));
-  std::fill_n(shared, cells_of(in.view), uint8_t{0});
-  for (int64_t pixel : holes) shared[cell_of(in.view, pixel)] = 1;
-  const int top = std::max<int>(static_cast<int>(holes.front() / width) - reach, 0);
-  const int bottom = std::min<int>(static_cast<int>(holes.back() / width) + reach + 1, height);
-  uint8_t* clean = scratch.clean.reserve(size_t(width) * height + kErosionSlack);
-  for_rows(threads, bottom - top, [&](int i, int) {
-    stages().clean(in, occluded, shared, top + i, clean + int64_t{top + i} * width);
+  for_rows(threads, in.view.reference_height + 1, [&](int row, int) {
+    for (size_t i = size_t(row) * across; i < size_t(row + 1) * across; i++) {
+      for (int worker = 1; worker < threads; worker++) nearest[i] = std::min(nearest[i], nearest[i + cells * worker]);
+      depth[i] = std::bit_cast<float>(static_cast<uint32_t>(nearest[i] >> 32));
+    }
   });
-  erode({width, height, in.erosion_radius, in.erosion_iterations, threads}, std::move(holes), clean, rgb);
+  return {nearest, depth, nullptr};
 }
 
-void paint(const CagsAlignInput& in, const uint8_t* occluded, float* rgb) {
+void fill(const CagsAlignInput& in, const CagsAlignOutput& out, const uint8_t* shared, Scratch& scratch) {
+  const Erosion how{in.view.width, in.view.height, in.erosion_radius, in.erosion_iterations, in.threads};
+  const CleanWord clean = [&](int row, int word) {
+    const int first = word * kWord, count = std::min(kWord, in.view.width - first);
+    return stages().clean(in, out.occluded + int64_t{row} * in.view.width + first, shared, row, first, count);
+  };
+  erode(how, out.occluded, clean, scratch.bits, out.rgb);
+}
+
+void align(const CagsAlignInput& in, const CagsAlignOutput& out) {
   ScratchLease scratch;
-  const Padded reference = padded_colours(in, scratch->reference);
-  for_rows(std::min(in.threads, kMaxThreads), in.view.height, [&](int row, int) { stages().paint(in, reference, row, rgb); });
-  if (in.erosion_radius == 0 || in.erosion_iterations == 0) return;
-  std::vector<int64_t> holes = holes_of(occluded, int64_t{in.view.width} * in.view.height);
-  if (!holes.empty()) fill(in, occluded, std::move(holes), *scratch.operator->(), rgb);
+  const bool fills = out.rgb && in.erosion_radius > 0 && in.erosion_iterations > 0;
+  Occlusion occlusion = looked_over(in, *scratch, in.threads);
+  const Padded reference = out.rgb ? padded_colours(in, scratch->reference) : Padded{};
+  if (fills) {
+    occlusion.shared = scratch->shared.reserve(cells_of(in.view));
+    std::fill_n(occlusion.shared, cells_of(in.view), uint8_t{0});
+  }
+  for_rows(in.threads, in.view.height, [&](int row, int) { stages().resolve(in, reference, occlusion, row, out); });
+  if (fills) fill(in, out, occlusion.shared, *scratch);
 }
 
 Evidence weigh(const CagsCorrectInput& in, const float* sums, int threads) {
@@ -254,8 +244,8 @@ Fitted fitted(const CagsCorrectInput& in, Scratch& scratch, int threads) {
 void correct(const CagsCorrectInput& in, float* restored) {
   ScratchLease scratch;
   const int threads = std::min(in.threads, kMaxThreads);
-  const auto [fields, own] = fitted(in, *scratch.operator->(), threads);
-  const Blocks blocks = registration(in, fields, own, *scratch.operator->(), threads);
+  const auto [fields, own] = fitted(in, *scratch, threads);
+  const Blocks blocks = registration(in, fields, own, *scratch, threads);
   float* weights = scratch->lines.reserve(size_t(blocks.width) * threads);
   for_rows(threads, in.view.height, [&](int row, int worker) {
     stages().correct(in, fields, blocks, row, weights + size_t(blocks.width) * worker, restored);
@@ -266,7 +256,7 @@ void correct(const CagsCorrectInput& in, float* restored) {
 void fields_of(const CagsCorrectInput& in, float* out) {
   ScratchLease scratch;
   const int w = in.view.reference_width, h = in.view.reference_height;
-  const auto [fields, own] = fitted(in, *scratch.operator->(), std::min(in.threads, kMaxThreads));
+  const auto [fields, own] = fitted(in, *scratch, std::min(in.threads, kMaxThreads));
   for (int row = 0; row < h; row++) {
     const float* from = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
     std::copy_n(from, w * kFieldLanes, out + int64_t{row} * w * kFieldLanes);
@@ -290,16 +280,10 @@ int32_t guarded(const Body& body) {
 
 int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output) {
   using namespace cags::align;
-  const CagsAlignInput& in = *input;
-  if (!valid(in)) return CAGS_INVALID;
+  if (!valid(*input)) return CAGS_INVALID;
+  CagsAlignInput in = *input;
+  in.threads = std::min(in.threads, cags::kMaxThreads);
   return guarded([&] { cags::align::align(in, *output); });
-}
-
-int32_t cags_paint(const CagsAlignInput* input, const uint8_t* occluded, float* rgb) {
-  using namespace cags::align;
-  const CagsAlignInput& in = *input;
-  if (!valid(in)) return CAGS_INVALID;
-  return guarded([&] { cags::align::paint(in, occluded, rgb); });
 }
 
 static bool valid(const CagsCorrectInput& in) {

@@ -11,7 +11,7 @@ struct CagsReprojection {
 
 struct CagsAlignInput {
   CagsReprojection view;
-  const float* reference;  // [reference_height, reference_width, 3]
+  const float* reference;  // [reference_height, reference_width, 3]; read for colours alone
   float cell_x, cell_y;    // client pixels a reference pixel
   int32_t stride;          // every stride-th pixel of every stride-th row may hide others
   float depth_tolerance, slope_cells, border_px;
@@ -21,6 +21,7 @@ struct CagsAlignInput {
 struct CagsAlignOutput {
   float* confidence;  // [height, width]
   uint8_t* occluded;  // [height, width]: 0 or 1
+  float* rgb;         // [height, width, 3] with what is occluded filled by erosion; or null: no colours are read
 };
 
 struct CagsCorrectInput {
@@ -38,9 +39,7 @@ struct CagsCorrectInput {
   int32_t threads;
 };
 
-CAGS_API int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output);  // reads no colours
-// Colours [height, width, 3] of what cags_align told of the same input, with its `occluded` filled by erosion.
-CAGS_API int32_t cags_paint(const CagsAlignInput* input, const uint8_t* occluded, float* rgb);
+CAGS_API int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output);
 // The closed form's factors and offsets [reference_height, reference_width, 4]; what is of the client's view is not read.
 CAGS_API int32_t cags_fields(const CagsCorrectInput* input, float* fields);
 CAGS_API int32_t cags_correct(const CagsCorrectInput* input, float* restored);  // [height, width, 3] in [0, 1]

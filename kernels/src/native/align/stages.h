@@ -18,14 +18,19 @@ constexpr int kMoments = 13;     // see stages/fit.h
 constexpr float kNoiseFloor = 2e-6f;  // variance of rounding to 8 bits
 constexpr float kVoidPower = 1e-4f;   // what has no more is void
 
-// Depth bits above, pixel index below: the minimum is the nearest pixel and, of equally near ones, the first.
+// Depth bits above, the pixel's place below: the minimum is the nearest pixel and, of equally near ones, the first.
 using Nearest = uint64_t;
 constexpr Nearest kNobody = uint64_t{0x7F800000} << 32;
 
+constexpr uint32_t place_of(int row, int column) { return static_cast<uint32_t>(row) << 16 | static_cast<uint32_t>(column); }
+constexpr int row_of(uint32_t place) { return static_cast<int>(place >> 16); }
+constexpr int column_of(uint32_t place) { return static_cast<int>(place & 0xFFFF); }
+
 // What hides what, by reference pixel; cells have a row and a column more than the reference, for points on its edge.
 struct Occlusion {
-  const Nearest* nearest;     // [cells]
+  const Nearest* nearest;      // [cells]
   const float* nearest_depth;  // [cells]: the depth of `nearest`, +inf where nobody is
+  uint8_t* shared;             // [cells], or null: 1 where a hidden pixel lies. Rows write it side by side, the same value
 };
 
 // Sums over a picture, luma and the two chromas.
@@ -45,12 +50,10 @@ struct Blocks {
 struct Stages {
   // One row: the nearest pixel of each cell that it touches.
   void (*nearest)(const CagsAlignInput&, int row, Nearest* cells);
-  // One row: confidence and occlusion.
-  void (*resolve)(const CagsAlignInput&, const CagsAlignOutput&, const Occlusion&, int row);
-  // One row: colours before erosion.
-  void (*paint)(const CagsAlignInput&, const Padded& reference, int row, float* rgb);
-  // One row: which pixels may be averaged from, being seen and not in front of an occluded one (`shared` cells).
-  void (*clean)(const CagsAlignInput&, const uint8_t* occluded, const uint8_t* shared, int row, uint8_t* clean);
+  // One row: confidence, occlusion and, where they are wanted, colours before erosion.
+  void (*resolve)(const CagsAlignInput&, const Padded& reference, const Occlusion&, int row, const CagsAlignOutput&);
+  // Up to 64 pixels of a row, as bits: seen, and not in front of an occluded one (`shared` cells). `occluded` is the run's.
+  uint64_t (*clean)(const CagsAlignInput&, const uint8_t* occluded, const uint8_t* shared, int row, int first, int count);
   // One row of the reference: horizontal sums [height, kMoments, width] of the moments that the local fit needs.
   void (*moments)(const CagsCorrectInput&, int row, float* line, float* sums);
   // One row of the reference: adds its power of difference and its noise, by component, to `evidence`.

@@ -7,7 +7,7 @@
 namespace cags::align {
 namespace {
 
-constexpr int kRun = 256;  // pixels projected at a time: their coordinates stay in the nearest cache
+constexpr int kRun = 64;  // pixels projected at a time: their coordinates stay in the nearest cache
 
 struct Projected {
   float x[kRun], y[kRun], z[kRun];  // 0, 0, 0 where not inside
@@ -15,8 +15,8 @@ struct Projected {
   int32_t inside[kRun];             // 0 or 1; as wide as a float, so that the loop is one vector wide
 };
 
-// Pixels first, first + step, ... (count of them) of a row.
-inline void project(const CagsReprojection& view, int row, int first, int step, int count, Projected& out) {
+// Pixels first, first + step, ... (count of them) of a row. Returns whether any is inside.
+inline bool project(const CagsReprojection& view, int row, int first, int step, int count, Projected& out) {
   const float* depth = view.depth + int64_t{row} * view.width + first;
   const float v = static_cast<float>(row) + 0.5f;
   const float* m = view.m;
@@ -24,6 +24,7 @@ inline void project(const CagsReprojection& view, int row, int first, int step, 
   const float right = static_cast<float>(view.reference_width), bottom = static_cast<float>(view.reference_height);
   const int stride = view.reference_width + 1;
   constexpr float kLargest = std::numeric_limits<float>::max();
+  int32_t any = 0;
   for (int i = 0; i < count; i++) {
     const float u = static_cast<float>(first + i * step) + 0.5f, d = depth[i * step];
     const float z = d * (m[6] * u + rz) + view.b[2];
@@ -37,7 +38,9 @@ inline void project(const CagsReprojection& view, int row, int first, int step, 
     out.z[i] = inside ? z : 0.0f;
     out.cell[i] = static_cast<int32_t>(sy) * stride + static_cast<int32_t>(sx);
     out.inside[i] = inside;
+    any |= inside;
   }
+  return any;
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 // What the reference shows of each client pixel: occlusion, confidence, colour.
 #pragma once
+#include "align/bits.h"
 #include "align/stages/bilinear.h"
 #include "align/stages/projection.h"
 
@@ -14,11 +15,11 @@ void nearest(const CagsAlignInput& in, int row, Nearest* cells) {
   Projected p;
   for (int first = 0; first < in.view.width; first += kRun * in.stride) {
     const int left = (in.view.width - first + in.stride - 1) / in.stride, count = std::min(kRun, left);
-    project(in.view, row, first, in.stride, count, p);
-    const uint32_t index = static_cast<uint32_t>(int64_t{row} * in.view.width + first);
+    if (!project(in.view, row, first, in.stride, count, p)) continue;
+    const uint32_t place = place_of(row, first);
     for (int i = 0; i < count; i++) {
       if (!p.inside[i]) continue;
-      const Nearest mine = (Nearest{std::bit_cast<uint32_t>(p.z[i])} << 32) | (index + static_cast<uint32_t>(i * in.stride));
+      const Nearest mine = (Nearest{std::bit_cast<uint32_t>(p.z[i])} << 32) | (place + static_cast<uint32_t>(i * in.stride));
       cells[p.cell[i]] = std::min(cells[p.cell[i]], mine);
     }
   }
@@ -37,60 +38,73 @@ inline float slope(const float* depth, int64_t pixel, int64_t step, bool has_bef
 // reference pixel of the nearest in the client's view too, where the reference sees both.
 inline bool hidden(const CagsAlignInput& in, int row, int column, float behind, Nearest nearest) {
   const int width = in.view.width, height = in.view.height;
-  const int64_t first = static_cast<uint32_t>(nearest), pixel = int64_t{row} * width + column;
-  const int rows_away = std::abs(row - static_cast<int>(first / width));
-  const int columns_away = std::abs(column - static_cast<int>(first % width));
+  const uint32_t place = static_cast<uint32_t>(nearest);
+  const int rows_away = std::abs(row - row_of(place)), columns_away = std::abs(column - column_of(place));
   if (columns_away <= in.cell_x && rows_away <= in.cell_y) return false;
+  const int64_t pixel = int64_t{row} * width + column;
   const float across = slope(in.view.depth, pixel, 1, column > 0, column + 1 < width);
   const float down = slope(in.view.depth, pixel, width, row > 0, row + 1 < height);
   return behind > in.slope_cells * (in.cell_x * across + in.cell_y * down);
 }
 
-void resolve(const CagsAlignInput& in, const CagsAlignOutput& out, const Occlusion& occlusion, int row) {
+// Confidence of a run where nothing is hidden, and how far its pixels lie behind their cells' limits. Returns whether any does.
+inline bool confide(const CagsAlignInput& in, const Projected& p, const float* nearest_depth, int count,
+                     float* __restrict confidence, float* __restrict behind) {
   const float tolerance = 1.0f + in.depth_tolerance, fade = 1.0f / std::max(in.border_px, 1e-6f);
   const float w = static_cast<float>(in.view.reference_width), h = static_cast<float>(in.view.reference_height);
+  for (int i = 0; i < count; i++) {
+    const float x = p.x[i], y = p.y[i], across = x < w - x ? x : w - x, down = y < h - y ? y : h - y;
+    const float distance = (across < down ? across : down) * fade;
+    confidence[i] = p.inside[i] ? (distance < 1.0f ? distance : 1.0f) : 0.0f;
+  }
+  for (int i = 0; i < count; i++) behind[i] = p.z[i] - nearest_depth[p.cell[i]] * tolerance;
+  int32_t any = 0;  // of integers: a largest float would be found one by one
+  for (int i = 0; i < count; i++) any |= behind[i] > 0;
+  return any;
+}
+
+// Marks the hidden pixels of a run.
+inline void hide(const CagsAlignInput& in, const Projected& p, const Occlusion& occlusion, const float* behind, int row, int first,
+                 int count, float* confidence, uint8_t* occluded) {
+  for (int i = 0; i < count; i++) {
+    if (behind[i] <= 0 || !hidden(in, row, first + i, behind[i], occlusion.nearest[p.cell[i]])) continue;
+    occluded[i] = 1;
+    confidence[i] = 0.0f;
+    if (occlusion.shared) occlusion.shared[p.cell[i]] = 1;
+  }
+}
+
+inline void paint(const Projected& p, const Padded& reference, int count, float* rgb) {
+  const Taps taps(reference, p, count);
+  for (int i = 0; i < count; i++) put(rgb, i, count, p.inside[i] ? bilinear(reference, taps[i]) : Four{});
+}
+
+void resolve(const CagsAlignInput& in, const Padded& reference, const Occlusion& occlusion, int row, const CagsAlignOutput& out) {
   Projected p;
   float behind[kRun];
   for (int first = 0; first < in.view.width; first += kRun) {
     const int count = std::min(kRun, in.view.width - first);
     const int64_t start = int64_t{row} * in.view.width + first;
-    project(in.view, row, first, 1, count, p);
     float* confidence = out.confidence + start;
-    float most = 0.0f;
-    for (int i = 0; i < count; i++) {
-      const float distance = std::min(std::min(p.x[i], w - p.x[i]), std::min(p.y[i], h - p.y[i]));
-      confidence[i] = p.inside[i] ? std::min(distance * fade, 1.0f) : 0.0f;
-      behind[i] = p.z[i] - occlusion.nearest_depth[p.cell[i]] * tolerance;
-      most = std::max(most, behind[i]);
-    }
+    float* rgb = out.rgb ? out.rgb + 3 * start : nullptr;
     std::memset(out.occluded + start, 0, count);
-    for (int i = 0; most > 0 && i < count; i++) {
-      if (behind[i] <= 0 || !hidden(in, row, first + i, behind[i], occlusion.nearest[p.cell[i]])) continue;
-      out.occluded[start + i] = 1;
-      confidence[i] = 0.0f;
+    if (project(in.view, row, first, 1, count, p)) {
+      const bool any = confide(in, p, occlusion.nearest_depth, count, confidence, behind);
+      if (any) hide(in, p, occlusion, behind, row, first, count, confidence, out.occluded + start);
+      if (rgb) paint(p, reference, count, rgb);
+    } else {  // nothing of it lies in the reference
+      std::fill_n(confidence, count, 0.0f);
+      if (rgb) std::fill_n(rgb, 3 * count, 0.0f);
     }
   }
 }
 
-void paint(const CagsAlignInput& in, const Padded& reference, int row, float* rgb) {
+uint64_t clean(const CagsAlignInput& in, const uint8_t* occluded, const uint8_t* shared, int row, int first, int count) {
   Projected p;
-  for (int first = 0; first < in.view.width; first += kRun) {
-    const int count = std::min(kRun, in.view.width - first);
-    project(in.view, row, first, 1, count, p);
-    const Taps taps(reference, p, count);
-    float* run = rgb + 3 * (int64_t{row} * in.view.width + first);
-    for (int i = 0; i < count; i++) put(run, i, count, p.inside[i] ? bilinear(reference, taps[i]) : Four{});
-  }
-}
-
-void clean(const CagsAlignInput& in, const uint8_t* occluded, const uint8_t* shared, int row, uint8_t* clean) {
-  Projected p;
-  for (int first = 0; first < in.view.width; first += kRun) {
-    const int count = std::min(kRun, in.view.width - first);
-    const int64_t start = int64_t{row} * in.view.width + first;
-    project(in.view, row, first, 1, count, p);
-    for (int i = 0; i < count; i++) clean[first + i] = p.inside[i] & !occluded[start + i] & !shared[p.cell[i]];
-  }
+  if (!project(in.view, row, first, 1, count, p)) return 0;
+  uint8_t flags[kWord];
+  for (int i = 0; i < count; i++) flags[i] = p.inside[i] & !(occluded[i] | shared[p.cell[i]]);
+  return word_of(flags, count);
 }
 
 }  // namespace

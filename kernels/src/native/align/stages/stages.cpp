@@ -6,6 +6,6 @@
 
 namespace cags::align {
 
-extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, paint, clean, moments, weigh, fit, take, compare, settle, correct};
+extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, weigh, fit, take, compare, settle, correct};
 
 }  // namespace cags::align
