@@ -158,6 +158,17 @@ class Pose:
         down = np.cross(forward, right)
         return cls(eye, quaternion_of_matrix(np.stack([right, down, forward], axis=1)))
 
+    def towards(self, other: Pose, fraction: float) -> Pose:
+        """The pose ``fraction`` (0..1) of the way to ``other``: position linear, rotation on the shorter arc.
+
+        Plain floats: one pose through arrays (:func:`cags_common.so3.slerp`) takes thirty times as long.
+        """
+        position = [a + (b - a) * fraction for a, b in zip(self.position, other.position, strict=True)]
+        w, x, y, z = self.rotation
+        turn = rotation_vector(multiply_quaternions((w, -x, -y, -z), other.rotation))
+        part = quaternion_of_rotation_vector((turn[0] * fraction, turn[1] * fraction, turn[2] * fraction))
+        return Pose((position[0], position[1], position[2]), multiply_quaternions(self.rotation, part))
+
     @property
     def rotation_matrix(self) -> F64:
         """[3, 3], camera to world."""

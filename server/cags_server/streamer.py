@@ -70,6 +70,7 @@ class Streamer:
         self._video = ReferenceVideo()
         self._reference_budget = ReferenceBudget(settings.reference_most)
         self._lingering = Lingering(library, settings.visible_px)
+        self._look: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the look that is out
         self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
 
@@ -183,7 +184,7 @@ class Streamer:
         if self._schedule.looking or due_us is None or now_us < due_us or self._between_looks(now_us):
             return None
         tick, frame, covered = self._schedule.look(now_us - due_us)
-        plan = self._plan(tick, frame, covered, now_us)
+        plan = self._look = self._plan(tick, frame, covered, now_us)
         self._video.needs_idr = False
         self._encoder.follow(self._estimator.estimate_bps(now_us))
         size = self._encoder.width_px, self._encoder.height_px
@@ -213,11 +214,7 @@ class Streamer:
             return []
         seen = self._next_is_seen()
         tick, covered = self._schedule.go_blind()
-        self._viewer.ensure_pose(now_us)
-        display_us = self._schedule.timeline.display_us(tick)
-        predicted = self._viewer.predict(display_us)
-        generation = self._schedule.generation
-        plan = FramePlan(generation, tick, frame, covered, now_us, display_us, 0, predicted, (0.0, 0.0), False)
+        plan = self._blind_plan(tick, frame, covered, now_us)
         record = self._record(plan)
         if self._schedule.is_out(tick):
             self._went_ahead = record  # of the look, whose reference is not late yet
@@ -225,8 +222,18 @@ class Streamer:
             record.reference_late = not between
             self.stats.references_late += record.reference_late
         self._tiles.enter(frame)
-        visible = self._seen_tiles(frame) if seen else self._tiles_in_view(frame, predicted.pose)
+        visible = self._seen_tiles(frame) if seen else self._tiles_in_view(frame, plan.predicted.pose)
         return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
+
+    def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
+        """Of a frame that is served without a look; the look's own where that is out."""
+        if self._look is not None and self._schedule.is_out(tick):
+            return self._look
+        self._viewer.ensure_pose(now_us)
+        display_us = self._schedule.timeline.display_us(tick)
+        predicted = self._viewer.predict(display_us)
+        generation = self._schedule.generation
+        return FramePlan(generation, tick, frame, ticks_covered, now_us, display_us, 0, predicted, (0.0, 0.0), False)
 
     def _seen_tiles(self, frame: int) -> tuple[VisibleTile, ...]:
         """What the last look showed, at another frame of its group."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import math
+from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,7 +76,16 @@ class PoseTrace:
 
     def pose_at(self, t_us: int) -> Pose:
         """The pose at a time: positions linear, rotations by slerp. Past the end the walk goes back the way it came."""
-        return self._poses_at(np.asarray([t_us]))[0]
+        if len(self) == 1:
+            return self._pose(0)
+        folded = abs(t_us) % (2 * self.duration_us)
+        folded = min(folded, 2 * self.duration_us - folded)
+        after = min(max(bisect_right(self.times_us, folded), 1), len(self) - 1)
+        start, end = int(self.times_us[after - 1]), int(self.times_us[after])
+        return self._pose(after - 1).towards(self._pose(after), (folded - start) / (end - start))
+
+    def _pose(self, at: int) -> Pose:
+        return Pose(_vec3(self.positions[at]), _quat(self.rotations[at]))
 
     def poses_at(self, times_us: Iterable[int]) -> list[Pose]:
         """:meth:`pose_at` for many times."""

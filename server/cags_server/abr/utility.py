@@ -14,6 +14,7 @@ A layer of little gain may stand before one of much: a tile's layers are therefo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from cags_server.abr.base import Decision, Observation, TileView
 from cags_server.abr.plan import Plan
@@ -28,19 +29,17 @@ LEAST_GAIN_DB = 0.005
 """A layer whose measured gain is nothing or less still comes before unused budget."""
 
 
-@dataclass(slots=True)
+KNOWN_HULLS = 4096
+"""Tiles whose runs are remembered: from one frame to the next most tiles are held as they were."""
+
+
+@dataclass(frozen=True, slots=True)
 class _Run:
-    """LoDs up to ``to_lod`` of a tile, offered together: what they remove, and their bytes."""
+    """LoDs up to ``to_lod`` of a tile, offered together: the distortion that they remove a byte."""
 
     tile: TileView
     to_lod: int
-    removed: float
-    size: float
-
-    @property
-    def slope(self) -> float:
-        """Distortion removed a byte."""
-        return self.removed / self.size
+    slope: float
 
 
 class UtilityPolicy:
@@ -60,13 +59,13 @@ class UtilityPolicy:
         return plan.decision()
 
 
-def _distortions(observation: Observation) -> list[float]:
+def _distortions(observation: Observation) -> tuple[float, ...]:
     """Squared error of a tile that is held up to each LoD, relative to its base layer's."""
     most = max((tile.max_depth for tile in observation.tiles), default=0)
     out = [1.0]
     for lod in range(1, most):
         out.append(out[-1] * 10.0 ** (-_gain_db(observation.lod_gains_db, lod) / 10.0))
-    return out
+    return tuple(out)
 
 
 def _gain_db(measured: tuple[float, ...], lod: int) -> float:
@@ -75,19 +74,33 @@ def _gain_db(measured: tuple[float, ...], lod: int) -> float:
     return float(FIRST_GAIN_DB * GAIN_DECAY ** (lod - 1))
 
 
-def _runs(observation: Observation, tile: TileView, distortions: list[float]) -> list[_Run]:
+def _runs(observation: Observation, tile: TileView, distortions: tuple[float, ...]) -> list[_Run]:
     """The tile's missing layers as runs of falling slope."""
     value = tile.weight * tile.frames_left
-    runs: list[_Run] = []
-    for lod in range(tile.depth, tile.max_depth):
-        before = distortions[lod - 1] if lod else 10.0 ** ((STALE_DB if tile.replaces else HOLE_DB) / 10.0)
-        overhead = observation.message_overhead_bytes if lod == tile.depth else 0
-        size = tile.lod_bytes[lod] + overhead + 1.0
-        if lod and not observation.layered:  # the whole tile goes again, at the better quality
-            size = max(size - (tile.lod_bytes[lod - 1] if lod > tile.depth else 0), 1.0)
-        run = _Run(tile, lod + 1, (before - distortions[lod]) * value, size)
-        while runs and runs[-1].slope <= run.slope:
-            last = runs.pop()
-            run = _Run(tile, run.to_lod, last.removed + run.removed, last.size + run.size)
-        runs.append(run)
-    return runs
+    absent = 10.0 ** ((STALE_DB if tile.replaces else HOLE_DB) / 10.0)
+    held = (absent, *distortions)[tile.depth]
+    layered, overhead = observation.layered, observation.message_overhead_bytes
+    left = distortions[tile.depth : tile.max_depth]
+    hull = _hull(tile.lod_bytes, tile.depth, held, left, overhead=overhead, layered=layered)
+    return [_Run(tile, to_lod, slope * value) for to_lod, slope in hull]
+
+
+@lru_cache(KNOWN_HULLS)
+def _hull(
+    sizes: tuple[int, ...], depth: int, held: float, left: tuple[float, ...], *, overhead: int, layered: bool
+) -> tuple[tuple[int, float], ...]:
+    """(LoDs reached, distortion removed a byte) of the runs from ``depth`` on, for a tile of value 1.
+
+    ``held`` is the distortion at ``depth``, ``left`` that of each LoD from ``depth`` on.
+    """
+    runs: list[tuple[int, float, float]] = []  # LoDs reached, removed, bytes
+    for lod, (before, after) in enumerate(zip((held, *left), left, strict=False), start=depth):
+        size = sizes[lod] + (overhead if lod == depth else 0) + 1.0
+        if lod and not layered:  # the whole tile goes again, at the better quality
+            size = max(size - (sizes[lod - 1] if lod > depth else 0), 1.0)
+        to_lod, removed = lod + 1, before - after
+        while runs and runs[-1][1] * size <= removed * runs[-1][2]:
+            _, more, bytes_before = runs.pop()
+            removed, size = removed + more, size + bytes_before
+        runs.append((to_lod, removed, size))
+    return tuple((to_lod, removed / size) for to_lod, removed, size in runs)

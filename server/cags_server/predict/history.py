@@ -7,6 +7,7 @@ bounded stretch of samples, and within it the *segment* since the last break in 
 from __future__ import annotations
 
 import bisect
+from array import array
 from collections.abc import Iterable
 
 import numpy as np
@@ -39,8 +40,9 @@ class PoseHistory:
     """The recent pose samples of one viewer."""
 
     def __init__(self, samples: Iterable[PoseSample] = ()) -> None:
-        self._times: list[int] = []
+        self._times = array("q")
         self._poses: list[Pose] = []
+        self._values = array("d")  # positions and rotations again, seven a sample: what becomes an array at one stroke
         self._breaks: list[bool] = []  # whether the motion from the sample before to this one is a gap or a cut
         self._from_the_past: list[PoseSample] = []
         for sample in samples:
@@ -65,9 +67,11 @@ class PoseHistory:
         at = bisect.bisect_left(self._times, sample.t_us)
         if at < len(self._times) and self._times[at] == sample.t_us:
             self._poses[at] = sample.pose
+            self._values[at * 7 : at * 7 + 7] = _values(sample.pose)
         else:
             self._times.insert(at, sample.t_us)
             self._poses.insert(at, sample.pose)
+            self._values[at * 7 : at * 7] = _values(sample.pose)
             self._breaks.insert(at, False)
         for i in (at, at + 1):
             if i < len(self._times):
@@ -78,9 +82,7 @@ class PoseHistory:
         self._from_the_past.append(sample)
         if len(self._from_the_past) >= CLOCK_RESTART_SAMPLES:
             restart, self._from_the_past = self._from_the_past, []
-            self._times.clear()
-            self._poses.clear()
-            self._breaks.clear()
+            del self._times[:], self._poses[:], self._values[:], self._breaks[:]
             for old in restart:
                 self.add(old)
 
@@ -88,7 +90,7 @@ class PoseHistory:
         first = bisect.bisect_left(self._times, self._times[-1] - HISTORY_US)
         first = max(first, len(self._times) - MAX_SAMPLES)
         if first > 0:
-            del self._times[:first], self._poses[:first], self._breaks[:first]
+            del self._times[:first], self._poses[:first], self._values[: first * 7], self._breaks[:first]
 
     def pose_at(self, t_us: int) -> Pose | None:
         """The pose at a time that samples lie on both sides of (or at), interpolated; None where none do."""
@@ -97,19 +99,14 @@ class PoseHistory:
             return self._poses[at]
         if at == 0 or at == len(self._times) or self._breaks[at]:
             return None
-        a, b = self._poses[at - 1], self._poses[at]
         fraction = (t_us - self._times[at - 1]) / (self._times[at] - self._times[at - 1])
-        p = np.array(a.position) * (1 - fraction) + np.array(b.position) * fraction
-        q = so3.slerp(np.array([a.rotation]), np.array([b.rotation]), np.array([fraction]))[0]
-        return Pose((float(p[0]), float(p[1]), float(p[2])), (float(q[0]), float(q[1]), float(q[2]), float(q[3])))
+        return self._poses[at - 1].towards(self._poses[at], fraction)
 
     def segment(self) -> tuple[NDArray[np.int64], F64, F64]:
         """Times [N], positions [N, 3] and unit quaternions [N, 4] since the last gap or cut; N is at least 1."""
         first = self._segment_start()
-        times = np.array(self._times[first:], dtype=np.int64)
-        positions = np.array([pose.position for pose in self._poses[first:]])
-        rotations = np.array([pose.rotation for pose in self._poses[first:]])
-        return times, positions, rotations
+        values = np.array(self._values[first * 7 :]).reshape(-1, 7)
+        return np.array(self._times[first:], dtype=np.int64), values[:, :3], values[:, 3:]
 
     def _segment_start(self) -> int:
         if not self._times:
@@ -145,3 +142,7 @@ class PoseHistory:
         fraction = (grid - times[before]) / (times[after] - times[before])
         between = positions[before] + fraction[:, None] * (positions[after] - positions[before])
         return between, so3.slerp(rotations[before], rotations[after], fraction)
+
+
+def _values(pose: Pose) -> array[float]:
+    return array("d", (*pose.position, *pose.rotation))

@@ -45,8 +45,7 @@ def windows(rotations: F64, positions: F64, order: int) -> F64:
     steps = np.concatenate([turns, moves], axis=1)  # [N - 1, 6]
     views = np.lib.stride_tricks.sliding_window_view(steps, order, axis=0)  # [M, 6, order], oldest first
     out = np.array(views[:, :, ::-1].transpose(0, 2, 1))  # [M, order, 6], newest first
-    here = so3.conjugate(rotations[order:])[:, None]
-    out[:, :, 3:] = so3.rotate(np.broadcast_to(here, (count, order, 4)), out[:, :, 3:])
+    out[:, :, 3:] = out[:, :, 3:] @ so3.matrices(rotations[order:])  # row vectors: by the inverse of each rotation
     return out.reshape(count, 6 * order)
 
 
