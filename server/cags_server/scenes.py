@@ -110,15 +110,18 @@ class SourceScenes:
         """The scene at its target; called by one thread at a time."""
         scene, goal = rolling.scene, rolling.target
         if scene is None:
-            scene = rolling.scene = self._loaded(goal)
-        else:
-            for frame in range(rolling.current + 1, goal + 1):
-                _apply(scene, self._delta(frame))
+            start = self._reader.manifest.gof_starts[rolling.gof]
+            first = start if goal - start <= AHEAD_FRAMES else goal
+            scene = rolling.scene = self._loaded(first, self._delta(first) if first == start else None)
+            rolling.current = first
+        for frame in range(rolling.current + 1, goal + 1):
+            _apply(scene, self._delta(frame))
         rolling.current = goal
         return scene
 
-    def _loaded(self, frame: int) -> RasterScene:
-        source = self._reader.source(frame)
+    def _loaded(self, frame: int, known: SourceDelta | None) -> RasterScene:
+        """``known``: the start of a group, which holds everything, decoded when a loop was there before."""
+        source = known or self._reader.source(frame)
         capacity = self._reader.manifest.capacity[self._reader.manifest.gof_of(frame)]
         everyone = _absent(capacity, source.splats.sh_degree)
         for (_, rows), (_, values) in zip(everyone.arrays(), source.splats.arrays(), strict=True):

@@ -63,7 +63,8 @@ def ycbcr_of_rgb(rgb: NDArray[Any]) -> F32:
 
 def rgb_of_ycbcr(ycbcr: F32) -> F32:
     """RGB [H, W, 3] float32 in [0, 1] of YCbCr codes."""
-    return np.asarray(np.clip(cv2.transform(ycbcr, _BACKWARD), 0.0, 1.0), dtype=np.float32)
+    rgb = np.asarray(cv2.transform(ycbcr, _BACKWARD), dtype=np.float32)
+    return np.clip(rgb, 0.0, 1.0, out=rgb)
 
 
 def planes_of_ycbcr(ycbcr: F32, chroma: Chroma) -> U8:

@@ -4,8 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from cags_common.geometry import Camera, Intrinsics, Pose, axis_bounds
+from cags_common import so3
+from cags_common.geometry import Camera, Intrinsics, Pose, angle_between, axis_bounds
 
 
 def test_looking_at_puts_the_target_on_the_optical_axis():
@@ -59,3 +62,19 @@ def test_axis_bounds_are_those_of_every_row(count):
     assert np.array_equal(low, points.min(axis=0)) and np.array_equal(high, points.max(axis=0))
     points[count // 2, 1] = np.nan
     assert [np.isnan(corner).tolist() for corner in axis_bounds(points)] == [[False, True, False]] * 2
+
+
+numbers = st.floats(-10, 10)
+turns = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(c * c for c in q) > 0.1)
+poses = st.builds(Pose, st.tuples(numbers, numbers, numbers), turns)
+
+
+@given(poses, poses, st.floats(0, 1))
+def test_between_two_poses_lies_what_the_arrays_say(a, b, fraction):
+    middle = a.towards(b, fraction)
+    assert np.allclose(middle.position, np.array(a.position) * (1 - fraction) + np.array(b.position) * fraction)
+    angle = angle_between(a.rotation, b.rotation)
+    assert angle_between(a.rotation, middle.rotation) == pytest.approx(fraction * angle, abs=1e-6)
+    if angle < math.pi - 1e-3:  # of half a turn either arc is the shorter
+        expected = so3.slerp(np.array([a.rotation]), np.array([b.rotation]), np.array([fraction]))[0]
+        assert abs(float(expected @ np.array(middle.rotation))) == pytest.approx(1.0, abs=1e-9)

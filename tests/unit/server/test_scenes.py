@@ -84,23 +84,53 @@ def test_idle_scenes_are_bounded() -> None:
     assert len(scenes) <= IDLE_SCENES
 
 
-def test_a_frame_that_cannot_be_read_leaves_nothing_half_loaded() -> None:
+@pytest.mark.parametrize(("goal", "unreadable"), [(2, 0), (2, 1), (9, 9)])
+def test_a_frame_that_cannot_be_read_leaves_nothing_half_loaded(goal, unreadable) -> None:
     class Broken(FakeReader):
         fail = True
 
         def source(self, frame):
-            if self.fail:
-                raise BundleError("gof_0000.bin: cut short")
+            self.refuse(frame)
             return super().source(frame)
 
-    reader = Broken()
+        def source_delta(self, frame):
+            self.refuse(frame)
+            return super().source_delta(frame)
+
+        def refuse(self, frame):
+            if self.fail and frame == unreadable:
+                raise BundleError("gof_0000.bin: cut short")
+
+    reader = Broken(frames=12, gof=12)
     scenes = SourceScenes(reader, Renderer())
-    with pytest.raises(BundleError), scenes.at(2):
+    with pytest.raises(BundleError), scenes.at(goal):
         pass
     assert len(scenes) == 0
     reader.fail = False
-    with scenes.at(2) as scene:
-        assert depth_of(scene, 0) == pytest.approx(3.02)
+    with scenes.at(goal) as scene:
+        assert depth_of(scene, 0) == pytest.approx(3 + goal / 100)
+
+
+def test_a_loop_reads_its_first_frames_once() -> None:
+    class Counting(FakeReader):
+        def __init__(self):
+            super().__init__(frames=12, gof=12)
+            self.read = []
+
+        def source_delta(self, frame):
+            self.read.append(frame)
+            return super().source_delta(frame)
+
+        def source(self, frame):
+            self.read.append(frame)
+            return super().source(frame)
+
+    reader = Counting()
+    scenes = SourceScenes(reader, Renderer())
+    for frame in (1, 11, 1, 11, 2):
+        with scenes.at(frame) as scene:
+            assert depth_of(scene, 0) == pytest.approx(3 + frame / 100)
+    assert len(reader.read) == len(set(reader.read))
 
 
 def test_many_threads_see_their_own_frame() -> None:
