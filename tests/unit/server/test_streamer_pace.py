@@ -117,7 +117,7 @@ def test_media_goes_on_while_a_picture_is_being_rendered() -> None:
     assert [record.frame for record in rig.streamer.stats.records] == [0, 1, 2, 3], "each frame once"
     assert [record.reference_bytes > 0 for record in rig.streamer.stats.records] == [True, True, False, False]
     looked_at = rig.streamer.stats.records[1]
-    assert (looked_at.predicted, looked_at.margins) == (job.plan.predicted.pose, job.plan.margins), "of the picture sent"
+    assert (looked_at.predicted, looked_at.margins) == (job.plan.predicted.pose, job.plan.margins)
     assert [r.frame for r in of(ReferenceFrame, rig.step())] == [4]
 
 
