@@ -69,6 +69,19 @@ def test_a_void_picture_tells_nothing() -> None:
     assert coding_noise(black, black) == CodingNoise()
 
 
+def test_colours_that_no_display_shows_are_clipped_before_they_are_judged() -> None:
+    rgb = np.where(picture(5) > 0.5, np.float32(1), np.float32(0))  # every error leads out of the cube or inwards
+    encoder = H264Encoder(rgb.shape[1], rgb.shape[0], 30, crf=24, chroma=Chroma.FULL)
+    decoded = H264Decoder().decode_ycbcr(encoder.encode_ycbcr(ycbcr_of_rgb(rgb)))
+    assert decoded is not None
+    shown = coding_noise(rgb, rgb_of_ycbcr(decoded))
+    in_codes = coding_noise_of_ycbcr(ycbcr_of_rgb(rgb), decoded)
+    assert in_codes.fine == pytest.approx(shown.fine, rel=0.05)
+    assert in_codes.broad == pytest.approx(shown.broad, rel=0.1)
+    outside = np.abs(ycbcr_of_rgb(rgb_of_ycbcr(decoded)) - decoded).max(axis=2) > 1
+    assert outside.mean() > 0.1  # and so it matters here
+
+
 @pytest.mark.parametrize("crf", [16, 20, 28])
 @pytest.mark.parametrize("chroma", list(Chroma))
 def test_an_encoder_finds_the_same_in_codes(crf: float, chroma: Chroma) -> None:
