@@ -35,7 +35,7 @@ const Stages& stages() {
 
 // Memory of one call, kept for the next one: fresh pages cost more than the work on them.
 struct Scratch {
-  AlignedArray<float> nearest_depth, reference, sums, fields, lines, disagreement, power, weight;
+  AlignedArray<float> nearest_depth, reference, sums, fields, lines, disagreement, weight;
   AlignedArray<uint8_t> shared;
   AlignedArray<uint64_t> bits;
   AlignedArray<Nearest> nearest;
@@ -162,20 +162,14 @@ float trust_of(double power, double noise) {
   return static_cast<float>(std::clamp(2.0 * (power / std::max(noise, 1e-12) / kEvidenceMargin - 1.0), 0.0, 1.0));
 }
 
-// Means over the blocks that are seen: of the correction's power, and of the disagreement.
-struct Agreement {
-  double power, away[3];
-};
-
-Agreement agreement(const Blocks& blocks, size_t count) {  // in one thread, so that the sums do not depend on their number
+// Means over the blocks that are seen.
+Agreement mean_of(const std::vector<Agreement>& rows) {  // in one thread, so that the sums do not depend on their number
   Agreement all{};
-  int64_t seen = 0;
-  for (size_t i = 0; i < count; i++) {
-    if (blocks.power[i] < 0) continue;
-    for (int c = 0; c < 3; c++) all.away[c] += blocks.disagreement[kColourLanes * i + c];
-    all.power += blocks.power[i], seen++;
+  for (const Agreement& row : rows) {
+    for (int c = 0; c < 3; c++) all.away[c] += row.away[c];
+    all.power += row.power, all.seen += row.seen;
   }
-  const double one = 1.0 / static_cast<double>(std::max<int64_t>(seen, 1));
+  const double one = 1.0 / static_cast<double>(std::max<int64_t>(all.seen, 1));
   for (double& away : all.away) away *= one;
   all.power = std::max(all.power * one, kLeastPower);
   return all;
@@ -191,17 +185,21 @@ float own_share(const Agreement& all) {
 // Weighs the correction by how well the client's own two views agree through the alignment. No blocks: all of it counts.
 Blocks registration(const CagsCorrectInput& in, const Padded& fields, const Padded& own, Scratch& scratch, int threads) {
   const int size = in.block_px;
-  Blocks blocks{size, in.view.width / size, in.view.height / size, nullptr, nullptr, nullptr};
+  Blocks blocks{size, in.view.width / size, in.view.height / size, nullptr, nullptr};
   const size_t count = size_t(blocks.width) * blocks.height;
   if (count == 0 || in.misregistration == 0) return Blocks{};
-  blocks.disagreement = scratch.disagreement.reserve(kColourLanes * count);
-  blocks.power = scratch.power.reserve(count);
+  blocks.disagreement = scratch.disagreement.reserve(3 * count);
   blocks.weight = scratch.weight.reserve(count);
-  for_rows(threads, blocks.height, [&](int row, int) { stages().compare(in, fields, own, row, blocks); });
-  const Agreement all = agreement(blocks, count);
+  std::vector<Agreement> rows(blocks.height);
+  for_rows(threads, blocks.height, [&](int row, int) { stages().compare(in, fields, own, row, blocks, rows[row]); });
+  const Agreement all = mean_of(rows);
   const float power = static_cast<float>(all.power);
   const float share = own_share(all);
-  for_rows(threads, blocks.height, [&](int row, int) { stages().settle(in, row, power, share, blocks); });
+  const size_t line = 2 * size_t(blocks.width) + 2;
+  float* lines = scratch.lines.reserve(line * threads);
+  for_rows(threads, blocks.height, [&](int row, int worker) {
+    stages().settle(in, row, power, share, blocks, lines + line * worker);
+  });
   return blocks;
 }
 

@@ -42,9 +42,14 @@ struct Evidence {
 // The client's picture in blocks of about a reference pixel: what alignment gets wrong, against what it is to bring.
 struct Blocks {
   int size, width, height;  // client pixels a side; blocks
-  float* disagreement;      // [height, width, 4]: the last unused: the picture less the client's own view through the alignment
-  float* power;             // [height, width]: of the correction; below 0 where there is nothing to compare
+  float* disagreement;      // [3, height, width]: the picture less the client's own view through the alignment
   float* weight;            // [height, width]: of the correction
+};
+
+// Sums over the blocks of a row that are seen: of the correction's power, and of the disagreement.
+struct Agreement {
+  double power, away[3];
+  int64_t seen;
 };
 
 struct Stages {
@@ -63,10 +68,11 @@ struct Stages {
               const Padded& own);
   // One row of the reference: the fields that are given, and the client's own view, clipped.
   void (*take)(const CagsCorrectInput&, int row, const Padded& fields, const Padded& own);
-  // One row of blocks: disagreement and power.
-  void (*compare)(const CagsCorrectInput&, const Padded& fields, const Padded& own, int row, const Blocks& blocks);
-  // One row of blocks: weights, given the mean power of the correction.
-  void (*settle)(const CagsCorrectInput&, int row, float power, float share, const Blocks& blocks);
+  // One row of blocks: disagreement, and its sums and the correction's power's added to `agreement`.
+  void (*compare)(const CagsCorrectInput&, const Padded& fields, const Padded& own, int row, const Blocks& blocks,
+                  Agreement& agreement);
+  // One row of blocks: weights, given the mean power of the correction. `line` [2 blocks.width + 2] is scratch.
+  void (*settle)(const CagsCorrectInput&, int row, float power, float share, const Blocks& blocks, float* line);
   // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.
   // `line` [blocks.width] is scratch.
   void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored);

@@ -6,67 +6,91 @@
 namespace cags::align {
 namespace {
 
-inline Four block_mean(const CagsCorrectInput& in, const Blocks& blocks, int row, int column) {
-  const bool inner = row + 1 < blocks.height || column + 1 < blocks.width;  // does not end where the picture may
+// Mean colour of a block of `kSize` pixels a side, or of any size where that is 0. What ends where the picture does is not
+// `inner`: no fourth lane follows its last pixel.
+template <int kSize>
+inline Four block_mean(const float* first, int64_t stride, int any_size, bool inner) {
+  const int size = kSize ? kSize : any_size;
   Four mean = {};
-  for (int i = 0; i < blocks.size; i++) {
-    const int64_t first = (int64_t{row} * blocks.size + i) * in.view.width + column * blocks.size;
-    const float* pixel = in.distorted + 3 * first;
-    for (int j = 0; j + 1 < blocks.size; j++) mean += colour_at(pixel + 3 * j, true);
-    mean += colour_at(pixel + 3 * (blocks.size - 1), inner);
+  for (int i = 0; i < size; i++, first += stride) {
+    for (int j = 0; j + 1 < size; j++) mean += colour_at(first + 3 * j, true);
+    mean += colour_at(first + 3 * (size - 1), inner);
   }
-  return mean * (1.0f / static_cast<float>(blocks.size * blocks.size));
+  return mean * (1.0f / static_cast<float>(size * size));
+}
+
+using BlockMean = Four (*)(const float* first, int64_t stride, int size, bool inner);
+
+// The sizes of a display of one to three times a reference of 400x300 at usual margins have code of their own.
+inline BlockMean block_mean_of(int size) {
+  constexpr BlockMean kSized[] = {block_mean<0>, block_mean<1>, block_mean<2>, block_mean<3>,
+                                  block_mean<4>, block_mean<5>, block_mean<6>};
+  return kSized[size < 7 ? size : 0];
 }
 
 inline float sum_of_squares(const Four& v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
 
 // One block of mean colour `mean`; `own` and `field` are where its central pixel lies in the reference.
 inline void compare_block(const Four& mean, const Four& own, const Four& field, float confidence, float* disagreement,
-                          float* power) {
+                          int64_t plane, Agreement& row) {
   const Four offset = __builtin_shufflevector(field, field, 1, 2, 3, 0);
   const Four away = confidence * (mean - own), change = confidence * (mean * field[0] + offset);
-  std::memcpy(disagreement, &away, sizeof away);
-  *power = sum_of_squares(mean) + sum_of_squares(own) > kVoidPower ? sum_of_squares(change) : -1.0f;
+  for (int c = 0; c < 3; c++) disagreement[c * plane] = away[c];
+  if (!(sum_of_squares(mean) + sum_of_squares(own) > kVoidPower)) return;
+  for (int c = 0; c < 3; c++) row.away[c] += away[c];
+  row.power += sum_of_squares(change), row.seen++;
 }
 
-void compare(const CagsCorrectInput& in, const Padded& fields, const Padded& own, int row, const Blocks& blocks) {
+void compare(const CagsCorrectInput& in, const Padded& fields, const Padded& own, int row, const Blocks& blocks,
+             Agreement& agreement) {
   Projected p;
-  const int middle = blocks.size / 2, line = row * blocks.size + middle;
+  const int size = blocks.size, middle = size / 2, line = row * size + middle;
+  const int64_t plane = int64_t{blocks.width} * blocks.height, stride = 3 * int64_t{in.view.width};
+  const BlockMean mean_of = block_mean_of(size);
+  float* disagreement = blocks.disagreement + int64_t{row} * blocks.width;
+  for (int c = 0; c < 3; c++) std::fill_n(disagreement + c * plane, blocks.width, 0.0f);
   for (int first = 0; first < blocks.width; first += kRun) {
     const int count = std::min(kRun, blocks.width - first);
-    project(in.view, line, first * blocks.size + middle, blocks.size, count, p);
+    if (!project(in.view, line, first * size + middle, size, count, p)) continue;
     const Taps taps(fields, p, count);
-    const float* confidence = in.confidence + int64_t{line} * in.view.width + first * blocks.size + middle;
+    const float* confidence = in.confidence + int64_t{line} * in.view.width + first * size + middle;
     for (int i = 0; i < count; i++) {
-      const int64_t block = int64_t{row} * blocks.width + first + i;
-      float* disagreement = blocks.disagreement + kColourLanes * block;
-      blocks.power[block] = -1.0f;
-      std::fill_n(disagreement, kColourLanes, 0.0f);
-      const float certain = confidence[i * blocks.size];
+      const float certain = confidence[i * size];
       if (!(certain > 0)) continue;
-      const Four mean = block_mean(in, blocks, row, first + i);
-      compare_block(mean, bilinear(own, taps[i]), bilinear(fields, taps[i]), certain, disagreement, blocks.power + block);
+      const int column = first + i;
+      const bool inner = row + 1 < blocks.height || column + 1 < blocks.width;
+      const Four mean = mean_of(in.distorted + row * size * stride + 3 * column * size, stride, size, inner);
+      compare_block(mean, bilinear(own, taps[i]), bilinear(fields, taps[i]), certain, disagreement + column, plane,
+                    agreement);
     }
   }
 }
 
-// `share` of the correction that is not an error of the alignment.
-void settle(const CagsCorrectInput& in, int row, float power, float share, const Blocks& blocks) {
-  const float* lines[3];
-  for (int i = 0; i < 3; i++) {
-    lines[i] = blocks.disagreement + int64_t{std::clamp(row + i - 1, 0, blocks.height - 1)} * blocks.width * kColourLanes;
+// Adds the squared sums over 3 x 3 blocks of one colour's disagreement, `lines` those of three rows, to `wrong`.
+inline void add_wrong(const float* const* lines, int width, float* __restrict down, float* __restrict wrong) {
+  for (int i = 0; i < width; i++) down[i + 1] = lines[0][i] + lines[1][i] + lines[2][i];
+  down[0] = down[1], down[width + 1] = down[width];
+  for (int i = 0; i < width; i++) {
+    const float sum = down[i] + down[i + 1] + down[i + 2];
+    wrong[i] += sum * sum;
   }
-  const auto down = [&](int column) {
-    const int at = std::clamp(column, 0, blocks.width - 1) * kColourLanes;
-    return four(lines[0] + at) + four(lines[1] + at) + four(lines[2] + at);
-  };
-  float* weight = blocks.weight + int64_t{row} * blocks.width;
-  Four left = down(-1), middle = down(0);
-  for (int column = 0; column < blocks.width; column++) {
-    const Four right = down(column + 1);
-    weight[column] = share * power / (power + in.misregistration * sum_of_squares(left + middle + right) / 81.0f);
-    left = middle, middle = right;
+}
+
+// `share` of the correction that is not an error of the alignment. `line` [2 width + 2] is scratch.
+void settle(const CagsCorrectInput& in, int row, float power, float share, const Blocks& blocks, float* line) {
+  const int width = blocks.width;
+  float* wrong = line + width + 2;
+  std::fill_n(wrong, width, 0.0f);
+  for (int c = 0; c < 3; c++) {
+    const float* lines[3];
+    for (int i = 0; i < 3; i++) {
+      const int y = c * blocks.height + std::clamp(row + i - 1, 0, blocks.height - 1);
+      lines[i] = blocks.disagreement + int64_t{y} * width;
+    }
+    add_wrong(lines, width, line, wrong);
   }
+  float* __restrict weight = blocks.weight + int64_t{row} * width;
+  for (int i = 0; i < width; i++) weight[i] = share * power / (power + in.misregistration * wrong[i] / 81.0f);
 }
 
 // Pixels that are not in the reference have no confidence; the field's corner that they read is multiplied by it.
@@ -115,13 +139,17 @@ void correct(const CagsCorrectInput& in, const Padded& fields, const Blocks& blo
   for (int first = 0; first < in.view.width; first += kRun) {
     const int count = std::min(kRun, in.view.width - first);
     const int64_t start = int64_t{row} * in.view.width + first;
-    project(in.view, row, first, 1, count, p);
+    const float* distorted = in.distorted + 3 * start;
+    if (!project(in.view, row, first, 1, count, p)) {  // no confidence
+      for (int i = 0; i < 3 * count; i++) restored[3 * start + i] = clipped(distorted[i]);
+      continue;
+    }
     const float* confidence = in.confidence + start;
     if (blocks.width) {
       weigh_run(line, blocks, first, count, confidence, weighed);
       confidence = weighed;
     }
-    correct_run(Taps(fields, p, count), count, fields, confidence, in.distorted + 3 * start, restored + 3 * start);
+    correct_run(Taps(fields, p, count), count, fields, confidence, distorted, restored + 3 * start);
   }
 }
 

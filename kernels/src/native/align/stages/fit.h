@@ -59,6 +59,30 @@ inline void moments_of(const Pixels& p, int count, float* __restrict out, int st
   for (int i = 0; i < count; i++) product[i] = p.own[0][i] * p.reference[0][i];
 }
 
+// Sum of `kLines` lines, in their order, without going through memory between them.
+template <int kLines, typename At>
+inline void add_lines(const At& at, int count, float share, float* __restrict out) {
+  const float* line[kLines];
+  for (int j = 0; j < kLines; j++) line[j] = at(j);
+  for (int i = 0; i < count; i++) {
+    float sum = line[0][i];
+    for (int j = 1; j < kLines; j++) sum += line[j][i];
+    out[i] = sum * share;
+  }
+}
+
+// The same of any number of lines: `at(j)` is the j-th. Five, those of the usual radius, have a loop of their own.
+template <typename At>
+inline void add_lines(const At& at, int lines, int count, float share, float* __restrict out) {
+  if (lines == 5) return add_lines<5>(at, count, share, out);
+  std::copy_n(at(0), count, out);
+  for (int j = 1; j < lines; j++) {
+    const float* line = at(j);
+    for (int i = 0; i < count; i++) out[i] += line[i];
+  }
+  for (int i = 0; i < count; i++) out[i] *= share;
+}
+
 void moments(const CagsCorrectInput& in, int row, float* line, float* sums) {
   const int w = in.view.reference_width, r = in.radius_cells, stride = w + 2 * r;
   Pixels pixels;
@@ -71,10 +95,7 @@ void moments(const CagsCorrectInput& in, int row, float* line, float* sums) {
   for (int moment = 0; moment < kMoments; moment++, line += stride, out += w) {
     float* centre = line + r;
     for (int i = 1; i <= r; i++) centre[-i] = centre[reflected(-i, w)], centre[w - 1 + i] = centre[reflected(w - 1 + i, w)];
-    std::copy_n(line, w, out);
-    for (int j = 1; j <= 2 * r; j++) {
-      for (int i = 0; i < w; i++) out[i] += line[i + j];
-    }
+    add_lines([line](int j) { return line + j; }, 2 * r + 1, w, 1.0f, out);
   }
 }
 
@@ -83,13 +104,8 @@ inline void window_means(const CagsCorrectInput& in, const float* sums, int row,
   const int w = in.view.reference_width, h = in.view.reference_height, r = in.radius_cells;
   const float share = 1.0f / static_cast<float>((2 * r + 1) * (2 * r + 1));
   for (int moment = 0; moment < kMoments; moment++) {
-    float* __restrict m = means[moment];
-    std::fill_n(m, count, 0.0f);
-    for (int j = -r; j <= r; j++) {
-      const float* __restrict at = sums + (int64_t{reflected(row + j, h)} * kMoments + moment) * w + first;
-      for (int i = 0; i < count; i++) m[i] += at[i];
-    }
-    for (int i = 0; i < count; i++) m[i] *= share;
+    const auto at = [&](int j) { return sums + (int64_t{reflected(row + j - r, h)} * kMoments + moment) * w + first; };
+    add_lines(at, 2 * r + 1, count, share, means[moment]);
   }
 }
 
