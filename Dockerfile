@@ -6,7 +6,7 @@ RUN apt-get update && apt-get install -y --no-install-recommends g++ && rm -rf /
 ARG PIP_EXTRA_INDEX_URL=""
 ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 WORKDIR /src
-COPY constraints.txt pyproject.toml README.md LICENSE ./
+COPY constraints.txt pyproject.toml README.md LICENSE NOTICE ./
 COPY kernels kernels
 COPY common common
 COPY protocol protocol
@@ -20,7 +20,8 @@ RUN python -m venv /opt/cags && /opt/cags/bin/pip install -c constraints.txt ./k
 
 FROM python:3.11-slim
 COPY --from=build /opt/cags /opt/cags
-ENV PATH=/opt/cags/bin:$PATH PYTHONUNBUFFERED=1
+# caches go where a read-only root can be written
+ENV PATH=/opt/cags/bin:$PATH PYTHONUNBUFFERED=1 XDG_CACHE_HOME=/tmp/cache XDG_CONFIG_HOME=/tmp/config
 RUN useradd --create-home --uid 10001 cags && mkdir /data && chown cags /data
 USER cags
 WORKDIR /data

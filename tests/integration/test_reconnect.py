@@ -20,7 +20,7 @@ SIZE = ("--width", "96", "--height", "72", "--restore", "none")
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    settings = EncodeSettings(frames=180, train_splats=4096)
+    settings = EncodeSettings(frames=180, train_splats=4096, lod_order="paper")
     return cached_bundle("procedural:size=800,frames=60", str(tmp_path_factory.mktemp("bundles")), settings)
 
 

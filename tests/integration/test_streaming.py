@@ -20,7 +20,9 @@ SIZE = ("--width", "160", "--height", "120")
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory) -> Path:
-    return cached_bundle(SCENE, str(tmp_path_factory.mktemp("bundles")), EncodeSettings(frames=10))
+    return cached_bundle(
+        SCENE, str(tmp_path_factory.mktemp("bundles")), EncodeSettings(frames=10, train_splats=4096, lod_order="paper")
+    )
 
 
 @pytest.fixture(scope="module")

@@ -77,7 +77,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
 
     folder = tmp_path_factory.mktemp("wrong")
     bundle = folder / "good.cags"
-    assert main(["procedural:size=500,frames=1", str(bundle)]) == 0
+    assert main(["procedural:size=500,frames=1", str(bundle), "--lod-order", "paper"]) == 0
     old = folder / "old"
     old.mkdir()
     manifest = json.loads((bundle / "manifest.json").read_text(encoding="utf-8"))

@@ -27,7 +27,7 @@ CLIENT = ClientSettings(width=96, height=72, restore="none")
 
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
-    settings = EncodeSettings(frames=FRAMES, gof_frames=20, train_splats=4096)
+    settings = EncodeSettings(frames=FRAMES, gof_frames=20, train_splats=4096, lod_order="paper")
     bundle = cached_bundle("procedural:size=1500,frames=60", str(tmp_path_factory.mktemp("bundles")), settings)
     return Scenario(bundle, "generated:steady-10", "synthetic:walking", SERVER, CLIENT, score_every=5)
 

@@ -73,11 +73,34 @@ def test_what_is_mounted_is_there(compose: dict[str, Any]) -> None:
             assert known, f"{name} mounts {source}"
 
 
+def test_nothing_starts_before_what_it_needs_answers(compose: dict[str, Any]) -> None:
+    for name, service in compose["services"].items():
+        for needed, how in service.get("depends_on", {}).items():
+            other = compose["services"][needed]
+            if how["condition"] == "service_healthy":
+                assert other["healthcheck"]["test"][0] == "CMD", f"{name} waits for {needed}"
+            else:  # work that ends, or workers that a scheduler waits for
+                assert needed in {"encode", "encode-to-store", "encode-worker"}, f"{name} does not wait for {needed}"
+
+
+def test_the_health_of_the_shaper_is_not_asked_over_its_link(compose: dict[str, Any]) -> None:
+    """The trace's time begins with the first connection: a health check there would begin it long before the client."""
+    shaper = compose["services"]["shaper"]
+    (control,) = [word.rpartition(":")[2] for word in shaper["command"] if word.startswith("--control=")]
+    (listen,) = [word.rpartition(":")[2] for word in shaper["command"] if word.startswith("--listen=")]
+    asked = shaper["healthcheck"]["test"][-1]
+    assert control in asked
+    assert listen not in asked
+
+
 def test_our_containers_are_confined_and_ports_stay_on_loopback(compose: dict[str, Any]) -> None:
     for name, service in compose["services"].items():
         if service.get("image") == "cags-stream":
             assert service["read_only"], name
-            assert service["cap_drop"] == ["ALL"], name
+        assert service["cap_drop"] == ["ALL"], name
+        assert service["security_opt"] == ["no-new-privileges:true"], name
+        assert service["pids_limit"], name
+        assert service["mem_limit"], name
         assert all(port.startswith("127.0.0.1:") for port in service.get("ports", [])), name
 
 

@@ -38,7 +38,7 @@ def degree(request: pytest.FixtureRequest) -> int:
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory: pytest.TempPathFactory, degree: int) -> BundleReader:
     folder: Path = tmp_path_factory.mktemp("bundle") / "room"
-    settings = EncodeSettings(frames=2, quantiser="paper-66", train_splats=2048)
+    settings = EncodeSettings(frames=2, quantiser="paper-66", train_splats=2048, lod_order="paper")
     scene = open_scene("procedural:size=3000,frames=2")
     whole, rest = scene.frame, SH_REST_OF_DEGREE[degree]
     monkeypatch = pytest.MonkeyPatch()

@@ -22,7 +22,9 @@ SCENE = "procedural:size=1500,frames=6"
 
 @pytest.fixture
 def bundle(tmp_path: Path) -> Path:
-    return Path(cached_bundle(SCENE, str(tmp_path / "cache"), EncodeSettings(frames=6)))
+    return Path(
+        cached_bundle(SCENE, str(tmp_path / "cache"), EncodeSettings(frames=6, train_splats=4096, lod_order="paper"))
+    )
 
 
 @pytest.mark.slow
