@@ -43,7 +43,7 @@ _SHIPPED = EncodeSettings()
 VARIANTS = (
     Variant("one tree of 13 bits each", _SHIPPED, _with(scale=(13, 0), rotation=(13, 0), sh0=(13, 0))),
     Variant("quaternion parts apart", _SHIPPED, _with("rotation", rotation_real=(6, 2), rotation_imag=(8, 8))),
-    Variant("opacity logits", _SHIPPED, _with("alpha", opacity=(6, 0))),
+    Variant("opacity as drawn", _SHIPPED, _with("opacity", alpha=(6, 0))),
     Variant("unweighted codebooks", _SHIPPED, _with(), weighted=False),
     Variant("the paper's LoD order", _SHIPPED, _with(), measured=False),
     Variant("positions of 14 bits", EncodeSettings(position_bits=14), _with()),

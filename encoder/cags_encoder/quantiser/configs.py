@@ -12,6 +12,10 @@ from cags_common.geometry import F32
 RAW_LIMIT = 30.0
 """Log scales and opacity logits beyond this are clamped: exp(30) metres and 1 - 1e-13 show nothing more."""
 
+LOGIT_RANGE = (-5.6, 5.0)
+"""Opacity logits clustered as they are: below 1/255 nothing is drawn, and clusters spent above 0.993, where captures
+keep logits of 20, are missing where opacities differ (measured in docs/codec.md)."""
+
 
 @dataclass(frozen=True, slots=True)
 class AttributeQuantiser:
@@ -29,6 +33,8 @@ class AttributeQuantiser:
         """Values [n, dim] as clustered."""
         if self.attribute not in ("scale", "opacity"):
             return values
+        if self.attribute == "opacity" and not self.activated:
+            return np.clip(values, *LOGIT_RANGE)
         raw = np.clip(values, -RAW_LIMIT, RAW_LIMIT)
         if not self.activated:
             return raw
@@ -86,7 +92,7 @@ _CONFIGS = {
             {
                 "scale": (10, 6),
                 "rotation": (10, 8),
-                "alpha": (6, 0),
+                "opacity": (6, 0),
                 "sh0": (10, 6),
                 "sh1": (8, 8),
                 "sh2": (8, 8),
@@ -100,7 +106,7 @@ _CONFIGS = {
             {
                 "scale": (10, 12),
                 "rotation": (10, 14),
-                "alpha": (8, 2),
+                "opacity": (8, 2),
                 "sh0": (10, 12),
                 "sh1": (8, 12),
                 "sh2": (8, 12),

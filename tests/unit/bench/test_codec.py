@@ -117,9 +117,9 @@ def test_ablations_take_back_one_idea_each_and_the_gain_is_the_defaults() -> Non
         assert sum(taken_back) == 1, variant.name
     curve = [(4, 25), (7, 35), (10, 45)]
     lines = [line("layered", size, quality) for size, quality in curve]
-    lines += [line("opacity logits", size, quality - 2) for size, quality in curve]
+    lines += [line("opacity as drawn", size, quality - 2) for size, quality in curve]
     (gain,) = gains(lines, "s", "layered")
-    assert gain == {"scene": "s", "instead": "opacity logits", "default_gains_db": pytest.approx(2.0)}
+    assert gain == {"scene": "s", "instead": "opacity as drawn", "default_gains_db": pytest.approx(2.0)}
 
 
 def test_a_program_that_does_not_end_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
