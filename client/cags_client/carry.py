@@ -145,7 +145,7 @@ class ReferenceViews:
         then = self._then
         if then is None or then.reference is not reference or (known and then.key != key):
             draw = self._undone if known else self._of_earlier_group
-            then = self._then = _View(reference, key, draw(reference, held, options))
+            then = self._then = _View(reference, key, draw(reference, held, replace(options, contribution=False)))
         return then.picture
 
     def _undone(self, reference: ReferencePicture, held: Held, options: RenderOptions) -> RenderedView:

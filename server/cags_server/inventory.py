@@ -56,8 +56,7 @@ class ClientInventory:
 
     def depth(self, frame: int, tile: int) -> int:
         """LoDs from 0 without a gap that the client holds or that are on their way."""
-        held = self._tiles.get((frame, tile))
-        return 0 if held is None else _run(held.delivered | held.travelling)
+        return _run(self.mask(frame, tile))
 
     def delivered_depth(self, frame: int, tile: int) -> int:
         """LoDs from 0 without a gap that have arrived."""
@@ -66,8 +65,12 @@ class ClientInventory:
 
     def holds(self, frame: int, tile: int, lod: int) -> bool:
         """Whether one LoD has arrived or is on its way."""
+        return bool(self.mask(frame, tile) >> lod & 1)
+
+    def mask(self, frame: int, tile: int) -> int:
+        """Bit L is set for each LoD L that has arrived or is on its way."""
         held = self._tiles.get((frame, tile))
-        return held is not None and bool((held.delivered | held.travelling) >> lod & 1)
+        return 0 if held is None else held.delivered | held.travelling
 
     def keep(self, first: int, last: int) -> None:
         """Forget tiles of frames outside ``first`` .. ``last`` (both included)."""

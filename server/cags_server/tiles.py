@@ -104,21 +104,21 @@ class TileSender:
 
     def view(self, tile: VisibleTile) -> TileView:
         """A visible tile as rate policies see it."""
-        sizes = self._library.entry(tile.frame).tiles[tile.tile].lod_bytes
+        entry = self._library.entry(tile.frame)
+        sizes = entry.tiles[tile.tile].lod_bytes
         depth = self.inventory.depth(tile.frame, tile.tile)
-        holds = self.inventory.holds
-        missing = tuple(
-            0 if lod > depth and holds(tile.frame, tile.tile, lod) else size for lod, size in enumerate(sizes)
-        )
+        above = self.inventory.mask(tile.frame, tile.tile) >> depth  # what is held beyond a gap
+        if above:
+            sizes = (*sizes[:depth], *(0 if above >> i & 1 else size for i, size in enumerate(sizes[depth:])))
         return TileView(
             tile.frame,
             tile.tile,
             depth,
             tile.count,
-            missing,
+            sizes,
             weight=tile.weight,
             frames_left=tile.frames_left,
-            replaces=not self._library.entry(tile.frame).keyframe,
+            replaces=not entry.keyframe,
         )
 
     def replaced(self, message: TileLayers) -> bool:
