@@ -42,6 +42,8 @@ function quaternionOf([r, d, f]) {
 
 /** A camera of yaw and pitch about the scene's up, that orbits a target or flies; it never rolls. */
 export class Camera {
+  #followed = null; // a pose that was shown, until the visitor's hand goes on from it
+
   constructor(scene) {
     this.up = unit(scene.up);
     const seed = Math.abs(this.up[0]) < 0.9 ? [1, 0, 0] : [0, 0, 1];
@@ -55,13 +57,21 @@ export class Camera {
 
   /** The whole scene in view. */
   home() {
+    this.#followed = null;
     Object.assign(this, { yaw: Math.PI / 4, pitch: -0.25, distance: this.radius * 2.2, target: [...this.focus] });
   }
 
   /** Go on from a pose that was shown; a roll is left behind. */
-  follow({ position, rotation, fov_y }) {
+  follow(shown) {
+    this.fovY = shown.fov_y;
+    this.#followed = shown;
+  }
+
+  #settle() {
+    if (!this.#followed) return;
+    const { position, rotation } = this.#followed;
+    this.#followed = null;
     const forward = axesOf(rotation)[2];
-    this.fovY = fov_y;
     this.pitch = clamp(Math.asin(clamp(dot(forward, this.up), -1, 1)), -MAX_PITCH, MAX_PITCH);
     this.yaw = Math.atan2(dot(forward, this.east), dot(forward, this.north));
     this.distance = Math.max(dot(sub(this.focus, position), forward), this.radius * 0.2);
@@ -76,12 +86,14 @@ export class Camera {
   }
 
   pose() {
+    this.#settle();
     const axes = this.#axes();
     return { position: add(this.target, axes[2], -this.distance), rotation: quaternionOf(axes) };
   }
 
   /** Turn about the target by angles in radians. */
   orbit(yaw, pitch) {
+    this.#settle();
     this.yaw += yaw;
     this.pitch = clamp(this.pitch + pitch, -MAX_PITCH, MAX_PITCH);
   }
@@ -95,6 +107,7 @@ export class Camera {
 
   /** Move by shares of the target's distance along right, down and forward. */
   move(right, down, forward) {
+    this.#settle();
     const axes = this.#axes();
     const step = [right, down, forward];
     axes.forEach((axis, i) => (this.target = add(this.target, axis, step[i] * this.distance)));
@@ -102,6 +115,7 @@ export class Camera {
 
   /** Come nearer to the target (factor under 1) or go away. */
   dolly(factor) {
+    this.#settle();
     this.distance = clamp(this.distance * factor, this.radius * 0.05, this.radius * 40);
   }
 }

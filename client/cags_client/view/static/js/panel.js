@@ -84,8 +84,8 @@ export class Panel {
     this.#clocked = now;
     $("waiting").hidden = true;
     if (!this.#seeking) $("seek").value = header.frame;
-    $("tier").textContent = this.#state.restorer === "auto" ? `chose ${header.tier}` : "";
-    $("clock").textContent = `${header.frame + 1} / ${this.#scene?.frames ?? "?"}`;
+    say("tier", this.#state.restorer === "auto" ? `chose ${header.tier}` : "");
+    say("clock", `${header.frame + 1} / ${this.#scene?.frames ?? "?"}`);
   }
 
   link(state, text) {
@@ -224,11 +224,11 @@ export class Panel {
 
   #tellCap() {
     const cap = capOfSlider();
-    $("cap-value").textContent = cap === null ? "none" : `${cap.toFixed(cap < 10 ? 1 : 0)} Mbps`;
+    say("cap-value", cap === null ? "none" : `${cap.toFixed(cap < 10 ? 1 : 0)} Mbps`);
   }
 
   #tellDelay() {
-    $("delay-value").textContent = `${$("delay").value} ms`;
+    say("delay-value", `${$("delay").value} ms`);
   }
 
   #theme() {
@@ -251,6 +251,11 @@ export class Panel {
   #help() {
     $("help-open").onclick = () => $("help").showModal();
   }
+}
+
+/** Writing a text lays the page out anew, even where it is the same: several times a second, as costly as a picture. */
+function say(id, text) {
+  if ($(id).textContent !== text) $(id).textContent = text;
 }
 
 /** Logarithmic, because half as much matters alike everywhere; the right end lifts the cap. */
