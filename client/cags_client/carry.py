@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+import cags_kernels
 from cags_client.align import ReferencePicture
 from cags_client.gof_store import GofStore
 from cags_client.past import EarlierGroups
@@ -50,8 +51,19 @@ VISIBLE_POWER = 1e-6
 LEAST_POWER = 1e-12
 
 
-def carried(reference: F32, then: F32, now: F32, age: int = 1) -> F32:
+def carried(reference: F32, then: F32, now: F32, age: int = 1, threads: int = 1) -> F32:
     """``reference`` [h, w, 3] as it would look ``age`` frames later, by the client's own views of both; in [0, 1]."""
+    if not cags_kernels.native_available():
+        return carried_as_defined(reference, then, now, age)
+    from cags_kernels import align as kernels
+
+    parameters = kernels.CarryParameters(RADIUS_PX, CAUTION, PLAUSIBLE / age, VISIBLE_POWER, threads)
+    return kernels.carry(reference, then, now, parameters)
+
+
+def carried_as_defined(reference: F32, then: F32, now: F32, age: int = 1) -> F32:
+    """What :func:`carried` gives, in the terms of the module's text; it runs where the kernels are not installed."""
+    then, now = then.clip(0.0, 1.0), now.clip(0.0, 1.0)
     residual, against_now = reference - then, reference - now
     a, b, changed = _local_power(residual), _local_power(against_now), _local_power(now - then)
     a += np.float32(LEAST_POWER)
@@ -137,8 +149,8 @@ class ReferenceViews:
         """
         own = self.now(reference, held, options)
         then = self._as_of_reference(reference, held, options)
-        pictures = reference.rgb, then.rgb.clip(0.0, 1.0), own.rgb.clip(0.0, 1.0)
-        return replace(reference, rgb=carried(*pictures, max(held.store.shown_frame - reference.frame, 1))), own
+        age = max(held.store.shown_frame - reference.frame, 1)
+        return replace(reference, rgb=carried(reference.rgb, then.rgb, own.rgb, age, options.threads)), own
 
     def _as_of_reference(self, reference: ReferencePicture, held: Held, options: RenderOptions) -> RenderedView:
         key, known = self._quality(held, options), held.store.past.knows(reference.frame)

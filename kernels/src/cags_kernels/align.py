@@ -60,6 +60,15 @@ class _CorrectInput(ctypes.Structure):
     ]
 
 
+class _CarryInput(ctypes.Structure):
+    _fields_ = [
+        *((name, _Pointer) for name in ("reference", "then", "now")),
+        *((name, _int32) for name in ("width", "height", "radius")),
+        *((name, _float) for name in ("caution", "plausible", "visible")),
+        ("threads", _int32),
+    ]
+
+
 @dataclass(frozen=True, eq=False)
 class Reprojection:
     """Client pixel (u, v) of depth D lies at ``m [u, v, 1] D + b`` (homogeneous) in the reference."""
@@ -95,6 +104,18 @@ class CorrectParameters:
     """See ``cags_common.video.noise.CodingNoise``."""
     block_px: int
     misregistration: float
+    threads: int
+
+
+@dataclass(frozen=True)
+class CarryParameters:
+    """See ``cags_client.carry``."""
+
+    radius_px: int
+    caution: float
+    plausible: float
+    """Times the usual power of a correction: what is too much."""
+    visible_power: float
     threads: int
 
 
@@ -170,6 +191,23 @@ def correct(
     restored = _buffers.empty((height, width, 3))
     check(library().cags_correct(ctypes.byref(given), _address(restored)), "correct")
     return restored
+
+
+def carry(reference: F32, then: F32, now: F32, parameters: CarryParameters) -> F32:
+    """``reference`` [h, w, 3] carried to another frame, by the client's own views of both; in [0, 1].
+
+    Raises ``KernelError`` and, for arrays that do not fit, ``ValueError``.
+    """
+    height, width = reference.shape[:2]
+    pictures = [_checked(picture, (height, width, 3)) for picture in (reference, then, now)]
+    p = parameters
+    given = _CarryInput(
+        *map(_address, pictures),
+        *(width, height, p.radius_px, p.caution, p.plausible, p.visible_power, p.threads),
+    )
+    out = _buffers.empty((height, width, 3))
+    check(library().cags_carry(ctypes.byref(given), _address(out)), "carry")
+    return out
 
 
 def _correct_input(view: _Reprojection, own: F32, reference: F32, p: CorrectParameters) -> _CorrectInput:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cags_bench.align.ages import COMINGS, AgeCase, AgedPlay, gains
-from cags_client.carry import carried
+from cags_client.carry import carried, carried_as_defined
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_encoder import EncodeSettings, encode
@@ -93,6 +93,16 @@ def test_carried_pictures(seed: int, height: int, width: int) -> None:
     assert 0 <= mixed.min() <= mixed.max() <= 1
     wrong = np.abs(mixed - now).mean()
     assert wrong <= np.abs(reference - then).mean()
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 99), st.integers(1, 140), st.integers(1, 30), st.integers(1, 9), st.integers(1, 3))
+def test_what_runs_is_what_is_defined(seed: int, width: int, height: int, age: int, threads: int) -> None:
+    reference, then = (picture(seed + i, height, width, 1.2) - np.float32(0.1) for i in range(2))
+    now = then.copy()
+    now[: height // 2, width // 3 :] += picture(seed, height, width)[: height // 2, width // 3 :]
+    defined = carried_as_defined(reference, then, now, age)
+    np.testing.assert_allclose(carried(reference, then, now, age, threads), defined, atol=1e-4)
 
 
 def test_a_cut_says_nothing_and_the_rest_of_a_picture_stays() -> None:

@@ -1,15 +1,11 @@
 #include "align/cags_align.h"
+#include "align/calls.h"
 #include "align/erode.h"
 #include "align/stages.h"
-#include "support/aligned.h"
-#include "support/instruction_set.h"
 #include "support/thread_pool.h"
 
 #include <algorithm>
 #include <bit>
-#include <memory>
-#include <mutex>
-#include <new>
 #include <vector>
 
 namespace cags::align {
@@ -18,68 +14,9 @@ namespace {
 constexpr int kMaxSide = 16384;  // pixels
 constexpr int kMaxRadius = 64;
 constexpr double kLeastPower = 1e-12;                // of a correction, where there is none
-constexpr int kRowsAPiece = 16;
 constexpr int kEvidenceRows = 4;                     // every fourth row is looked at
 constexpr double kEvidenceMargin = 1.05;             // see cags_client.restore.affine
 constexpr double kVeilWeight = 4.0;
-
-const Stages& stages() {
-  switch (active_instruction_set()) {
-#ifdef CAGS_X86
-    case InstructionSet::avx512: return stages_avx512;
-    case InstructionSet::avx2: return stages_avx2;
-#endif
-    default: return stages_portable;
-  }
-}
-
-// Memory of one call, kept for the next one: fresh pages cost more than the work on them.
-struct Scratch {
-  AlignedArray<float> nearest_depth, reference, sums, fields, lines, disagreement, weight;
-  AlignedArray<uint8_t> shared;
-  AlignedArray<uint64_t> bits;
-  AlignedArray<Nearest> nearest;
-};
-
-class ScratchLease {
- public:
-  ScratchLease() {
-    std::lock_guard lock(mutex());
-    if (idle().empty()) {
-      scratch_ = std::make_unique<Scratch>();
-    } else {
-      scratch_ = std::move(idle().back());
-      idle().pop_back();
-    }
-  }
-  ~ScratchLease() {
-    std::lock_guard lock(mutex());
-    idle().push_back(std::move(scratch_));
-  }
-  ScratchLease(const ScratchLease&) = delete;
-  ScratchLease& operator=(const ScratchLease&) = delete;
-  Scratch* operator->() const { return scratch_.get(); }
-  Scratch& operator*() const { return *scratch_; }
-
- private:
-  static std::mutex& mutex() {
-    static std::mutex instance;
-    return instance;
-  }
-  static std::vector<std::unique_ptr<Scratch>>& idle() {
-    static auto* instance = new std::vector<std::unique_ptr<Scratch>>;  // never destroyed: see Pool
-    return *instance;
-  }
-  std::unique_ptr<Scratch> scratch_;
-};
-
-template <typename Body>
-void for_rows(int threads, int rows, const Body& body) {
-  parallel_for(threads, (rows + kRowsAPiece - 1) / kRowsAPiece, [&](int piece, int worker) {
-    const int end = std::min(rows, (piece + 1) * kRowsAPiece);
-    for (int row = piece * kRowsAPiece; row < end; row++) body(row, worker);
-  });
-}
 
 bool side(int value) { return value >= 1 && value <= kMaxSide; }
 
@@ -258,18 +195,6 @@ void fields_of(const CagsCorrectInput& in, float* out) {
   for (int row = 0; row < h; row++) {
     const float* from = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
     std::copy_n(from, w * kFieldLanes, out + int64_t{row} * w * kFieldLanes);
-  }
-}
-
-template <typename Body>
-int32_t guarded(const Body& body) {
-  try {
-    body();
-    return CAGS_OK;
-  } catch (const std::bad_alloc&) {
-    return CAGS_OUT_OF_MEMORY;
-  } catch (...) {
-    return CAGS_FAILED;
   }
 }
 

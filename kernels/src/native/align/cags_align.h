@@ -39,7 +39,15 @@ struct CagsCorrectInput {
   int32_t threads;
 };
 
+struct CagsCarryInput {
+  const float *reference, *then, *now;  // [height, width, 3]: the reference, and the client's own views of it
+  int32_t width, height, radius;        // of the pictures; of the local powers
+  float caution, plausible, visible;    // see cags_client.carry: CAUTION, PLAUSIBLE / age, VISIBLE_POWER
+  int32_t threads;
+};
+
 CAGS_API int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output);
 // The closed form's factors and offsets [reference_height, reference_width, 4]; what is of the client's view is not read.
 CAGS_API int32_t cags_fields(const CagsCorrectInput* input, float* fields);
+CAGS_API int32_t cags_carry(const CagsCarryInput* input, float* carried);  // [height, width, 3] in [0, 1]
 CAGS_API int32_t cags_correct(const CagsCorrectInput* input, float* restored);  // [height, width, 3] in [0, 1]

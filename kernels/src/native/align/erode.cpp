@@ -1,5 +1,6 @@
 #include "align/erode.h"
 
+#include "align/calls.h"
 #include "support/thread_pool.h"
 
 #include <algorithm>
@@ -16,7 +17,6 @@ namespace {
 typedef float Four __attribute__((vector_size(16), aligned(4), may_alias));
 typedef int32_t Mask __attribute__((vector_size(16)));
 
-constexpr int kRowsAPiece = 16;
 constexpr uint8_t kHeld = 1, kNear = 2;  // marks of words: within a row's holes' reach; within another row's
 
 // A bit a pixel, inside a border of words and rows of zeros that windows may read.

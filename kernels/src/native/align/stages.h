@@ -15,6 +15,8 @@ struct Padded {
 constexpr int kColourLanes = 4;  // r, g, b, unused
 constexpr int kFieldLanes = 4;   // factor, offsets r, g, b
 constexpr int kMoments = 13;     // see stages/fit.h
+constexpr int kPowers = 3;       // see stages/carry.h
+constexpr float kLeastCarried = 1e-12f;  // power that stands for none
 constexpr float kNoiseFloor = 2e-6f;  // variance of rounding to 8 bits
 constexpr float kVoidPower = 1e-4f;   // what has no more is void
 
@@ -73,6 +75,11 @@ struct Stages {
                   Agreement& agreement);
   // One row of blocks: weights, given the mean power of the correction. `line` [2 blocks.width + 2] is scratch.
   void (*settle)(const CagsCorrectInput&, int row, float power, float share, const Blocks& blocks, float* line);
+  // One row of a carried reference: horizontal sums [height, kPowers, width] of its powers, their means, and itself, given
+  // the power that is too much of a correction. `line` [kPowers, width + 2 radius] is scratch.
+  void (*carry_powers)(const CagsCarryInput&, int row, float* line, float* sums);
+  void (*carry_means)(const CagsCarryInput&, int row, const float* sums, float* means);
+  void (*carry)(const CagsCarryInput&, int row, const float* means, float most, float* carried);
   // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.
   // `line` [blocks.width] is scratch.
   void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored);

@@ -83,6 +83,11 @@ inline void add_lines(const At& at, int lines, int count, float share, float* __
   for (int i = 0; i < count; i++) out[i] *= share;
 }
 
+// Repeats what is next to a row's ends beyond them.
+inline void mirror_ends(float* row, int width, int radius) {
+  for (int i = 1; i <= radius; i++) row[-i] = row[reflected(-i, width)], row[width - 1 + i] = row[reflected(width - 1 + i, width)];
+}
+
 void moments(const CagsCorrectInput& in, int row, float* line, float* sums) {
   const int w = in.view.reference_width, r = in.radius_cells, stride = w + 2 * r;
   Pixels pixels;
@@ -93,8 +98,7 @@ void moments(const CagsCorrectInput& in, int row, float* line, float* sums) {
   }
   float* __restrict out = sums + int64_t{row} * kMoments * w;
   for (int moment = 0; moment < kMoments; moment++, line += stride, out += w) {
-    float* centre = line + r;
-    for (int i = 1; i <= r; i++) centre[-i] = centre[reflected(-i, w)], centre[w - 1 + i] = centre[reflected(w - 1 + i, w)];
+    mirror_ends(line + r, w, r);
     add_lines([line](int j) { return line + j; }, 2 * r + 1, w, 1.0f, out);
   }
 }
