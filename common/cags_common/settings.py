@@ -77,6 +77,12 @@ def add_flags(parser: argparse._ActionsContainer, cls: type[DataclassInstance]) 
             )
 
 
+def given_flags(arguments: argparse.Namespace, cls: type[DataclassInstance]) -> list[str]:
+    """Names of the flags of ``cls`` (``--config`` too) that stand on the command line."""
+    names = ("config", *(f.name for f in fields(cls) if "help" in f.metadata))
+    return [name.replace("_", "-") for name in names if getattr(arguments, name, None) is not None]
+
+
 SECTIONS = ("encoder", "server", "client")
 """Tables of a configuration file that several commands share."""
 

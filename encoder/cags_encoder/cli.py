@@ -11,7 +11,7 @@ from typing import Any
 
 from cags_common.cli import command_parser, run_command
 from cags_common.errors import ConfigError
-from cags_common.settings import add_settings, load_settings
+from cags_common.settings import add_settings, given_flags, load_settings
 from cags_encoder.settings import CommandSettings
 
 PROG = "cags-encode"
@@ -60,6 +60,8 @@ def _run(argv: Sequence[str]) -> None:
         raise ConfigError("--plot draws what --inspect BUNDLE finds; give that too")
     if looks and (arguments.scene or arguments.out):
         raise ConfigError(f"{arguments.scene!r}: --inspect, --verify and --export take no scene to encode")
+    if looks and (given := given_flags(arguments, CommandSettings)):
+        raise ConfigError(f"--{given[0]} is for encoding: --inspect, --verify and --export leave it out")
     if arguments.inspect:
         _inspect(arguments.inspect, arguments.plot, as_json=arguments.json)
     elif arguments.verify:

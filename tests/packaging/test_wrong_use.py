@@ -39,7 +39,9 @@ WRONG = {
     "cags-encode procedural:frobs=1 out": (2, "known: size"),
     "cags-shaper --to nonsense {steady}": (2, "HOST:PORT"),
     "cags-shaper --to 127.0.0.1:1 {steady} --delay-ms -5": (2, "60000"),
+    "cags-encode --verify {bundle} --frames 3": (2, "--frames is for encoding"),
     "cags-demo --frames x": (2, "'x'"),
+    "cags-demo --view --json": (2, "leave --view out"),
     # files and folders
     "cags-server --bundle nowhere": (1, "made by cags-encode"),
     "cags-server --bundle {empty}": (1, "made by cags-encode"),

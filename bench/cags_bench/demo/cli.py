@@ -9,6 +9,7 @@ from typing import Any
 
 from cags_bench.demo.settings import DemoSettings
 from cags_common.cli import command_parser, run_command
+from cags_common.errors import ConfigError
 from cags_common.settings import add_settings, load_settings
 
 EXAMPLES = """\
@@ -38,6 +39,8 @@ def _run(argv: Sequence[str]) -> int:
     arguments = parser.parse_args(argv)
     settings = load_settings(DemoSettings, arguments)
 
+    if settings.view and arguments.json:
+        raise ConfigError("--json tells of a play that has ended: leave --view out")
     from cags_bench.demo.run import run_demo, show_live
 
     if settings.view:

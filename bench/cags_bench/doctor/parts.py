@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from importlib.util import find_spec
 
 from cags_bench.doctor.findings import Finding, fine, missing, note
@@ -43,6 +44,10 @@ def kernels() -> Finding:
     if not native_available():
         remedy = "install a C++20 compiler (apt-get install g++), then pip install --force-reinstall ./kernels"
         return note("kernels", f"reference path only: {why_unavailable()}", remedy)
+    ours, theirs = version("cags-stream"), version("cags-kernels")
+    if ours != theirs:
+        found = f"version {theirs}, where cags-stream is {ours}"
+        return missing("kernels", found, "install both of one version: pip install -c constraints.txt ./kernels -e .")
     return fine("kernels", f"native, {instruction_set()}")
 
 

@@ -73,6 +73,16 @@ def test_every_part_is_tried_here() -> None:
     assert found["CUDA"].verdict is not Verdict.MISSING
 
 
+def test_kernels_of_another_version_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cags_kernels.library")
+    if parts.kernels().verdict is not Verdict.OK:
+        pytest.skip("no native kernels here")
+    monkeypatch.setattr(parts, "version", {"cags-stream": "0.2.0", "cags-kernels": "0.1.0"}.__getitem__)
+    found = parts.kernels()
+    assert found.verdict is Verdict.MISSING
+    assert "0.1.0, where cags-stream is 0.2.0" in found.found
+
+
 def test_a_part_that_fails_is_a_finding_with_a_remedy() -> None:
     def broken() -> object:
         raise ImportError("libx264.so: no such file\nmore")
