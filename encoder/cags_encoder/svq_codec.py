@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,10 @@ from cags_common.splats import Ids, Splats
 from cags_common.tiles import MAX_POSITION_BITS, PositionGrid, encode_base, encode_layer
 from cags_encoder.lod_order import order_of
 from cags_encoder.quantiser.configs import QuantiserConfig, quantiser_config
-from cags_encoder.quantiser.training import Quantiser, train
 from cags_encoder.settings import EncodeSettings
+
+if TYPE_CHECKING:
+    from cags_encoder.quantiser.training import Quantiser
 
 SMALL_SPLATS = 0.25
 """Quantile of a tile's radii that its position step is measured by."""
@@ -60,6 +62,8 @@ class SvqCodec:
 
         ``config`` stands in for that which the settings name. Raises :class:`ConfigError`.
         """
+        from cags_encoder.quantiser.training import train
+
         config = config or quantiser_config(settings.quantiser)
         quantiser = train(samples, config, settings.seed, weights)
         order = order_of(settings.lod_order, quantiser.books)

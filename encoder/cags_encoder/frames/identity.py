@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from cags_common.errors import SceneError
 from cags_common.geometry import F32, F64
@@ -103,6 +102,8 @@ def _agree(before: Splats, after: Splats) -> NDArray[np.bool_]:
 
 def _nearest(before: Splats, after: Splats) -> NDArray[np.int64]:
     """Mutually nearest neighbours in position and colour, in units of the typical radius or spacing."""
+    from scipy.spatial import cKDTree
+
     unit = max(float(np.median(_radii(before))), _spacing(before), 1e-12)
     tree = cKDTree(_features(before, unit))
     distance, row = tree.query(_features(after, unit), workers=1)
@@ -117,6 +118,8 @@ def _spacing(splats: Splats) -> float:
     """Typical distance between neighbours, metres."""
     if len(splats) < 2:
         return 0.0
+    from scipy.spatial import cKDTree
+
     distance = cKDTree(splats.means).query(splats.means[:: max(1, len(splats) // SPACING_PROBES)], k=2)[0][:, 1]
     return float(np.median(distance))
 
