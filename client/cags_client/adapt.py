@@ -76,14 +76,13 @@ class SirtAdapter:
         """What :meth:`apply` would change. Reads the scene beside renders of it, but not beside its updates."""
         shown = np.clip(own.rgb, 0.0, 1.0)
         change = corrected_there(shown, reference, self._settings) - shown
-        error = change / np.maximum(own.alpha, np.float32(LEAST_ALPHA))[..., None]
+        error = scaled(change, np.reciprocal(np.maximum(own.alpha, np.float32(LEAST_ALPHA))))
         if not np.abs(error).max() > LEAST_ERROR:
             return AdapterStep(np.zeros(0, np.intp), np.zeros((0, 3), np.float32))
-        back = scene.back_project(reference.camera, error.astype(np.float32, copy=False), options)
+        back = scene.back_project(reference.camera, error, options)
         rows = np.nonzero(back.weight > LEAST_WEIGHT_PX)[0]
-        step = back.weighted_residual.take(rows, axis=0)  # take: a quarter of what indexing costs
-        step /= (back.weight.take(rows) + np.float32(DAMPING_PX))[:, None]
-        return AdapterStep(rows, step)
+        residual = back.weighted_residual.take(rows, axis=0)  # take: a quarter of what indexing costs
+        return AdapterStep(rows, scaled(residual, np.reciprocal(back.weight.take(rows) + np.float32(DAMPING_PX))))
 
     def apply(self, scene: RasterScene, splats: Splats, step: AdapterStep) -> int:
         """Correct the scene's colours by a step. Returns how many splats changed."""
@@ -98,3 +97,11 @@ class SirtAdapter:
     def corrected(self, sh0: F32, rows: NDArray[np.intp]) -> F32:
         """Base colours ``sh0`` [M, 3] of the splats at ``rows`` [M] with their corrections."""
         return sh0 + self._delta.take(rows, axis=0) / np.float32(SH_C0)
+
+
+def scaled(colours: F32, factor: F32) -> F32:
+    """``colours`` [..., 3] times ``factor`` [...], by channel: along so short an axis it is three times slower."""
+    out = np.empty_like(colours)
+    for channel in range(3):
+        np.multiply(colours[..., channel], factor, out=out[..., channel])
+    return out

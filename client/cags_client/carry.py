@@ -132,10 +132,12 @@ class ReferenceViews:
         return store.past.knows(reference.frame) or self._earlier.knows(reference.frame)
 
     def now(self, reference: ReferencePicture, held: Held, options: RenderOptions) -> RenderedView:
-        """As the scene is."""
+        """As the scene is. A reference's first view has the splats' contributions, which take a fifth of its time."""
         key = (held.changes, options)
         if self._now is None or not self._now.still(reference, key):
-            self._now = _View(reference, key, held.scene.render(reference.camera, options))
+            first = self._now is None or self._now.reference is not reference
+            picture = held.scene.render(reference.camera, replace(options, contribution=first))
+            self._now = _View(reference, key, picture)
             if held.store.past.knows(reference.frame) and not held.store.past.changed_since(reference.frame):
                 self._then = _View(reference, self._quality(held, options), self._now.picture)
         return self._now.picture
@@ -157,7 +159,7 @@ class ReferenceViews:
         then = self._then
         if then is None or then.reference is not reference or (known and then.key != key):
             draw = self._undone if known else self._of_earlier_group
-            then = self._then = _View(reference, key, draw(reference, held, replace(options, contribution=False)))
+            then = self._then = _View(reference, key, draw(reference, held, options))
         return then.picture
 
     def _undone(self, reference: ReferencePicture, held: Held, options: RenderOptions) -> RenderedView:

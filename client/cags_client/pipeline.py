@@ -87,6 +87,7 @@ class ClientPipeline:
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
+        self._shares: F32 | None = None  # each splat's contribution to the view of the newest reference
         self._sh_degree = 0  # highest band with anything in it since the group's first frame
         self._scene_store: GofStore | None = None
         self._adapter: SirtAdapter | None = None
@@ -194,6 +195,8 @@ class ClientPipeline:
         aligned, own, shown = None, None, distorted
         if reference is not None:
             aligned, own, shown = self._with_reference(plan, drawn, reference, frame, watch)
+            if own is not None and own.contribution is not None:
+                self._shares = own.contribution
         tier = self._tier
         self._observe(started_s, watch.stages_ms)
         return PresentedFrame(
@@ -205,7 +208,7 @@ class ClientPipeline:
             depth=view.depth,
             alpha=view.alpha,
             reference=reference,
-            lod_mean=store.shown.lod_mean(camera, own.contribution if own is not None else None),
+            lod_mean=store.shown.lod_mean(camera, self._shares if own is not None else None),
             missed=committed.missed,
             buffer_ms=self._store.ahead(frame) * 1e3 / self.info.fps,
             stages_ms=watch.stages_ms,
@@ -332,7 +335,7 @@ class ClientPipeline:
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
         if self._scene is None or committed.fresh:
-            self._adapting = None  # of a scene that is gone
+            self._adapting = self._shares = None  # of a scene that is gone
             self._scene, self._scene_store = self._rasteriser.load(store.splats), store
             self._adapter = SirtAdapter(store.capacity) if self.settings.adapt == "sirt" else None
             self._sh_degree = held_sh_degree(store.splats.sh_rest)
@@ -359,7 +362,7 @@ class ClientPipeline:
     def _reference_options(self, plan: EffectPlan, reference: ReferencePicture) -> RenderOptions:
         """How the server draws references, so that the client's splats can be compared with them."""
         footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
-        return replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint, contribution=True)
+        return replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint)
 
     def _freshness(self, reference: ReferencePicture, frame: int) -> float:
         """1 for references up to half as old as is allowed, falling to 0 past the oldest: none goes at a stroke."""

@@ -72,6 +72,7 @@ class StandIn:
         self._aligner = aligner
         self._of: tuple[ReferencePicture, RenderedView] | None = None
         self._disagreement = np.zeros((1, 1), np.float32)
+        self._own = np.zeros((1, 1, 3), np.float32)
 
     def paint(self, shown: F32, drawn: Drawn, reference: ReferencePicture, own: RenderedView, trust: float) -> F32:
         """``shown`` [H, W, 3], the restored picture, with the reference where it is the better of the two.
@@ -80,12 +81,13 @@ class StandIn:
         nothing stands in.
         """
         if self._of is None or self._of[0] is not reference or self._of[1] is not own:
-            self._disagreement = disagreement(reference.rgb, own.rgb)
+            self._own = on_grid(own.rgb).clip(0.0, 1.0)
+            self._disagreement = disagreement(on_grid(reference.rgb), self._own)
             self._of = reference, own
         if trust <= 0 or self._disagreement.max() <= STARTS * LEAST_ERROR:
             return shown
         depth = surrogate_depth(drawn)
-        weight = self._weight(drawn, depth, reference, own) * np.float32(trust)
+        weight = self._weight(drawn, depth, reference) * np.float32(trust)
         if weight.mean() < LEAST_SHARE:
             return shown
         out = shown.copy()
@@ -107,7 +109,7 @@ class StandIn:
         change *= (share[part] * bent.confidence)[..., None]
         out[part] += change
 
-    def _weight(self, drawn: Drawn, depth: F32, reference: ReferencePicture, own: RenderedView) -> F32:
+    def _weight(self, drawn: Drawn, depth: F32, reference: ReferencePicture) -> F32:
         """How much the reference stands in [gh, gw] of the client's view."""
         rows, columns = depth.shape
         small = Camera(drawn.camera.intrinsics.resized(columns, rows), drawn.camera.pose, drawn.camera.near)
@@ -115,21 +117,24 @@ class StandIn:
         there = reference.camera
         cells = Camera(there.intrinsics.resized(r_columns, r_rows), there.pose, there.near)
         x, y, _, inside = Reprojection(depth, small, cells).projected
-        bent = sample(_averaged(_thinned(own.rgb), r_columns, r_rows), x, y)
+        bent = sample(self._own, x, y)
         disagreeing = sample(self._disagreement[..., None], x, y)[..., 0]
-        bending = _rms(bent - _averaged(_thinned(drawn.rgb), columns, rows))
+        bending = _rms(bent - on_grid(drawn.rgb))
         ratio = disagreeing / (bending + np.float32(LEAST_ERROR))
         return np.asarray(np.clip((ratio - STARTS) / (ENDS - STARTS), 0, 1) * inside, dtype=np.float32)
 
 
-def disagreement(reference: F32, own: F32) -> F32:
-    """RMS [gh, gw], 0..1, of what no local gain and offset of ``own`` [h, w, 3] explains of ``reference`` [h, w, 3].
+def on_grid(picture: F32) -> F32:
+    """Means [gh, gw, 3] of a picture [h, w, 3] over the cells of its grid."""
+    return _averaged(_thinned(picture), *_grid(*picture.shape[1::-1]))
 
+
+def disagreement(seen: F32, drawn: F32) -> F32:
+    """RMS [gh, gw], 0..1, of what no local gain and offset of ``drawn`` [gh, gw, 3] explains of ``seen`` [gh, gw, 3].
+
+    Of a reference and the client's own view of it, on their grid.
     A fit's offset would explain any shift of colours: what quantisation does not cause (:data:`USUAL_SHIFT`) counts.
     """
-    columns, rows = _grid(*reference.shape[1::-1])
-    seen = _averaged(_thinned(reference), columns, rows)
-    drawn = _averaged(_thinned(own).clip(0, 1), columns, rows)
     mean_seen, mean_drawn = _window(seen), _window(drawn)
     covariance = _over_channels(_window(drawn * seen) - mean_drawn * mean_seen)
     variance = _over_channels(np.maximum(_window(drawn * drawn) - mean_drawn * mean_drawn, 0))

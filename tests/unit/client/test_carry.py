@@ -1,6 +1,7 @@
 """References of another media frame: what stands still keeps its correction, what moved is left alone."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cags_bench.align.ages import COMINGS, AgeCase, AgedPlay, gains
-from cags_client.carry import carried, carried_as_defined
+from cags_client.align import ReferencePicture
+from cags_client.carry import Held, ReferenceViews, carried, carried_as_defined
+from cags_client.past import EarlierGroups
 from cags_client.settings import ClientSettings
+from cags_common import raster
 from cags_common.bundle import BundleReader
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.raster.base import RenderedView, RenderOptions
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
 
@@ -123,3 +129,23 @@ def test_a_correction_that_stands_out_is_of_something_that_was_not_sent(age: int
     mixed = carried(reference, then, then, age)
     np.testing.assert_allclose(mixed[:, 50:], reference[:, 50:], atol=1e-6)
     assert np.abs(mixed - then)[25:35, 25:35].max() < 0.2 / age
+
+
+def test_contributions_are_counted_once_a_reference() -> None:
+    """They weigh a figure of the report; the client's own view is drawn anew with every change of the splats."""
+    counted: list[bool] = []
+
+    class Scene:
+        def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
+            counted.append(options.contribution)
+            blank = np.zeros((camera.height_px, camera.width_px, 3), np.float32)
+            return RenderedView(blank, blank[..., 0], None, np.ones(1, np.float32) if options.contribution else None)
+
+    past = SimpleNamespace(knows=lambda _: False, changed_since=lambda _: True)
+    views = ReferenceViews(raster.create("reference"), EarlierGroups())
+    camera = Camera(Intrinsics.of_fov(8, 6, 1.0, 0.8), Pose.identity())
+    references = [ReferencePicture(picture(i, 6, 8), camera, frame=i) for i in range(2)]
+    for changes, which in enumerate((0, 0, 0, 1, 1)):
+        held = Held(Scene(), SimpleNamespace(past=past), changes, 0, lambda _: None)  # type: ignore[arg-type]
+        views.now(references[which], held, RenderOptions())
+    assert counted == [True, False, False, True, False]
