@@ -1,13 +1,20 @@
-"""How many bytes the tiles of one frame may take: income of the link, less what waits, plus what was left over."""
+"""How many bytes the tiles of one frame may take: income of the link, less what waits, plus what was left over.
+
+And no more than will arrive before the frame is displayed. Detail that comes a frame late is worth nothing where the
+next frame replaces it, and a queue that is allowed to stand makes all of it late: every byte sent, none of it seen.
+"""
 
 from __future__ import annotations
 
 from cags_protocol import events as ev
-from cags_protocol.messages import TileLayers
+from cags_protocol.messages import ReferenceFrame, TileLayers
 from cags_server.records import FrameRecord
 
 MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
 """Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""
+
+AHEAD_SMOOTHING = 0.2
+"""Weight of the newest frame in the mean of what goes ahead of detail."""
 
 MAX_BUDGET_TICKS = 4
 """A stretch of skipped frames earns at most the budget of so many."""
@@ -22,12 +29,19 @@ class ByteBudget:
         self._outstanding_bytes = 0
         self._saved_bytes = 0
         self._travelling: dict[int, int] = {}  # tiles queued and not settled: identity -> when, oldest first
+        self._ahead_bytes, self._ahead_now = (
+            0.0,
+            0,
+        )  # of base layers and references a frame: usually, since the last one
 
     def planned(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was handed to the session."""
         self._outstanding_bytes += len(outgoing.payload)
-        if isinstance(outgoing.message, TileLayers):
+        message = outgoing.message
+        if isinstance(message, TileLayers):
             self._travelling[id(outgoing)] = now_us
+        if isinstance(message, ReferenceFrame) or (isinstance(message, TileLayers) and message.from_lod == 0):
+            self._ahead_now += len(outgoing.payload)
 
     def settled(self, outgoing: ev.Outgoing) -> None:
         """A message was delivered or dropped."""
@@ -45,7 +59,21 @@ class ByteBudget:
         income = int(allowed_bps * seconds / 8 - record.reference_bytes - excess)
         return max(0, income + self._saved_bytes)
 
+    def room(self, spare_us: float, period_us: float, link_bps: float, dearest_bytes: int) -> int:
+        """Bytes that will still arrive within ``spare_us`` behind all that is on its way over ``link_bps``.
+
+        Never more than the allowed delay and a frame's ``period_us`` hold. Base layers and references of the frames that
+        are planned meanwhile go ahead, as many as of late. Where anything arrives in time, there is room for
+        ``dearest_bytes`` at least, those of the dearest new base layer, which nothing overtakes.
+        """
+        within_us = min(max(spare_us, 0.0), self._queue_ms * 1e3 + period_us)
+        arriving = int(link_bps * within_us / 8e6) - self._outstanding_bytes
+        overtaking = int(max(within_us / period_us - 1, 0.0) * self._ahead_bytes)
+        return max(arriving - overtaking, dearest_bytes) if arriving > 0 else 0
+
     def close(self, left_bytes: int, allowed_bps: float) -> None:
         """The frame is planned; what it left is saved, up to a bound."""
+        self._ahead_bytes += AHEAD_SMOOTHING * (self._ahead_now - self._ahead_bytes)
+        self._ahead_now = 0
         most = max(allowed_bps * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
         self._saved_bytes = min(max(0, left_bytes), int(most))

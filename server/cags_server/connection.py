@@ -89,6 +89,7 @@ class Connection:
         """Do what is due."""
         self.session.handle_timer(now_us=now_us)
         if self.streamer is not None and not self.closed:
+            self._recall(self.streamer, now_us)
             self._queue(self.streamer.end_opening(now_us) + self.streamer.catch_up(now_us), now_us)
         self._settle(now_us)
 
@@ -104,8 +105,8 @@ class Connection:
         """A job has ended well."""
         self._look_ended()
         if self.streamer is not None and not self.closed:
+            self._recall(self.streamer, now_us)
             self._queue(self.streamer.finish(render, now_us), now_us)
-            self._cancel_superseded(self.streamer, now_us)
             self._settle(now_us)
 
     def job_failed(self, job: FrameJob) -> None:
@@ -179,9 +180,10 @@ class Connection:
         self.session.accept(streamer.welcome(session, resumed=resumed), now_us=now_us)
         self._queue(streamer.opening(now_us), now_us)
 
-    def _cancel_superseded(self, streamer: Streamer, now_us: int) -> None:
-        """Newer versions of the same splats go instead of tiles that waited past their frame's display."""
-        self.session.cancel(lambda each: streamer.superseded(each, now_us), now_us=now_us, started=False)
+    def _recall(self, streamer: Streamer, now_us: int) -> None:
+        """Take back tiles that waited past the frame that they were chosen for, before the next ones are chosen."""
+        self.session.cancel(lambda each: streamer.outdated(each, now_us), now_us=now_us, started=False)
+        self._settle(now_us)
 
     def _queue(self, outgoing: Iterable[ev.Outgoing], now_us: int) -> None:
         for each in outgoing:

@@ -109,15 +109,15 @@ class SceneLibrary:
         return tuple(sorted(tiles, key=lambda t: (-t.count, t.frame, t.tile)))
 
     def _frames_left(self, frame: int, owners: NDArray[np.int32]) -> NDArray[np.float64]:
-        """[capacity] frames until each splat is replaced, from its owner ``LOOK_AHEAD`` frames later.
+        """[capacity] frames until each splat is replaced, from its owners in the next ``LOOK_AHEAD`` frames.
 
-        A splat that stays that long is taken to stay to the end of its group (at most ``LONGEST_STAY``), one that does
-        not, to go halfway.
+        A splat that stays that long is taken to stay to the end of its group (at most ``LONGEST_STAY``).
         """
         last = self.manifest.gof_frames(self.manifest.gof_of(frame))[-1]
-        ahead = min(frame + LOOK_AHEAD, last)
-        stays = self.owners(ahead) == owners
-        return np.where(stays, float(min(last - frame + 1, LONGEST_STAY)), 1.0 + (ahead - frame) / 2.0)
+        left = np.full(len(owners), float(min(last - frame + 1, LONGEST_STAY)))
+        for at in range(min(frame + LOOK_AHEAD, last), frame, -1):
+            left[self.owners(at) != owners] = at - frame
+        return left
 
     def tile_of(self, frame: int, number: int) -> tuple[int, int]:
         """(media frame, tile) of a tile number within the group of ``frame``."""

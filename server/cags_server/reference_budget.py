@@ -18,15 +18,20 @@ class ReferenceBudget:
         self._share = share
         self._bytes: float | None = None
         self._then_us = 0
+        self.in_flight_bytes = 0
+        """On the link when the newest acknowledgement came: what no priority overtakes."""
 
-    def bears(self, now_us: int, link_bps: float) -> bool:
-        """Whether another reference may go, now that the link carries ``link_bps``."""
+    def bears(self, now_us: int, link_bps: float, spare_us: float) -> bool:
+        """Whether another reference may go, now that the link carries ``link_bps``: it is paid for, and what is in
+        flight leaves it room to arrive within ``spare_us``, after which it is of no use.
+        """
         rate = link_bps * self._share / 8
         if self._bytes is None:
             self._bytes, self._then_us = rate * BURST_S, now_us
         income = rate * max(now_us - self._then_us, 0) / 1e6
         self._bytes, self._then_us = min(self._bytes + income, rate * BURST_S), max(now_us, self._then_us)
-        return self._bytes > 0 or self._share >= 1
+        paid = self._bytes > 0 or self._share >= 1
+        return paid and self.in_flight_bytes * 8e6 / link_bps < spare_us
 
     def spent(self, size_bytes: int) -> None:
         """A reference of this size was queued."""

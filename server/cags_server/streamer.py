@@ -20,6 +20,7 @@ from cags_server.fov import widened
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.lingering import Lingering
 from cags_server.opening import Opening, guessed_contribution
+from cags_server.pace import MARGIN_US
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
 from cags_server.reference_budget import ReferenceBudget
@@ -134,6 +135,7 @@ class Streamer:
             case ev.Acknowledged(sample, _):
                 self._estimator.on_ack(sample)
                 self.stats.rtt_us = sample.rtt_us
+                self._reference_budget.in_flight_bytes = sample.in_flight_bytes
                 self.stats.bandwidth_bps = self._estimator.estimate_bps(now_us)
             case ev.ControlReceived(control, arrival_us):
                 self._on_control(control, arrival_us)
@@ -250,7 +252,8 @@ class Streamer:
     def _between_looks(self, now_us: int) -> bool:
         """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
         seen = self._next_is_seen()
-        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us))
+        spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
+        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), spare_us)
         if seen and not self._schedule.looking and not (affordable and self._may_look(now_us)):
             return True
         return not self._video.needs_idr and self._schedule.between_looks(seen=seen)
@@ -321,12 +324,12 @@ class Streamer:
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""
-        if now_us >= self._reference_deadline_us(render.plan):
+        if now_us >= self._reference_deadline_us(render.plan.display_us):
             self._video.broken()
             return []
         record.reference_bytes = len(render.access_unit)
         self._reference_budget.spent(record.reference_bytes)
-        return [self._video.message(render, self._reference_deadline_us(render.plan))]
+        return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The tiles that the rate policy chooses for a frame, and the frame's end."""
@@ -352,14 +355,19 @@ class Streamer:
         return record
 
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
-        record.estimate_bps = self._estimator.estimate_bps(now_us)
-        allowed_bps = self._estimator.allowance_bps(now_us)
-        record.budget_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
+        record.estimate_bps, allowed_bps = self._estimator.estimate_bps(now_us), self._estimator.allowance_bps(now_us)
+        tiles = tuple(self._tiles.view(tile) for tile in visible)
+        period_us = self._schedule.timeline.period_us
+        earned_bytes = self._budget.open(record, allowed_bps, period_us)
+        spare_us = self._viewer.clock.to_server(record.display_us) - now_us - MARGIN_US
+        fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in tiles if not tile.depth]
+        timely = self._budget.room(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
+        record.budget_bytes = min(earned_bytes, timely)
         decision = self._policy.decide(
             Observation(
                 frame=record.frame,
                 budget_bytes=record.budget_bytes,
-                tiles=tuple(self._tiles.view(tile) for tile in visible),
+                tiles=tiles,
                 lod_gains_db=self._library.manifest.lod_gains_db,
                 message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
                 layered=self._tiles.layered,
@@ -367,23 +375,24 @@ class Streamer:
             )
         )
         record.tile_bytes = decision.bytes
-        self._budget.close(record.budget_bytes - decision.bytes, allowed_bps)
+        self._budget.close(earned_bytes - decision.bytes, allowed_bps)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
         return decision
 
     # ------------------------------------------------------------------------------------------------------ messages
 
-    def superseded(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a waiting tile has lost its use: its frame has been displayed, and newer splats are on their way."""
+    def outdated(self, outgoing: ev.Outgoing, now_us: int) -> bool:
+        """Whether a tile that waits was chosen for a frame that has been displayed: what is worth its bytes now may
+        be another.
+        """
         message, deadline_us = outgoing.message, outgoing.deadline_us
         if not isinstance(message, TileLayers) or deadline_us is None:
             return False
-        displayed_us = deadline_us - int(self._settings.tile_deadline_ms * 1000)
-        return now_us >= displayed_us and self._tiles.replaced(message)
+        return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
 
-    def _reference_deadline_us(self, plan: FramePlan) -> int:
+    def _reference_deadline_us(self, display_us: int) -> int:
         """A late reference still serves the frames that follow its own."""
-        return self._viewer.clock.to_server(plan.display_us) + int(self._settings.reference_deadline_ms * 1000)
+        return self._viewer.clock.to_server(display_us) + int(self._settings.reference_deadline_ms * 1000)
 
     def _counted(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
         for each in outgoing:

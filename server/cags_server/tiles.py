@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from cags_common.geometry import Camera
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, HeldTile, TileLayers
@@ -120,14 +118,6 @@ class TileSender:
             frames_left=tile.frames_left,
             replaces=not entry.keyframe,
         )
-
-    def replaced(self, message: TileLayers) -> bool:
-        """Whether every splat of a tile has gone, or is held or on its way in a newer version."""
-        if self.ended is None or self._library.manifest.gof_of(message.frame) != self._group:
-            return False
-        owners = self._library.owners(self.ended)[self._library.reader.tile_ids(message.frame, message.tile)]
-        newer = [self._library.tile_of(self.ended, number) for number in np.unique(owners[owners >= 0]).tolist()]
-        return all(at > message.frame and self.inventory.depth(at, tile) for at, tile in newer)
 
     def _missing_runs(self, frame: int, tile: int, first: int, end: int) -> list[tuple[int, int]]:
         """[first, end) without the layers that the client holds already, as half-open runs."""

@@ -5,6 +5,10 @@ while the server had nothing more to send shows what was sent, not what the link
 never lower it, so the estimate cannot spiral down with the traffic it causes. Samples that had a queue behind them
 are the link's own rate; their mean over two round trips replaces the estimate, in both directions.
 
+A link that falls silent tells nothing more, but not nothing: while bytes are on their way, and no packet has arrived for
+longer than round trips take and jump about, it carries less than a packet in that time. Without that, the estimate of a
+link in an outage stays where it was, and what is sent by it waits in front of all that comes later.
+
 Nothing shows that a link has become faster but sending more: while no queue stands, the estimate handed out exceeds
 what was measured by a gain, doubled at the start of a session until a queue is first seen (as BBR's start-up does).
 """
@@ -14,6 +18,7 @@ from __future__ import annotations
 from collections import deque
 
 from cags_protocol.events import AckSample
+from cags_protocol.limits import PACKET_BYTES
 from cags_protocol.round_trips import RoundTrips
 
 INITIAL_BPS = 8e6
@@ -30,6 +35,11 @@ Without regard to jitter a busy machine, whose round trips come late at random, 
 each sample of what little was sent would replace the estimate, and nothing would raise it again.
 """
 
+BACKED_UP_US = 100_000
+"""A queue so long shows the link even if the server had nothing more to send when it was filled: it is a fall that
+came while little was sent. The credit window never lets so much wait on a link that is as fast as it is believed to be.
+"""
+
 
 class MeasuredEstimator:
     """Estimate of one link from its acknowledgements."""
@@ -40,17 +50,22 @@ class MeasuredEstimator:
         self._loaded = False
         self._samples: deque[tuple[int, int, float]] = deque()  # (time, bytes, rate) of samples that show the link
         self._round_trips = RoundTrips()
+        self._newest: AckSample | None = None
 
     def on_ack(self, sample: AckSample) -> None:
         """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
         trips = self._round_trips
         trips.note(sample.now_us, sample.rtt_us)
+        self._newest = sample
         rate = sample.delivery_rate_bps
         if rate is None or rate <= 0 or sample.newly_delivered_bytes <= 0:
             return
-        queued = sample.rtt_us > trips.shortest_us + QUEUE_US + trips.jitter_us
-        self._loaded = queued and not sample.app_limited
-        shows_link = queued and not sample.app_limited
+        queue_us = sample.rtt_us - trips.shortest_us
+        queued = queue_us > QUEUE_US + trips.jitter_us
+        backed_up = sample.app_limited and queue_us > BACKED_UP_US
+        if backed_up:  # the link was busy all that time, and may have been idle only before
+            rate *= sample.rtt_us / queue_us
+        self._loaded = shows_link = queued and (backed_up or not sample.app_limited)
         if not shows_link and rate <= self._rate_bps:
             return
         self._startup = self._startup and not shows_link
@@ -63,9 +78,17 @@ class MeasuredEstimator:
 
     def estimate_bps(self, now_us: int) -> float:
         """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
-        return min(max(self._rate_bps, MIN_BPS), MAX_BPS)
+        return min(max(min(self._rate_bps, self._silence_bps(now_us)), MIN_BPS), MAX_BPS)
 
     def allowance_bps(self, now_us: int) -> float:
         """See :class:`~cags_server.bandwidth.base.BandwidthEstimator`."""
         gain = LOADED_GAIN if self._loaded else STARTUP_GAIN if self._startup else PROBE_GAIN
-        return min(max(self._rate_bps * gain, MIN_BPS), MAX_BPS)
+        return min(max(min(self._rate_bps, self._silence_bps(now_us)) * gain, MIN_BPS), MAX_BPS)
+
+    def _silence_bps(self, now_us: int) -> float:
+        """The most that the link can carry if nothing has arrived since the newest acknowledgement."""
+        newest, trips = self._newest, self._round_trips
+        if newest is None or not newest.in_flight_bytes:
+            return MAX_BPS
+        silent_us = now_us - newest.now_us - trips.shortest_us - trips.jitter_us
+        return PACKET_BYTES * 8e6 / silent_us if silent_us > 0 else MAX_BPS

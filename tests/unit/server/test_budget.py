@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from cags_common.geometry import Pose
 from cags_protocol.events import Outgoing
 from cags_protocol.messages import FrameEnd, TileLayers
@@ -56,3 +58,35 @@ def test_what_is_left_is_saved_up_to_a_bound() -> None:
     assert budget.open(record(), 8e6, PERIOD_US) == 100_000 + MIN_SAVED_BYTES
     budget.close(-1, 8e6)
     assert budget.open(record(), 8e6, PERIOD_US) == 100_000
+
+
+def test_room_is_what_still_arrives_in_time_behind_what_is_on_its_way() -> None:
+    budget, waiting = ByteBudget(queue_ms=100.0), tile(20_000)
+    assert budget.room(50_000, PERIOD_US, 8e6, 0) == 50_000
+    assert budget.room(900_000, PERIOD_US, 8e6, 0) == 200_000, "never more delay than is allowed"
+    assert budget.room(-1, PERIOD_US, 8e6, 0) == 0
+    budget.planned(waiting, 0)
+    assert budget.room(50_000, PERIOD_US, 8e6, 0) == 30_000
+    assert budget.room(10_000, PERIOD_US, 8e6, 0) == 0
+    budget.settled(waiting)
+    assert budget.room(10_000, PERIOD_US, 8e6, 0) == 10_000
+
+
+def test_a_base_layer_that_is_too_large_goes_where_the_link_has_room_at_all() -> None:
+    budget = ByteBudget(queue_ms=100.0)
+    assert budget.room(10_000, PERIOD_US, 8e6, 70_000) == 70_000
+    budget.planned(tile(10_001), 0)
+    assert budget.room(10_000, PERIOD_US, 8e6, 70_000) == 0, "one after the other"
+
+
+def test_detail_leaves_room_for_the_base_layers_that_will_overtake_it() -> None:
+    budget = ByteBudget(queue_ms=1_000.0)
+    for _ in range(60):
+        base = tile(8_000)
+        budget.planned(base, 0)
+        budget.settled(base)
+        budget.close(0, 8e6)
+    assert budget.room(300_000, PERIOD_US, 8e6, 0) == pytest.approx(300_000 - 2 * 8_000, abs=50)
+    for _ in range(60):
+        budget.close(0, 8e6)
+    assert budget.room(300_000, PERIOD_US, 8e6, 0) == pytest.approx(300_000, abs=50), "a scene that stands still"

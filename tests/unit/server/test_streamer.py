@@ -10,9 +10,9 @@ from cags_protocol import events as ev
 from cags_protocol.messages import Blob, FrameEnd, HeldTile, ReferenceFrame, TileLayers
 from cags_server.bandwidth import MeasuredEstimator
 from cags_server.settings import ServerSettings
-from cags_server.streamer import Streamer
+from cags_server.streamer import MESSAGE_OVERHEAD_BYTES, Streamer
 from support.server_scene import CLIENT, FPS, SETTINGS, hello, library
-from support.streamer_rig import OFFSET_US, Rig, of
+from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
 
 def test_the_opening_is_codebooks_then_base_layers_then_the_first_frames_end() -> None:
@@ -112,23 +112,32 @@ def test_dropped_and_evicted_layers_are_sent_again() -> None:
     assert (0, 1, 1) in {(m.frame, m.tile, m.from_lod) for m in of(TileLayers, rig.step())}
 
 
-def test_a_tile_that_waited_past_its_display_gives_way_to_newer_splats() -> None:
-    rig = Rig(splats=3)  # the splat that changes in frame 1 changes again in frame 4
+def test_a_tile_that_waited_past_its_display_is_chosen_anew() -> None:
+    rig = Rig()
     rig.play()
     opening = [each for each in rig.opening if isinstance(each.message, TileLayers)]
-    planned = [rig.step() for _ in range(4)]
-    waiting = next(o for out in planned for o in out if isinstance(o.message, TileLayers) and o.message.frame == 1)
-    assert waiting.deadline_us is not None
-    displayed_us = waiting.deadline_us - int(SETTINGS.tile_deadline_ms * 1000)
-    assert not rig.streamer.superseded(waiting, displayed_us), "nothing newer is on its way"
-    newest = rig.step(deliver=False)
-    assert 4 in {m.frame for m in of(TileLayers, newest)}
-    assert rig.streamer.superseded(waiting, displayed_us)
-    assert not rig.streamer.superseded(waiting, displayed_us - 1), "its own frame is still to be displayed"
-    for each in newest:
-        rig.streamer.on_event(ev.Dropped(each, "stale", 0, 0), 0)
-    assert not rig.streamer.superseded(waiting, displayed_us), "what replaces it was lost"
-    assert not any(rig.streamer.superseded(each, displayed_us) for each in opening + newest)
+    rig.step()
+    waiting = [each for each in rig.step(deliver=False) if isinstance(each.message, TileLayers)]
+    assert waiting
+    for each in waiting:
+        assert each.deadline_us is not None
+        displayed_us = each.deadline_us - int(SETTINGS.tile_deadline_ms * 1000)
+        assert rig.streamer.outdated(each, displayed_us)
+        assert not rig.streamer.outdated(each, displayed_us - 1), "its own frame is still to be displayed"
+    assert not any(rig.streamer.outdated(each, 10**12) for each in opening), "a first picture is never taken back"
+
+
+def test_no_more_is_chosen_than_arrives_before_the_display() -> None:
+    late = replace(SETTINGS, tile_deadline_ms=60_000.0)
+    rig = Rig(settings=late, initial_bps=64_000)
+    rig.play()
+    for _ in range(8):  # nothing is acknowledged: all of it stays on its way
+        rig.step(deliver=False)
+    records = rig.streamer.stats.records
+    on_the_way = sum(record.tile_bytes for record in records)
+    dearest = max(max(tile.lod_bytes) for tile in library().entry(0).tiles) + MESSAGE_OVERHEAD_BYTES
+    assert on_the_way <= 64_000 * (late.queue_ms + PERIOD_US / 1e3) / 8e3 + dearest
+    assert records[-1].budget_bytes == 0
 
 
 def test_the_budget_is_kept() -> None:

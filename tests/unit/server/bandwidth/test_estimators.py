@@ -1,6 +1,7 @@
 import pytest
 
 from cags_protocol.events import AckSample
+from cags_protocol.limits import PACKET_BYTES
 from cags_server.bandwidth import MeasuredEstimator, OracleEstimator
 
 RTT_US = 40_000
@@ -60,6 +61,34 @@ def test_sending_what_the_estimate_allows_finds_a_faster_link_within_two_seconds
     for t in range(505, 2505, 50):
         idle(estimator, min(50.0, allowance(estimator)), t, 50)
     assert mbps(estimator) > 40
+
+
+def test_a_fall_is_seen_even_while_little_is_sent() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    busy(estimator, 20, 5, 1000)
+    for t in range(1005, 1505, 5):  # what waits now was sent when the link was idle
+        rtt_us = RTT_US + 200_000
+        estimator.on_ack(AckSample(t * 1000, 1250, rtt_us, True, delivery_rate_bps=2e6 * 200 / 240))
+    assert mbps(estimator) == pytest.approx(2, rel=0.1)
+    idle(estimator, 0.5, 1505, 1000)
+    assert mbps(estimator) == pytest.approx(2, rel=0.1), "without a queue, little sent shows nothing"
+
+
+def test_a_link_that_falls_silent_carries_less_than_a_packet_in_that_time() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    busy(estimator, 20, 5, 1000)
+    newest = AckSample(1_005_000, 12_500, RTT_US, False, delivery_rate_bps=20e6, in_flight_bytes=30_000)
+    estimator.on_ack(newest)
+    at_once = estimator.estimate_bps(newest.now_us + RTT_US)
+    assert at_once == pytest.approx(20e6, rel=0.05)
+    later = [estimator.estimate_bps(newest.now_us + ms * 1000) for ms in (200, 400, 900)]
+    assert later[0] > later[1] > later[2]
+    assert later[2] < PACKET_BYTES * 8 / 0.8
+    assert estimator.allowance_bps(newest.now_us + 900_000) <= 1.2 * later[2]
+    estimator.on_ack(AckSample(4_100_000, 12_500, RTT_US, True, delivery_rate_bps=1e6))
+    assert estimator.estimate_bps(9_000_000) == pytest.approx(20e6, rel=0.05), "nothing is on its way: no silence"
 
 
 def test_samples_without_a_rate_change_nothing() -> None:

@@ -1,0 +1,17 @@
+"""What the server knows of a scene: how long a splat stays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from support.server_scene import library
+
+
+def test_frames_left_are_those_until_the_media_replaces_a_splat() -> None:
+    scene = library(splats=3)  # frame n changes splat n % 3, frame 2 removes splat 2
+    assert scene.manifest.gof_frames(0)[-1] >= 4
+    every = np.ones(scene.manifest.capacity[0], np.float32)
+    left = {(tile.frame, tile.tile): tile.frames_left for tile in scene.visible_tiles(1, every, 0.5)}
+    assert left[1, 0] == 3.0, "splat 1, which comes again in frame 4"
+    of_key_frame = [value for (frame, _), value in left.items() if frame == 0]
+    assert sorted(of_key_frame) in ([1.0, 2.0], [1.5]), "splat 0 goes in frame 3, splat 2 in frame 2"
