@@ -62,8 +62,8 @@ class ByteBudget:
     def room(self, spare_us: float, period_us: float, link_bps: float, dearest_bytes: int) -> int:
         """Bytes that will still arrive within ``spare_us`` behind all that is on its way over ``link_bps``.
 
-        Never more than the allowed delay and a frame's ``period_us`` hold. Base layers and references of the frames that
-        are planned meanwhile go ahead, as many as of late. Where anything arrives in time, there is room for
+        Never more than the allowed delay and a frame's ``period_us`` hold. Base layers and references of the frames
+        that are planned meanwhile go ahead, as many as of late. Where anything arrives in time, there is room for
         ``dearest_bytes`` at least, those of the dearest new base layer, which nothing overtakes.
         """
         within_us = min(max(spare_us, 0.0), self._queue_ms * 1e3 + period_us)

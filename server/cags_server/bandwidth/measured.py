@@ -5,9 +5,9 @@ while the server had nothing more to send shows what was sent, not what the link
 never lower it, so the estimate cannot spiral down with the traffic it causes. Samples that had a queue behind them
 are the link's own rate; their mean over two round trips replaces the estimate, in both directions.
 
-A link that falls silent tells nothing more, but not nothing: while bytes are on their way, and no packet has arrived for
-longer than round trips take and jump about, it carries less than a packet in that time. Without that, the estimate of a
-link in an outage stays where it was, and what is sent by it waits in front of all that comes later.
+A link that falls silent says something, too: while bytes are on their way, and no packet has arrived for longer than
+round trips take and jump about, it carries less than a packet in that time. Without that, the estimate of a link in an
+outage stays where it was, and what is sent by it waits in front of all that comes later.
 
 Nothing shows that a link has become faster but sending more: while no queue stands, the estimate handed out exceeds
 what was measured by a gain, doubled at the start of a session until a queue is first seen (as BBR's start-up does).
