@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import cv2
 import numpy as np
 
 from cags_client.actions import Present
@@ -15,7 +16,7 @@ from cags_client.pipeline import PresentedFrame
 from cags_client.play_stats import PlayStats
 from cags_client.score import averages
 from cags_common.effects import Effect, tally
-from cags_common.geometry import angle_between
+from cags_common.geometry import F32, angle_between
 
 STAGE = "ms_"
 """Prefix of a record's stage times."""
@@ -34,7 +35,7 @@ def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> di
         "bytes_tiles": action.traffic.tiles_bytes,
         "bytes_reference": action.traffic.reference_bytes,
         "reference_frame": reference.frame if reference else None,
-        "aligned_share": float(np.mean(presented.aligned.confidence > 0)) if presented.aligned else 0.0,
+        "aligned_share": _share(presented.aligned.confidence) if presented.aligned else 0.0,
     }
     if reference is not None:
         there, here = reference.camera.pose, presented.camera.pose
@@ -44,6 +45,11 @@ def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> di
     record["effects"] = sorted(presented.effects.on)
     record |= {f"{STAGE}{stage}": value for stage, value in presented.stages_ms.items()}
     return record
+
+
+def _share(confidence: F32) -> float:
+    """Of the pixels [H, W] that the aligned reference says anything about: counted between two pictures, so quickly."""
+    return cv2.countNonZero(confidence) / confidence.size
 
 
 def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
