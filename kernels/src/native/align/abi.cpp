@@ -132,7 +132,7 @@ Blocks registration(const CagsCorrectInput& in, const Padded& fields, const Padd
   const Agreement all = mean_of(rows);
   const float power = static_cast<float>(all.power);
   const float share = own_share(all);
-  const size_t line = 2 * size_t(blocks.width) + 2;
+  const size_t line = 2 * size_t(blocks.width) + 2 * kAround;
   float* lines = scratch.lines.reserve(line * threads);
   for_rows(threads, blocks.height, [&](int row, int worker) {
     stages().settle(in, row, power, share, blocks, lines + line * worker);

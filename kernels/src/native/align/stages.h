@@ -48,6 +48,9 @@ struct Blocks {
   float* weight;            // [height, width]: of the correction
 };
 
+// Disagreement is averaged over kWindow x kWindow blocks before it is squared.
+constexpr int kAround = 3, kWindow = 2 * kAround + 1;
+
 // Sums over the blocks of a row that are seen: of the correction's power, and of the disagreement.
 struct Agreement {
   double power, away[3];
@@ -73,7 +76,7 @@ struct Stages {
   // One row of blocks: disagreement, and its sums and the correction's power's added to `agreement`.
   void (*compare)(const CagsCorrectInput&, const Padded& fields, const Padded& own, int row, const Blocks& blocks,
                   Agreement& agreement);
-  // One row of blocks: weights, given the mean power of the correction. `line` [2 blocks.width + 2] is scratch.
+  // One row of blocks: weights, given the mean power of the correction. `line` [2 blocks.width + 2 kAround] is scratch.
   void (*settle)(const CagsCorrectInput&, int row, float power, float share, const Blocks& blocks, float* line);
   // One row of a carried reference: horizontal sums [height, kPowers, width] of its powers, their means, and itself, given
   // the power that is too much of a correction. `line` [kPowers, width + 2 radius] is scratch.

@@ -66,31 +66,39 @@ void compare(const CagsCorrectInput& in, const Padded& fields, const Padded& own
   }
 }
 
-// Adds the squared sums over 3 x 3 blocks of one colour's disagreement, `lines` those of three rows, to `wrong`.
+// Adds the squared sums over kWindow x kWindow blocks of one colour's disagreement, `lines` those of the rows, to `wrong`.
+// `down` is kAround wider on either side, where the outermost blocks hold on.
 inline void add_wrong(const float* const* lines, int width, float* __restrict down, float* __restrict wrong) {
-  for (int i = 0; i < width; i++) down[i + 1] = lines[0][i] + lines[1][i] + lines[2][i];
-  down[0] = down[1], down[width + 1] = down[width];
+  float* __restrict inner = down + kAround;
+  std::copy_n(lines[0], width, inner);
+  for (int l = 1; l < kWindow; l++) {
+    for (int i = 0; i < width; i++) inner[i] += lines[l][i];
+  }
+  std::fill_n(down, kAround, inner[0]);
+  std::fill_n(inner + width, kAround, inner[width - 1]);
   for (int i = 0; i < width; i++) {
-    const float sum = down[i] + down[i + 1] + down[i + 2];
+    float sum = down[i];
+    for (int j = 1; j < kWindow; j++) sum += down[i + j];
     wrong[i] += sum * sum;
   }
 }
 
-// `share` of the correction that is not an error of the alignment. `line` [2 width + 2] is scratch.
+// `share` of the correction that is not an error of the alignment. `line` [2 width + 2 kAround] is scratch.
 void settle(const CagsCorrectInput& in, int row, float power, float share, const Blocks& blocks, float* line) {
+  constexpr float kSquaredCount = static_cast<float>(kWindow * kWindow) * (kWindow * kWindow);
   const int width = blocks.width;
-  float* wrong = line + width + 2;
+  float* wrong = line + width + 2 * kAround;
   std::fill_n(wrong, width, 0.0f);
   for (int c = 0; c < 3; c++) {
-    const float* lines[3];
-    for (int i = 0; i < 3; i++) {
-      const int y = c * blocks.height + std::clamp(row + i - 1, 0, blocks.height - 1);
+    const float* lines[kWindow];
+    for (int i = 0; i < kWindow; i++) {
+      const int y = c * blocks.height + std::clamp(row + i - kAround, 0, blocks.height - 1);
       lines[i] = blocks.disagreement + int64_t{y} * width;
     }
     add_wrong(lines, width, line, wrong);
   }
   float* __restrict weight = blocks.weight + int64_t{row} * width;
-  for (int i = 0; i < width; i++) weight[i] = share * power / (power + in.misregistration * wrong[i] / 81.0f);
+  for (int i = 0; i < width; i++) weight[i] = share * power / (power + in.misregistration * wrong[i] / kSquaredCount);
 }
 
 // Pixels that are not in the reference have no confidence; the field's corner that they read is multiplied by it.
