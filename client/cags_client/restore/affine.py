@@ -226,7 +226,11 @@ def registration(inputs: RestoreInput, own: F32, fields: F32, misregistration: f
     seen = (c > 0) & (np.square(mean).sum(axis=2) + np.square(there).sum(axis=2) > VOID_POWER)
     worth = np.float32(max(power[seen].mean(dtype=np.float64) if seen.any() else 0.0, LEAST_POWER))
     away = np.asarray(c[..., None] * (mean - there), np.float32)
-    wrong = np.square(cv2.blur(away, (WINDOW_BLOCKS,) * 2, borderType=cv2.BORDER_REPLICATE)).reshape(*c.shape, 3).sum(axis=2)
+    wrong = (
+        np.square(cv2.blur(away, (WINDOW_BLOCKS,) * 2, borderType=cv2.BORDER_REPLICATE))
+        .reshape(*c.shape, 3)
+        .sum(axis=2)
+    )
     veil = np.square(away[seen].mean(axis=0, dtype=np.float64)).sum() if seen.any() else 0.0
     share = np.float32(1 / (1 + (VEIL_WEIGHT * veil / float(worth)) ** 2))
     weight = share * worth / (worth + np.float32(misregistration) * wrong)
