@@ -102,9 +102,9 @@ void resolve(const CagsAlignInput& in, const Padded& reference, const Occlusion&
 uint64_t clean(const CagsAlignInput& in, const uint8_t* occluded, const uint8_t* shared, int row, int first, int count) {
   Projected p;
   if (!project(in.view, row, first, 1, count, p)) return 0;
-  uint8_t flags[kWord];
+  uint8_t flags[kWord] = {};
   for (int i = 0; i < count; i++) flags[i] = p.inside[i] & !(occluded[i] | shared[p.cell[i]]);
-  return word_of(flags, count);
+  return word_of(flags, kWord);
 }
 
 }  // namespace
