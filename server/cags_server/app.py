@@ -22,6 +22,7 @@ from cags_protocol.messages import Hello
 from cags_server.admission import HANDSHAKES_BEYOND_CLIENTS, origin_allowed, tls_context, token_allowed
 from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
+from cags_server.event_file import EventFile
 from cags_server.library import SceneLibrary
 from cags_server.looks import Looks
 from cags_server.metrics import Totals, exposition
@@ -99,7 +100,8 @@ class App:
             request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
         )
         name = f"s{next(self._names)}"
-        connection = self._connection(name, request.headers.get("Authorization"))
+        events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
+        connection = self._connection(name, request.headers.get("Authorization"), events)
         task = ClientTask(transport, connection, self._executor, slow_s=self._settings.slow_s)
         self._clients[name] = task, connection
         self._empty.clear()
@@ -108,6 +110,8 @@ class App:
             await task.run()
         finally:
             self._leave(name, connection)
+            if events is not None:
+                events.close()
         return transport.response
 
     def _refusal(self, request: web.Request) -> web.Response | None:
@@ -121,7 +125,7 @@ class App:
             return web.json_response({"error": "too many connections; try again later"}, status=503)
         return None
 
-    def _connection(self, name: str, header: str | None) -> Connection:
+    def _connection(self, name: str, header: str | None, events: EventFile | None) -> Connection:
         settings = self._settings
         session = ServerSessionSettings(
             timers=SessionTimers(idle_us=round(settings.idle_s * 1e6)),
@@ -143,6 +147,7 @@ class App:
             session_settings=session,
             admit=admit,
             looks=self._looks,
+            trace=None if events is None else events.trace,
             quotas=Quotas(messages=settings.max_message_rate, poses=settings.max_pose_rate),
         )
 

@@ -13,11 +13,22 @@ from cags_server.records import FrameRecord
 MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
 """Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""
 
-AHEAD_SMOOTHING = 0.2
-"""Weight of the newest frame in the mean of what goes ahead of detail."""
+SMOOTHING = 0.2
+"""Weight of the newest frame in the means of what overtakes."""
 
 MAX_BUDGET_TICKS = 4
 """A stretch of skipped frames earns at most the budget of so many."""
+
+
+class _PerFrame:
+    """Bytes of one kind that a frame brings: the mean of late, and this one's."""
+
+    def __init__(self) -> None:
+        self.mean_bytes, self.now_bytes = 0.0, 0
+
+    def end(self) -> None:
+        self.mean_bytes += SMOOTHING * (self.now_bytes - self.mean_bytes)
+        self.now_bytes = 0
 
 
 class ByteBudget:
@@ -29,10 +40,7 @@ class ByteBudget:
         self._outstanding_bytes = 0
         self._saved_bytes = 0
         self._travelling: dict[int, int] = {}  # tiles queued and not settled: identity -> when, oldest first
-        self._ahead_bytes, self._ahead_now = (
-            0.0,
-            0,
-        )  # of base layers and references a frame: usually, since the last one
+        self._references, self._bases = _PerFrame(), _PerFrame()
 
     def planned(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was handed to the session."""
@@ -40,8 +48,9 @@ class ByteBudget:
         message = outgoing.message
         if isinstance(message, TileLayers):
             self._travelling[id(outgoing)] = now_us
-        if isinstance(message, ReferenceFrame) or (isinstance(message, TileLayers) and message.from_lod == 0):
-            self._ahead_now += len(outgoing.payload)
+            self._bases.now_bytes += len(outgoing.payload) if message.from_lod == 0 else 0
+        elif isinstance(message, ReferenceFrame):
+            self._references.now_bytes += len(outgoing.payload)
 
     def settled(self, outgoing: ev.Outgoing) -> None:
         """A message was delivered or dropped."""
@@ -63,17 +72,20 @@ class ByteBudget:
         """Bytes that will still arrive within ``spare_us`` behind all that is on its way over ``link_bps``.
 
         Never more than the allowed delay and a frame's ``period_us`` hold. Base layers and references of the frames
-        that are planned meanwhile go ahead, as many as of late. Where anything arrives in time, there is room for
-        ``dearest_bytes`` at least, those of the dearest new base layer, which nothing overtakes.
+        that are planned meanwhile go ahead, as many as of late. Only references overtake a base layer: there is room
+        for ``dearest_bytes``, the dearest new one's, if it arrives in time itself, or never could.
         """
         within_us = min(max(spare_us, 0.0), self._queue_ms * 1e3 + period_us)
-        arriving = int(link_bps * within_us / 8e6) - self._outstanding_bytes
-        overtaking = int(max(within_us / period_us - 1, 0.0) * self._ahead_bytes)
-        return max(arriving - overtaking, dearest_bytes) if arriving > 0 else 0
+        at_most = int(link_bps * within_us / 8e6)
+        arriving = at_most - self._outstanding_bytes
+        frames = max(within_us / period_us - 1, 0.0)  # that are planned meanwhile
+        for_bases = arriving - int(frames * self._references.mean_bytes)
+        fits = dearest_bytes <= for_bases or dearest_bytes > at_most
+        return max(for_bases - int(frames * self._bases.mean_bytes), dearest_bytes * fits) if arriving > 0 else 0
 
     def close(self, left_bytes: int, allowed_bps: float) -> None:
         """The frame is planned; what it left is saved, up to a bound."""
-        self._ahead_bytes += AHEAD_SMOOTHING * (self._ahead_now - self._ahead_bytes)
-        self._ahead_now = 0
+        self._references.end()
+        self._bases.end()
         most = max(allowed_bps * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
         self._saved_bytes = min(max(0, left_bytes), int(most))

@@ -15,6 +15,7 @@ from cags_protocol import events as ev
 from cags_protocol.inventory import unpack_inventory
 from cags_protocol.messages import Buffer, Hello
 from cags_protocol.server import ServerSessionSettings
+from cags_protocol.tracing import EventTrace
 from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
 from cags_server.library import SceneLibrary
 from cags_server.looks import Looks
@@ -43,10 +44,14 @@ class Connection:
         admit: Admission | None = None,
         quotas: Quotas | None = None,
         looks: Looks | None = None,
+        trace: EventTrace | None = None,
     ) -> None:
-        """``looks``: the renderer's places, shared with other clients; without them there is always room."""
+        """``looks``: the renderer's places, shared with other clients; without them there is always room.
+
+        ``trace`` hears of every step of sending.
+        """
         self.name = name
-        self.session = ServerSession(session_settings, now_us=now_us)
+        self.session = ServerSession(session_settings, now_us=now_us, trace=trace)
         self.streamer: Streamer | None = None
         self.ending: ev.Closed | None = None
         """How the session ended; None while it goes on."""

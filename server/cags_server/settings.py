@@ -79,6 +79,7 @@ class ServeSettings(ServerSettings):
     idle_s: float = setting(15.0, "time without a message after which a client is dropped, s", low=0.5, high=3600.0)
     slow_s: float = setting(10.0, "time a client may take to accept one packet, s", low=0.5, high=3600.0)
     session_logs: str = setting("", "folder for one JSON-lines file a session; none when empty")
+    event_traces: str = setting("", "folder for a trace of every step of sending, a file a session; none when empty")
     log_format: str = setting("text", "format of the log on stderr", choices=("text", "json"))
     drain_s: float = setting(2.0, "time for goodbyes when the server is stopped, seconds", low=0.0, high=600.0)
 

@@ -2,8 +2,9 @@
 
 A trace is a list of delivery opportunities: at each, the link carries up to 1,504 bytes (Netravali et al., "Mahimahi",
 USENIX ATC 2015). A mahimahi file has one line an opportunity, its time in whole milliseconds, never falling; the trace
-repeats after its last line. Rate tables (``time_s,mbps``, Pensieve's ``time mbps``) are converted: an opportunity comes
-in the millisecond in which the integral of the rate has brought another 1,504 bytes.
+repeats after its last line. Rate tables (``time_s,mbps``, Pensieve's ``time mbps``, 5Gophers' and Lumos5G's tables of
+many columns) are converted: an opportunity comes in the millisecond in which the integral of the rate has brought
+another 1,504 bytes.
 """
 
 from __future__ import annotations
@@ -29,6 +30,10 @@ NEVER_US = 2**62
 
 MAX_FILE_BYTES = 256 * 1024 * 1024
 MAX_DURATION_S = 3 * 3600.0
+HEADINGS = (("time_s", "mbps"), ("seq_num", "throughput_mbps"), ("seq_num", "throughput"))
+"""Columns of time (seconds) and rate (Mbps) in a table with a heading: our own, 5Gophers' (Narayanan et al., WWW 2020),
+Lumos5G's (the same authors, IMC 2020). Their tables of several runs must be cut into files of one.
+"""
 MAX_MBPS = 100_000.0
 
 
@@ -179,9 +184,9 @@ def _mahimahi_times(file: Path, lines: Iterable[tuple[int, str]]) -> array[int]:
 def _read_rates(file: Path, lines: Sequence[tuple[int, str]], loop: bool) -> Trace:
     times: list[float] = []
     rates: list[float] = []
-    rows = lines[1:] if lines[0][1].replace(" ", "").lower() == "time_s,mbps" else lines
-    for number, line in rows:
-        time, rate = _rate_row(file, number, line)
+    columns = _columns(lines[0][1])
+    for number, line in lines if columns is None else lines[1:]:
+        time, rate = _rate_row(file, number, line, columns)
         if times and time <= times[-1]:
             raise TraceError(f"{file}:{number}: time {time:g} s comes after {times[-1]:g} s; times must rise")
         if time - (times[0] if times else time) > MAX_DURATION_S:
@@ -195,10 +200,22 @@ def _read_rates(file: Path, lines: Sequence[tuple[int, str]], loop: bool) -> Tra
     return trace_of_rates(file.name, [t - start for t in times], rates, end, loop=loop)
 
 
-def _rate_row(file: Path, number: int, line: str) -> tuple[float, float]:
+def _columns(heading: str) -> tuple[int, int, int] | None:
+    """Where a table's heading puts time and rate, and its number of columns; None: it has no heading that is known."""
+    names = heading.replace(" ", "").lower().split(",")
+    for time, rate in HEADINGS:
+        if names.count(time) == names.count(rate) == 1:
+            return names.index(time), names.index(rate), len(names)
+    return None
+
+
+def _rate_row(file: Path, number: int, line: str, columns: tuple[int, int, int] | None) -> tuple[float, float]:
+    at_time, at_rate, count = columns or (0, 1, 2)
     parts = line.split(",") if "," in line else line.split()
     try:
-        time, rate = (float(part) for part in parts)
+        if len(parts) != count:
+            raise ValueError(f"{len(parts)} columns, not {count}")
+        time, rate = float(parts[at_time]), float(parts[at_rate])
     except ValueError:
         raise TraceError(f"{file}:{number}: {line!r:.40} is not a row `time_s,mbps`") from None
     if not 0 <= time < 1e12 or not 0 <= rate <= MAX_MBPS:  # NaN fails too

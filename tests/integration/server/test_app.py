@@ -19,6 +19,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import NameOID
 
 from cags_bench.network.clients import watch_all
+from cags_bench.network.plot import plot_session
 from cags_common.errors import NetworkError
 from cags_common.geometry import Pose
 from cags_common.transport.websocket import connect
@@ -237,3 +238,18 @@ async def test_a_session_is_logged(tmp_path: Path) -> None:
     assert lines[0]["format"] == "cags-session"
     assert all(line["reference_bytes"] >= 0 for line in lines[1:-1])
     assert lines[-1]["ending"]["code"] == "bye"
+
+
+async def test_every_step_of_sending_is_traced_and_can_be_drawn(tmp_path: Path) -> None:
+    async with serving(event_traces=str(tmp_path)) as (_, server):
+        client = await Client.join(server)
+        await client.play()
+        await client.transport.close()
+        stranger = await connect(stream_url(server), subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
+        await stranger.close()
+    path = tmp_path / "s1.events.jsonl"
+    assert not (tmp_path / "s2.events.jsonl").exists(), "one who never said hello leaves no file"
+    header, *events = [json.loads(line) for line in path.read_text().splitlines()]
+    assert header["trace"] == "cags-session"
+    assert {"queued", "sent", "acked", "delivered", "closed"} <= {event["event"] for event in events}
+    assert plot_session(path).exists()

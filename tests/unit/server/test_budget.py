@@ -72,10 +72,13 @@ def test_room_is_what_still_arrives_in_time_behind_what_is_on_its_way() -> None:
     assert budget.room(10_000, PERIOD_US, 8e6, 0) == 10_000
 
 
-def test_a_base_layer_that_is_too_large_goes_where_the_link_has_room_at_all() -> None:
+def test_a_base_layer_goes_if_it_arrives_in_time_or_never_could() -> None:
     budget = ByteBudget(queue_ms=100.0)
+    assert budget.room(10_000, PERIOD_US, 8e6, 70_000) == 70_000, "late is better than never"
+    budget.planned(tile(6_000), 0)
     assert budget.room(10_000, PERIOD_US, 8e6, 70_000) == 70_000
-    budget.planned(tile(10_001), 0)
+    assert budget.room(10_000, PERIOD_US, 8e6, 9_000) == 4_000, "in time with a later frame"
+    budget.planned(tile(4_001), 0)
     assert budget.room(10_000, PERIOD_US, 8e6, 70_000) == 0, "one after the other"
 
 

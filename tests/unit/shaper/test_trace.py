@@ -48,6 +48,18 @@ def test_pensieve_files_are_read(tmp_path):
     assert read_trace(write(tmp_path, "0.0 12.032\n0.5\t12.032\n")).opportunities == 1000
 
 
+def test_5gophers_and_lumos5g_tables_are_read(tmp_path):
+    heading = "protocol,num_tcp_conn,seq_num,anonymized_mCid,radio_type,throughput_mbps,nrStatus,primitive_handoff_type"
+    gophers = f"{heading}\nTCP,8,1,3,4G,12.032,NOT_RESTRICTED,\nTCP,8,2,3,5G,24.064,CONNECTED,P2\n"
+    lumos = "run_num,seq_num,latitude,Throughput,tower_id\n1,7,44.97,12.032,0\n1,8,44.97,24.064,1\n"
+    for text in (gophers, lumos):
+        trace = read_trace(write(tmp_path, text))
+        assert trace.period_ms == 2000
+        assert (trace.count_until(1_000_000), trace.count_until(2_000_000)) == (1000, 3000)
+    with pytest.raises(TraceError, match=":2: 'TCP,8,1' is not a row"):
+        read_trace(write(tmp_path, f"{heading}\nTCP,8,1\n"))
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

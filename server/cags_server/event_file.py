@@ -1,0 +1,53 @@
+"""The event trace of one session as a file: every step of sending, a JSON line each, for ``cags-bench network --plot``.
+
+Written as it happens, unlike the session log, which remembers frames and is written at the end.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import TextIO
+
+from cags_protocol.tracing import EventTrace, Record
+
+MAX_BYTES = 64 * 1024 * 1024
+"""A trace ends there: a line a packet of 8 KiB comes to that after about two gigabytes of stream."""
+
+log = logging.getLogger(__name__)
+
+
+class EventFile:
+    """``NAME.events.jsonl`` in ``folder``; made with the first message that is queued, so not for who is refused."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.path = folder / f"{name}.events.jsonl"
+        self._file: TextIO | None = None
+        self._left = MAX_BYTES
+        self._header: Record = {}
+        self.trace = EventTrace(self._take, name)
+        """What the session is given."""
+
+    def close(self) -> None:
+        """The session is over."""
+        self._left = 0
+        if self._file is not None:
+            self._file.close()
+
+    def _take(self, record: Record) -> None:
+        if not self._header:
+            self._header = record
+        elif self._left > 0 and (self._file is not None or record["event"] == "queued"):
+            try:
+                self._write(record)
+            except OSError as error:  # a full disk is no reason to end a stream
+                self._left = 0
+                log.warning("%s: cannot be written (%s); the trace ends here", self.path, error.strerror)
+
+    def _write(self, record: Record) -> None:
+        if self._file is None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("w", encoding="utf-8")
+            self._file.write(json.dumps(self._header) + "\n")
+        self._left -= self._file.write(json.dumps(record) + "\n")
