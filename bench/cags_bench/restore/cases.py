@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,6 +16,7 @@ from cags_client.align import ReferencePicture
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
+from cags_common.errors import ConfigError
 from cags_common.geometry import F32, F64, Camera, Intrinsics, Pose, angle_between
 from cags_common.metrics import covered_mask
 from cags_common.poses import Focus, PoseTrace, open_poses
@@ -31,7 +32,10 @@ FIRST_US = 1_700_000
 """The first view: a predictor has a history by then."""
 
 VIEW_PERIOD_US = 1_700_000
-"""Least time between two views; a recorded walk is spread over its whole length."""
+"""Time between the moments of a walk that may be looked at; those that are lie over all of it."""
+
+LEAST_COVERED, GLANCE_PX = 0.05, 64
+"""Share of a glance's pixels that the scene must cover: people look away from it too, and then nothing is restored."""
 
 HISTORY_US = 1_500_000
 POSE_PERIOD_US = 1_000_000 // 60
@@ -76,6 +80,21 @@ class Cases:
             self._held = {share: rasteriser.load(splats) for share, splats in self._splats.items()}
         self._walk = open_poses(conditions.poses, Focus(m.focus_centre, m.focus_radius, m.up))
         self._options = RenderOptions(threads=conditions.threads)
+        self._moments = spread(self._looking(), conditions.views)
+
+    def _looking(self) -> list[int]:
+        """Moments of the walk in microseconds at which the scene is in view. Raises :class:`ConfigError`."""
+        c, last = self._conditions, FIRST_US + (self._conditions.views - 1) * VIEW_PERIOD_US
+        fov = math.radians(c.fov)
+        glance = Intrinsics.of_fov(GLANCE_PX, GLANCE_PX, fov, fov)
+        found = []
+        for t_us in range(FIRST_US, max(last, self._walk.duration_us) + 1, VIEW_PERIOD_US):
+            seen = self._truth.render(Camera(glance, self._walk.pose_at(t_us), self._manifest.near), self._options)
+            if covered_mask(seen.alpha).mean() >= LEAST_COVERED:
+                found.append(t_us)
+        if not found:
+            raise ConfigError(f"poses {c.poses}: never see {c.scene}; give another walk")
+        return found
 
     def __len__(self) -> int:
         c = self._conditions
@@ -83,13 +102,13 @@ class Cases:
 
     def __iter__(self) -> Iterator[Case]:
         for size in self._conditions.size_list:
-            for view, t_us in enumerate(moments(self._walk, self._conditions.views)):
+            for view, t_us in enumerate(self._moments):
                 for error in self._conditions.error_list:
                     yield from self._of_view(size, view, t_us, error)
 
     def first(self, size: tuple[int, int], error: tuple[float, float]) -> Case:
         """The first view at the lowest LoD."""
-        return next(self._of_view(size, 0, FIRST_US, error))
+        return next(self._of_view(size, 0, self._moments[0], error))
 
     def _of_view(self, size: tuple[int, int], view: int, t_us: int, error: tuple[float, float]) -> Iterator[Case]:
         focal = size[0] / (2 * math.tan(math.radians(self._conditions.fov) / 2))
@@ -156,10 +175,10 @@ def supersampled(scene: RasterScene, client: Camera, there: Camera, kind: str, o
     return np.asarray(small, dtype=np.float32)
 
 
-def moments(walk: PoseTrace, views: int) -> list[int]:
-    """Times of ``views`` views in microseconds: every :data:`VIEW_PERIOD_US`, or over the whole of a longer walk."""
-    period_us = max(VIEW_PERIOD_US, (walk.duration_us - FIRST_US) // views)
-    return [FIRST_US + i * period_us for i in range(views)]
+def spread(times_us: Sequence[int], views: int) -> list[int]:
+    """``views`` of the times, evenly over all of them; from the first on again where there are fewer."""
+    count = len(times_us)
+    return [times_us[i * count // views if count >= views else i % count] for i in range(views)]
 
 
 def predicted_pose(walk: PoseTrace, t_us: int, fps: float) -> Pose:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from cags_bench.cli import main
+from cags_bench.restore import cases
+from cags_bench.restore.cases import spread
 from cags_bench.restore.checks import checks_of, gain, time_checks
 from cags_bench.restore.conditions import PREDICTED, Conditions
 from cags_common.errors import ConfigError
@@ -113,6 +115,17 @@ def test_align_times_the_other_stages_and_follows_a_recorded_walk(
     names = {c["name"] for c in last["checks"]}
     assert "pixels called occluded under an identity, 96x64" in names
     assert "affine: gain at the base LoD" in names
+
+
+def test_views_lie_over_all_moments_that_see_the_scene() -> None:
+    assert spread([1, 2, 3, 4, 5, 6], 3) == [1, 3, 5]
+    assert spread([1, 2], 3) == [1, 2, 1]
+
+
+def test_a_walk_that_never_sees_the_scene_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cases, "LEAST_COVERED", 1.1)
+    with pytest.raises(ConfigError, match="never see"):
+        cases.Cases(Conditions(scene=SMALL[1], cache=str(tmp_path)))
 
 
 def _write_walk(path: Path) -> None:
