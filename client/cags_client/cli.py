@@ -133,7 +133,7 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
     if spool is not None and truth is not None:
         _score(records, spool, truth, outputs)
     last = summary(records, playback.player.stats)
-    _report(outputs.json, [*records, last], info.frames - settings.start_frame)
+    _report(outputs.json, [*records, last], round(_seconds(settings, info) * info.fps))
     if playback.ended_by is None:
         return None
     print(f"{PROG}: ended by {playback.ended_by.name} after {len(records)} frames", file=sys.stderr)
@@ -204,10 +204,13 @@ def _tell_page(as_json: bool) -> Callable[[str], None]:
 
 
 def _window_us(settings: ClientSettings, info: Manifest) -> int:
+    return settings.start_delay_ms * 1000 + round(_seconds(settings, info) * 1e6)
+
+
+def _seconds(settings: ClientSettings, info: Manifest) -> float:
+    """Length of the play."""
     clip_s = (info.frames - settings.start_frame) / info.fps
-    if settings.duration is not None:
-        clip_s = min(clip_s, settings.duration)
-    return settings.start_delay_ms * 1000 + round(clip_s * 1e6)
+    return clip_s if settings.duration is None else min(clip_s, settings.duration)
 
 
 def _open_sinks(outputs: _Outputs, info: Manifest) -> tuple[list[FrameSink], ScoringSpool | None]:

@@ -18,9 +18,11 @@ class WholeFile:
     """
 
     def __init__(self, path: Path) -> None:
-        target = path.resolve() if path.is_symlink() else path
-        self._target: Path | None = None if _takes_bytes_as_they_come(target) else target
-        self.writing = target if self._target is None else target.with_name(f".{target.name}.{os.getpid()}.part")
+        self._target: Path | None = None
+        self.writing = path
+        if not _takes_bytes_as_they_come(path):
+            self._target = path.resolve() if path.is_symlink() else path
+            self.writing = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
 
     def keep(self) -> None:
         """It is whole: it takes its place."""
@@ -53,6 +55,18 @@ def write_whole(path: Path, data: bytes) -> None:
     """Write ``data``. Raises :class:`OutputError` for a place that cannot be written."""
     with whole_file(path) as writing:
         writing.write_bytes(data)
+
+
+def writable_folder(path: Path) -> Path:
+    """The folder, made where it is not there. Raises :class:`OutputError` unless files can be written in it."""
+    probe = path / ".cags-probe"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError.of(path, error) from error
+    return path
 
 
 def _takes_bytes_as_they_come(path: Path) -> bool:

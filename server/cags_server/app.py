@@ -14,7 +14,7 @@ from pathlib import Path
 
 from aiohttp import web
 
-from cags_common.errors import NetworkError
+from cags_common.errors import NetworkError, OutputError
 from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
@@ -161,7 +161,10 @@ class App:
         ending = connection.ending
         log.info("%s: left (%s)", name, f"{ending.code}: {ending.reason}" if ending else "lost")
         if self._settings.session_logs:
-            write_session(Path(self._settings.session_logs), name, connection.stats, ending)
+            try:
+                write_session(Path(self._settings.session_logs), name, connection.stats, ending)
+            except OutputError as error:  # a full disk is no reason to stop serving
+                log.warning("%s", error)
 
 
 async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int, App], None]) -> None:

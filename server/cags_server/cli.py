@@ -7,6 +7,7 @@ import logging
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
 
 from cags_common.cli import command_parser, run_command
 from cags_common.settings import add_settings, load_settings
@@ -40,6 +41,7 @@ def _serve(argv: Sequence[str]) -> None:
 
     from cags_common import raster
     from cags_common.bundle import BundleReader
+    from cags_common.files import writable_folder
     from cags_common.terminal import live_table, watched
     from cags_common.transport.tcp import host_port
     from cags_server.admission import tls_context
@@ -50,6 +52,8 @@ def _serve(argv: Sequence[str]) -> None:
 
     check_choices(settings)
     tls_context(settings.tls_cert, settings.tls_key)
+    if settings.session_logs:
+        writable_folder(Path(settings.session_logs))
 
     def ready(host: str, port: int, app: App) -> None:
         line = json.dumps({"ready": True, "host": host, "port": port})

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from cags_common.files import whole_file, writable_folder
 from cags_protocol.events import Closed
 from cags_server.records import StreamStats
 
@@ -13,10 +14,12 @@ FORMAT = "cags-session"
 
 
 def write_session(folder: Path, name: str, stats: StreamStats, ending: Closed | None) -> Path:
-    """Write what is remembered of a session; the first line describes the file, the last the session's end."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name}.jsonl"
-    with path.open("w", encoding="utf-8") as file:
+    """Write what is remembered of a session; the first line describes the file, the last the session's end.
+
+    Raises :class:`OutputError` where it cannot be written.
+    """
+    path = writable_folder(folder) / f"{name}.jsonl"
+    with whole_file(path) as writing, writing.open("w", encoding="utf-8") as file:
         head = {
             "format": FORMAT,
             "version": 1,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cags_client.pipeline import PresentedFrame
 from cags_client.present.base import FrameSink, FrameStats
 from cags_common.errors import OutputError
-from cags_common.files import WholeFile, write_whole
+from cags_common.files import WholeFile, writable_folder, write_whole
 from cags_common.geometry import F32
 
 MP4_CRF = 16
@@ -85,22 +85,11 @@ def open_save(spec: str, fps: float) -> FrameSink:
     return Mp4Sink(Path(spec), fps) if spec.endswith(".mp4") else PngSink(Path(spec))
 
 
-def _folder(path: Path) -> Path:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".cags-probe"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror}); give a folder that can") from error
-    return path
-
-
 class PngSink:
     """``frame_00012.png`` a shown frame. Raises :class:`OutputError` where the folder cannot be written."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = _folder(folder)
+        self._folder = writable_folder(folder)
 
     def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
         """See :class:`FrameSink`."""
@@ -117,7 +106,7 @@ class StagesSink:
     """
 
     def __init__(self, folder: Path, every: int) -> None:
-        self._folder, self._every = _folder(folder), every
+        self._folder, self._every = writable_folder(folder), every
         self._spool = PictureSpool()
         self._waiting: list[tuple[Path, Spooled]] = []
 

@@ -253,3 +253,19 @@ async def test_every_step_of_sending_is_traced_and_can_be_drawn(tmp_path: Path) 
     assert header["trace"] == "cags-session"
     assert {"queued", "sent", "acked", "delivered", "closed"} <= {event["event"] for event in events}
     assert plot_session(path).exists()
+
+
+async def test_a_log_that_cannot_be_written_does_not_end_the_server(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    gone = tmp_path / "gone"
+    gone.write_text("no folder")
+    async with serving(session_logs=str(gone)) as (_, server):
+        for _ in range(2):
+            client = await Client.join(server)
+            await client.play()
+            client.session.bye("done", now_us=now_us())
+            for data in client.session.data_to_send(now_us()):
+                await client.transport.send(data)
+            await client.transport.close()
+    assert caplog.text.count("gone: cannot be written") == 2

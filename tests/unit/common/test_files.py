@@ -3,6 +3,7 @@
 import os
 import stat
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -52,6 +53,18 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path):
     assert read == [b"through"]
     assert stat.S_ISFIFO(pipe.stat().st_mode)
     assert list(tmp_path.iterdir()) == [pipe]
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="needs /dev/fd")
+def test_an_open_pipe_by_its_name_is_written_to():
+    """As ``--json /dev/stdout`` and ``--json >(program)`` name it: a link to what is no path."""
+    out, into = os.pipe()
+    try:
+        write_whole(Path(f"/dev/fd/{into}"), b"through")
+        assert os.read(out, 100) == b"through"
+    finally:
+        os.close(out)
+        os.close(into)
 
 
 def test_a_device_is_not_replaced_though_its_folder_could_be_written(tmp_path):
