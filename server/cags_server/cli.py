@@ -52,8 +52,8 @@ def _serve(argv: Sequence[str]) -> None:
 
     check_choices(settings)
     tls_context(settings.tls_cert, settings.tls_key)
-    if settings.session_logs:
-        writable_folder(Path(settings.session_logs))
+    for folder in filter(None, (settings.session_logs, settings.event_traces)):
+        writable_folder(Path(folder))
 
     def ready(host: str, port: int, app: App) -> None:
         line = json.dumps({"ready": True, "host": host, "port": port})

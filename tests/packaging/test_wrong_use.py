@@ -48,6 +48,7 @@ WRONG = {
     "cags-server --bundle notes.txt": (1, "made by cags-encode"),
     "cags-server --bundle {old}": (1, "encode again"),
     "cags-server --bundle {bundle} --session-logs notes.txt": (1, "choose another place"),
+    "cags-server --bundle {bundle} --event-traces notes.txt": (1, "choose another place"),
     "cags-server --bundle foo://x": (1, "s3://BUCKET/NAME"),
     "cags-client --url {nobody} --truth nowhere": (1, "made by cags-encode"),
     "cags-client --url {nobody} --json /nowhere/x.jsonl": (1, "make it first"),
