@@ -9,7 +9,6 @@ import logging
 import os
 import signal
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from aiohttp import web
@@ -28,6 +27,7 @@ from cags_server.looks import Looks
 from cags_server.metrics import Totals, exposition
 from cags_server.quota import Quotas
 from cags_server.records import StreamStats
+from cags_server.render_pool import RenderPool
 from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
 
@@ -39,11 +39,11 @@ class App:
 
     def __init__(self, library: SceneLibrary, settings: ServeSettings) -> None:
         self._library, self._settings = library, settings
-        self._executor = ThreadPoolExecutor(settings.workers, thread_name_prefix="reference")
-        self._executor.submit(library.warm)
         self._looks = Looks(settings.workers)
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
+        self._executor = RenderPool(settings.workers, lambda: len(self._clients))
+        self._executor.submit(library.warm)
         self._ended = Totals()
         self._draining = False
         self._empty = asyncio.Event()
