@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from cags_common.geometry import F32, Camera, Pose
+from cags_common.geometry import Camera, Pose
 from cags_protocol import events as ev
 from cags_protocol.blobs import blob_chunks
 from cags_protocol.messages import Control, HeldTile, Hello, ReferenceFrame, TileLayers, Welcome
@@ -18,8 +18,7 @@ from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.budget import ByteBudget
 from cags_server.fov import widened
 from cags_server.library import SceneLibrary, VisibleTile
-from cags_server.lingering import Lingering
-from cags_server.opening import Opening, guessed_contribution
+from cags_server.opening import Opening
 from cags_server.pace import MARGIN_US
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
@@ -28,6 +27,7 @@ from cags_server.reference_encoder import ReferenceEncoder
 from cags_server.reference_video import ReferenceVideo
 from cags_server.schedule import Schedule
 from cags_server.settings import ServerSettings
+from cags_server.sight import Sight
 from cags_server.tiles import BASE_PRIORITY, TileSender
 from cags_server.timeline import Timeline
 from cags_server.viewer import Viewer
@@ -70,10 +70,9 @@ class Streamer:
         self._opening: Opening | None = None
         self._video = ReferenceVideo()
         self._reference_budget = ReferenceBudget(settings.reference_most)
-        self._lingering = Lingering(library, settings.visible_px)
+        self._sight = Sight(library, settings.visible_px)
         self._look: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the look that is out
-        self._seen: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
 
     # ------------------------------------------------------------------------------------------------------- joining
 
@@ -199,7 +198,7 @@ class Streamer:
             encoder=self._encoder,
             visible_px=self._settings.visible_px,
             threads=self._settings.render_threads,
-            lingering=self._lingering,
+            lingering=self._sight.lingering,
         )
 
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
@@ -224,7 +223,7 @@ class Streamer:
             record.reference_late = not between
             self.stats.references_late += record.reference_late
         self._tiles.enter(frame)
-        visible = self._seen_tiles(frame) if seen else self._tiles_in_view(frame, plan.predicted.pose)
+        visible = self._sight.tiles(frame) if seen else self._tiles_in_view(frame, plan.predicted.pose)
         return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
 
     def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
@@ -237,17 +236,9 @@ class Streamer:
         generation = self._schedule.generation
         return FramePlan(generation, tick, frame, ticks_covered, now_us, display_us, 0, predicted, (0.0, 0.0), False)
 
-    def _seen_tiles(self, frame: int) -> tuple[VisibleTile, ...]:
-        """What the last look showed, at another frame of its group."""
-        assert self._seen is not None
-        worth = self._lingering.added_to(self._seen[1], frame)
-        return self._library.visible_tiles(frame, worth, self._settings.visible_px)
-
     def _tiles_in_view(self, frame: int, pose: Pose) -> tuple[VisibleTile, ...]:
-        """What a look would show, guessed from the tiles' bounds."""
         camera = Camera(self._hello.intrinsics, pose, self._hello.near)
-        pixels = self._encoder.width_px * self._encoder.height_px
-        return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
+        return self._sight.guessed_tiles(frame, camera, self._encoder.width_px * self._encoder.height_px)
 
     def _between_looks(self, now_us: int) -> bool:
         """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
@@ -261,9 +252,9 @@ class Streamer:
     def _next_is_seen(self) -> bool:
         """Whether what was seen last says what the next media frame will show: not in another group of frames."""
         frame = self._schedule.next_frame
-        if frame is None or self._seen is None or self._tiles.ended is None or frame < self._tiles.ended:
+        if frame is None or self._tiles.ended is None or frame < self._tiles.ended:
             return False
-        return self._library.manifest.gof_of(frame) == self._seen[0]
+        return self._sight.tells_of(frame)
 
     def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
         display_us = self._schedule.timeline.display_us(tick)
@@ -300,7 +291,7 @@ class Streamer:
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []
-        self._seen = self._library.manifest.gof_of(plan.frame), render.contribution
+        self._sight.looked(plan.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
         if not overtaken:
             self._tiles.enter(plan.frame)
@@ -312,7 +303,7 @@ class Streamer:
         if overtaken:  # its tiles, and later ones, have gone ahead
             return out
         out += self._from_nothing(plan, now_us) + self._upgrades(render.visible, record, now_us)
-        self._lingering.update(render.contribution, plan.frame, self._tiles.inventory)
+        self._sight.served(plan.frame, render.contribution, self._tiles.inventory)
         return out
 
     def _from_nothing(self, plan: FramePlan, now_us: int) -> list[ev.Outgoing]:
