@@ -53,7 +53,7 @@ def test_a_plot_is_drawn(bundle: Path, name: str, tmp_path: Path, capsys: pytest
     said(capsys, "--inspect", str(bundle), "--plot", str(tmp_path / name))
     assert (tmp_path / name).stat().st_size > 10_000
     assert main(["--inspect", str(bundle), "--plot", str(tmp_path / "plot.xyz")]) == 1
-    assert "plot.xyz: cannot be written" in capsys.readouterr().err
+    assert "plot.xyz: is no kind of picture" in capsys.readouterr().err
 
 
 def test_a_whole_bundle_verifies(bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:
