@@ -1,11 +1,13 @@
-"""Counters of the server in the text format of Prometheus."""
+"""Counters of the server for Prometheus."""
 
 from __future__ import annotations
 
-import resource
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+
+from prometheus_client import CollectorRegistry, Metric, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, SummaryMetricFamily
+from prometheus_client.registry import Collector
 
 from cags_server.records import StreamStats
 
@@ -36,55 +38,37 @@ class Totals:
 
 
 def exposition(ended: Totals, live: Iterable[StreamStats]) -> str:
-    """The metrics page: one HELP, TYPE and value line (or more) each."""
-    running = list(live)
-    sums = Totals(**vars(ended))
-    for stats in running:
-        sums.add(stats)
-    count = max(len(running), 1)
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    page = _Page()
-    page.add("cags_sessions", "gauge", "Clients connected now.", len(running))
-    page.add("cags_sessions_total", "counter", "Clients that ever joined.", sums.sessions)
-    page.add("cags_frames_total", "counter", "Frames planned.", sums.frames)
-    page.add("cags_frames_late_total", "counter", "Frames skipped or rendered too late.", sums.frames_late)
-    page.start("cags_sent_bytes_total", "counter", "Payload bytes handed to sessions, by kind.")
-    for kind in ("tiles", "reference", "other"):
-        page.value(f'cags_sent_bytes_total{{kind="{kind}"}}', getattr(sums, f"bytes_{kind}"))
-    for name, total_ns in (("render", sums.render_ns), ("encode", sums.encode_ns)):
-        page.start(f"cags_{name}_seconds", "summary", f"Time to {name} reference pictures.")
-        page.value(f"cags_{name}_seconds_sum", total_ns / 1e9)
-        page.value(f"cags_{name}_seconds_count", sums.frames)
-    rate = sum(stats.bandwidth_bps for stats in running) / count
-    page.add("cags_bandwidth_estimate_bps", "gauge", "Mean bandwidth estimate of the clients.", rate)
-    rtt = sum(stats.rtt_us for stats in running) / count / 1e6
-    page.add("cags_rtt_seconds", "gauge", "Mean round trip of the clients.", rtt)
-    page.add("process_cpu_seconds_total", "counter", "CPU time used.", usage.ru_utime + usage.ru_stime)
-    page.add("process_resident_memory_bytes", "gauge", "Resident memory.", _resident_bytes())
-    return page.text()
+    """The metrics page in Prometheus' text format: sessions that have ended, those that go on, and the process."""
+    registry = CollectorRegistry()
+    registry.register(_Sessions(ended, tuple(live)))
+    ProcessCollector(registry=registry)
+    return generate_latest(registry).decode()
 
 
-class _Page:
-    def __init__(self) -> None:
-        self._lines: list[str] = []
+class _Sessions(Collector):
+    def __init__(self, ended: Totals, live: Sequence[StreamStats]) -> None:
+        self._live, self._sums = live, Totals(**vars(ended))
+        for stats in live:
+            self._sums.add(stats)
 
-    def start(self, name: str, kind: str, text: str) -> None:
-        self._lines += [f"# HELP {name} {text}", f"# TYPE {name} {kind}"]
-
-    def value(self, series: str, value: float) -> None:
-        self._lines.append(f"{series} {value:.17g}")
-
-    def add(self, name: str, kind: str, text: str, value: float) -> None:
-        self.start(name, kind, text)
-        self.value(name, value)
-
-    def text(self) -> str:
-        return "\n".join(self._lines) + "\n"
-
-
-def _resident_bytes() -> int:
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    except OSError:  # not Linux: the peak is the best there is
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return pages * resource.getpagesize()
+    def collect(self) -> Iterator[Metric]:
+        """One family after the other."""
+        live, sums, count = self._live, self._sums, max(len(self._live), 1)
+        yield GaugeMetricFamily("cags_sessions", "Clients connected now.", len(live))
+        yield CounterMetricFamily("cags_sessions_total", "Clients that ever joined.", sums.sessions)
+        yield CounterMetricFamily("cags_frames_total", "Frames planned.", sums.frames)
+        yield CounterMetricFamily("cags_frames_late_total", "Frames skipped or rendered too late.", sums.frames_late)
+        sent = CounterMetricFamily(
+            "cags_sent_bytes_total", "Payload bytes handed to sessions, by kind.", labels=("kind",)
+        )
+        for kind in ("tiles", "reference", "other"):
+            sent.add_metric((kind,), getattr(sums, f"bytes_{kind}"))
+        yield sent
+        for name, total_ns in (("render", sums.render_ns), ("encode", sums.encode_ns)):
+            yield SummaryMetricFamily(
+                f"cags_{name}_seconds", f"Time to {name} reference pictures.", sums.frames, total_ns / 1e9
+            )
+        rate = sum(stats.bandwidth_bps for stats in live) / count
+        yield GaugeMetricFamily("cags_bandwidth_estimate_bps", "Mean bandwidth estimate of the clients.", rate)
+        rtt = sum(stats.rtt_us for stats in live) / count / 1e6
+        yield GaugeMetricFamily("cags_rtt_seconds", "Mean round trip of the clients.", rtt)

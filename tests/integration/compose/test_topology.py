@@ -121,10 +121,14 @@ def finished(client: subprocess.Popen[str], report: Path) -> dict[str, Any]:
     return dict(json.loads(report.read_text(encoding="utf-8").splitlines()[-1]))
 
 
-def joined(port: int) -> int:
-    found = re.search(r"^cags_sessions_total (\d+)", fetch(f"http://127.0.0.1:{port}/metrics"), re.MULTILINE)
+def metric(port: int, series: str) -> int:
+    found = re.search(rf"^{re.escape(series)} (\S+)$", fetch(f"http://127.0.0.1:{port}/metrics"), re.MULTILINE)
     assert found
-    return int(found.group(1))
+    return int(float(found.group(1)))
+
+
+def joined(port: int) -> int:
+    return metric(port, "cags_sessions_total")
 
 
 def test_two_servers_on_one_store_share_the_clients_and_one_may_die(
@@ -152,9 +156,7 @@ def test_two_servers_on_one_store_share_the_clients_and_one_may_die(
 
 
 def sent_tiles(port: int) -> int:
-    found = re.search(r'^cags_sent_bytes_total{kind="tiles"} (\d+)', fetch(f"http://127.0.0.1:{port}/metrics"), re.M)
-    assert found
-    return int(found.group(1))
+    return metric(port, 'cags_sent_bytes_total{kind="tiles"}')
 
 
 def test_sessions_of_a_killed_server_go_on_at_another_which_sends_nothing_they_hold(
