@@ -42,7 +42,7 @@ class App:
         self._looks = Looks(settings.workers)
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
-        self._executor = RenderPool(settings.workers, lambda: len(self._clients))
+        self._executor = RenderPool(settings.workers, self._served)
         self._executor.submit(library.warm)
         self._ended = Totals()
         self._draining = False
@@ -62,6 +62,10 @@ class App:
     def sessions(self) -> list[tuple[str, StreamStats]]:
         """Name and figures of every client that has been let in."""
         return [(name, c.stats) for name, (_, c) in list(self._clients.items()) if c.streamer is not None]
+
+    def _served(self) -> int:
+        """How many have been let in: not those who have yet to say hello."""
+        return sum(connection.streamer is not None for _, connection in self._clients.values())
 
     async def drain(self) -> None:
         """Let no one in any more, and say goodbye to everybody who is."""
@@ -135,7 +139,7 @@ class App:
         def admit(hello: Hello) -> tuple[str, str, str] | None:
             if not token_allowed(settings.token, hello, header):
                 return "token", "token", "the token is missing or wrong; give the server's with --token"
-            if sum(other.streamer is not None for _, other in self._clients.values()) >= settings.max_clients:
+            if self._served() >= settings.max_clients:
                 return "full", "", f"{settings.max_clients} clients are here already; try again later"
             return None
 
