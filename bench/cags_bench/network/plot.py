@@ -57,14 +57,19 @@ def binned_mbps(acked: list[dict[str, Any]], start_us: int) -> tuple[list[float]
     return [i * BIN_US / 1e6 for i in range(count)], [bins.get(i, 0) * 8 / BIN_US for i in range(count)]
 
 
+_WAY_OUT = "cags-server --event-traces FOLDER writes them"
+
+
 def read_session(path: Path) -> list[dict[str, Any]]:
     """Records of a trace without its header. Raises :class:`TraceError`."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
         header, *records = [json.loads(line) for line in lines if line.endswith("\n")]
         known = header["trace"] == "cags-session"
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise TraceError(f"{path}: is no event trace of a session ({error})") from error
+    except OSError as error:
+        raise TraceError(f"{path}: cannot be read ({error.strerror}); {_WAY_OUT}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise TraceError(f"{path}: is no event trace of a session; {_WAY_OUT}") from error
     if not known or not records:
-        raise TraceError(f"{path}: is no event trace of a session, or holds no events")
+        raise TraceError(f"{path}: is no event trace of a session, or holds no events; {_WAY_OUT}")
     return records

@@ -87,7 +87,7 @@ def _number(name: str, word: str, low: float, high: float) -> float:
     try:
         value = float(word)
     except ValueError:
-        raise ConfigError(f"{name}: {word!r} is not a number") from None
+        raise ConfigError(f"{name}: {word!r} is no number; give one in [{low:g}, {high:g}]") from None
     if not low <= value <= high:
-        raise ConfigError(f"{name}: {word} must lie in [{low}, {high}]")
+        raise ConfigError(f"{name}: {word} must lie in [{low:g}, {high:g}]")
     return value

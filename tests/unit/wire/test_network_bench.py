@@ -158,6 +158,8 @@ def test_a_session_trace_is_drawn(tmp_path):
     path.write_text("{}\n")
     with pytest.raises(TraceError, match="is no event trace"):
         plot_session(path)
+    with pytest.raises(TraceError, match=r"gone.jsonl: cannot be read \(No such file.*--event-traces"):
+        plot_session(tmp_path / "gone.jsonl")
 
 
 def test_estimates_are_judged_where_the_link_carries_anything():
