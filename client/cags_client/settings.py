@@ -22,7 +22,7 @@ class ClientSettings:
     fov: float = setting(60.0, "horizontal field of view in degrees", low=1, high=170)
     raster: str = setting("auto", "rasteriser: auto, reference, cpu or cuda")
     exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
-    align: str = setting("auto", "aligner: auto, cpu, fast, reference, unaligned or rotation")
+    align: str = setting("auto", "aligner: auto, cpu, cuda, fast, reference, unaligned or rotation")
     erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
     restore: str = setting(
         "affine",

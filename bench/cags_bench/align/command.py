@@ -18,6 +18,7 @@ EXAMPLES = """\
   cags-bench align --scene procedural:size=12000,frames=36 --sizes 400x300 --ages 1,3,10 --json
   cags-bench align --scene ../shared/scenes/guitar/guitar.compressed.ply --sizes 1600x1200 --views 2 --json
   cags-bench align --scene capture.ply --poses walk.csv --errors predicted --lpips lpips_alex.npz --json
+  cags-bench align --device cuda --sizes 1600x1200 --repetitions 20 --json
 """
 
 
@@ -28,6 +29,12 @@ class AlignBenchSettings(Conditions):
     scene: str = setting("procedural:size=60000", "scene: a file, a folder, motion:PATH or procedural[:..]")
     ages: str = setting(
         "", "instead: a moving scene at the first size with references this many media frames old, such as 1,3,10"
+    )
+
+    device: str = setting(
+        "",
+        "instead: the times of the paper's client table (render, PRPA, networks) on this device",
+        choices=("", "cpu", "cuda"),
     )
 
     def __post_init__(self) -> None:
@@ -56,6 +63,11 @@ def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
         from cags_bench.align.ages import measure_ages
 
         yield from measure_ages(settings)
+        return
+    if settings.device:
+        from cags_bench.align.device import client_table
+
+        yield from client_table(settings)
         return
     from cags_bench.align.measure import measure
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import statistics
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
 from cags_bench.align.command import AlignBenchSettings
+from cags_bench.align.device import timed
 from cags_bench.jsonl import JsonObject, check, provenance, summary
 from cags_bench.restore.cases import Case, Cases
 from cags_bench.restore.checks import checks_of, time_checks
@@ -70,13 +70,7 @@ def _stages(case: Case, settings: AlignBenchSettings) -> dict[str, Any]:
         "raster": lambda: case.held.render(case.camera, draw),
         "adapt": lambda: adapter.adapt(adapted, case.splats, case.reference, own, own_options),
     }
-    spent: dict[str, list[float]] = {name: [] for name in stages}
-    for turn in range(settings.repetitions + 1):
-        for name, stage in stages.items():
-            start = time.perf_counter()
-            stage()
-            if turn or not settings.repetitions:
-                spent[name].append((time.perf_counter() - start) * 1e3)
+    spent = timed(stages, settings.repetitions)
     figures = {f"{name}_ms": statistics.median(values) for name, values in spent.items()}
     least = {f"{name}_least_ms": min(values) for name, values in spent.items()}
     return {"size": case.labels["size"], "splats": len(case.splats), **figures, **least, **provenance()}

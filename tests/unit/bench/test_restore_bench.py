@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from cags_bench.cli import main
 from cags_bench.restore import cases
@@ -115,6 +116,30 @@ def test_align_times_the_other_stages_and_follows_a_recorded_walk(
     names = {c["name"] for c in last["checks"]}
     assert "pixels called occluded under an identity, 96x64" in names
     assert "affine: gain at the base LoD" in names
+
+
+def test_the_papers_client_table_names_its_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    *lines, last = _run(["align", "--device", "cpu", "--errors", "2/5"], tmp_path, capsys)
+    assert [x["stage"] for x in lines] == ["render", "PRPA", "srresnet", "lite"]
+    assert all(x["ms"] >= x["least_ms"] > 0 for x in lines)
+    assert last["device"] == lines[0]["device"] == lines[0]["machine"]
+    assert last["checks"] == [], "the paper's figures are a graphics card's"
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="a CUDA device is at hand")
+def test_the_client_table_of_a_device_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["align", "--device", "cuda", *SMALL, "--cache", str(tmp_path)]) != 0
+    assert "cannot run: torch sees no CUDA device" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir()), "nothing was encoded for it"
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_the_papers_client_table_on_a_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    *lines, last = _run(["align", "--device", "cuda", "--errors", "2/5", "--sizes", "1600x1200"], tmp_path, capsys)
+    assert last["device"] == torch.cuda.get_device_name()
+    assert {"render at 1600x1200 on " + last["device"]} <= {c["name"] for c in last["checks"]}
+    assert len(lines) == 4
 
 
 def test_views_lie_over_all_moments_that_see_the_scene() -> None:
