@@ -48,17 +48,41 @@ class ReceivedPackets:
 
 
 @dataclass(slots=True)
-class _Partial:
+class Partial:
+    """Chunks of one message or blob of ``total`` bytes, in any order of arrival."""
+
     total: int
     received: int = 0
-    chunks: dict[int, bytes] = field(default_factory=dict)
+    """Bytes of all chunks."""
+    _chunks: dict[int, bytes] = field(default_factory=dict)
+
+    def holds(self, offset: int) -> bool:
+        """Whether the chunk that begins at ``offset`` has come."""
+        return offset in self._chunks
+
+    def add(self, offset: int, chunk: memoryview) -> None:
+        """Keep a copy of ``chunk``."""
+        self._chunks[offset] = bytes(chunk)
+        self.received += len(chunk)
+
+    def joined(self, what: str) -> bytes:
+        """All of it. Raises :class:`ProtocolError` naming ``what`` where chunks overlap or do not add up to ``total``."""
+        position = 0
+        ordered = sorted(self._chunks.items())
+        for offset, chunk in ordered:
+            if offset != position:
+                raise ProtocolError(f"{what}: its parts overlap or leave a gap at byte {min(offset, position)}")
+            position += len(chunk)
+        if position != self.total:
+            raise ProtocolError(f"{what}: its parts have {position} bytes, its total is {self.total}")
+        return b"".join(chunk for _, chunk in ordered)
 
 
 class Assembler:
     """Puts messages together from fragments in any order."""
 
     def __init__(self) -> None:
-        self._partials: OrderedDict[int, _Partial] = OrderedDict()
+        self._partials: OrderedDict[int, Partial] = OrderedDict()
         self._closed: OrderedDict[int, None] = OrderedDict()
         self.partial_bytes = 0
         """Bytes held of messages that are not complete."""
@@ -73,30 +97,20 @@ class Assembler:
         if not fragment.total:
             self._close(fragment.ident)
             return chunk
-        partial = self._partials.setdefault(fragment.ident, _Partial(fragment.total))
-        if partial.total != fragment.total or fragment.offset in partial.chunks:
+        partial = self._partials.setdefault(fragment.ident, Partial(fragment.total))
+        if partial.total != fragment.total or partial.holds(fragment.offset):
             raise ProtocolError(f"fragment of message {fragment.ident} contradicts an earlier one")
-        partial.chunks[fragment.offset] = bytes(chunk)
-        partial.received += len(chunk)
+        partial.add(fragment.offset, chunk)
         self.partial_bytes += len(chunk)
         if partial.received >= partial.total:
-            return self._complete(fragment.ident, partial)
+            self._close(fragment.ident)
+            return partial.joined(f"message {fragment.ident}")
         self._bound()
         return None
 
     def abandon(self, ident: int) -> None:
         """Forget a message; later fragments of it are ignored."""
         self._close(ident)
-
-    def _complete(self, ident: int, partial: _Partial) -> bytes:
-        self._close(ident)
-        position = 0
-        ordered = sorted(partial.chunks.items())
-        for offset, chunk in ordered:
-            if offset != position:
-                raise ProtocolError(f"fragments of message {ident} overlap at byte {min(offset, position)}")
-            position += len(chunk)
-        return b"".join(chunk for _, chunk in ordered)
 
     def _close(self, ident: int) -> None:
         partial = self._partials.pop(ident, None)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from cags_common.errors import ProtocolError
 from cags_protocol import limits
+from cags_protocol.assembly import Partial
 from cags_protocol.messages import Blob
 
 MAX_BLOBS_AT_ONCE = 8
@@ -23,24 +24,27 @@ class BlobAssembler:
     """Collects chunks in any order; memory follows what was received, not what was promised."""
 
     def __init__(self) -> None:
-        self._parts: dict[str, dict[int, bytes]] = {}
+        self._partials: dict[str, Partial] = {}
         self._bytes = 0
 
     def add(self, blob: Blob, chunk: memoryview) -> bytes | None:
-        """Take a chunk; the whole blob once it is complete. A repeated chunk is ignored."""
-        parts = self._parts.setdefault(blob.name, {})
-        if len(self._parts) > MAX_BLOBS_AT_ONCE:
-            raise ProtocolError(f"blob {blob.name!r}: more than {MAX_BLOBS_AT_ONCE} blobs half sent at once")
-        if blob.offset not in parts:
+        """Take a chunk; the whole blob once it is complete. A repeated chunk is ignored.
+
+        Raises :class:`ProtocolError` for chunks that contradict each other and for more than the bounds allow.
+        """
+        name = f"blob {blob.name!r}"
+        partial = self._partials.setdefault(blob.name, Partial(blob.total))
+        if len(self._partials) > MAX_BLOBS_AT_ONCE:
+            raise ProtocolError(f"{name}: more than {MAX_BLOBS_AT_ONCE} blobs half sent at once")
+        if partial.total != blob.total:
+            raise ProtocolError(f"{name}: has a total of {blob.total} bytes, and of {partial.total} in an earlier chunk")
+        if not partial.holds(blob.offset):
             self._bytes += len(chunk)
-            parts[blob.offset] = bytes(chunk)
+            partial.add(blob.offset, chunk)
         if self._bytes > limits.MAX_BLOB_BYTES:
-            raise ProtocolError(f"blob {blob.name!r}: more than {limits.MAX_BLOB_BYTES} bytes half sent")
-        if sum(map(len, parts.values())) < blob.total:
+            raise ProtocolError(f"{name}: more than {limits.MAX_BLOB_BYTES} bytes half sent")
+        if partial.received < partial.total:
             return None
-        del self._parts[blob.name]
-        data = b"".join(parts[offset] for offset in sorted(parts))
-        self._bytes -= len(data)
-        if len(data) != blob.total:
-            raise ProtocolError(f"blob {blob.name!r}: chunks of {len(data)} bytes overlap, total is {blob.total}")
-        return data
+        del self._partials[blob.name]
+        self._bytes -= partial.received
+        return partial.joined(name)

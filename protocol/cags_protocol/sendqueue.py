@@ -20,6 +20,9 @@ FRAGMENT_HEADER_BYTES = 96
 
 CHUNK_BYTES = limits.PACKET_BYTES - FRAGMENT_HEADER_BYTES
 
+SLACK_ENTRIES = 64
+"""Entries that have left and may stay in the heaps of a queue, besides as many as there are messages in it."""
+
 Rank = tuple[int, int, int]
 
 
@@ -173,7 +176,20 @@ class SendQueue:
 
     def _forget(self, entry: Entry) -> None:
         del self._entries[entry.ident]
+        self._compact()
         self.queued_bytes -= entry.size - entry.sent
         self._started -= entry.started
         if self._by_key.get(entry.outgoing.key) is entry:
             del self._by_key[entry.outgoing.key]
+
+    def _compact(self) -> None:
+        """Rid both heaps of entries that have left. Else those that never reach the top would stay in them: beside a
+        message of high priority that always waits, everything of lower priority that was dropped meanwhile.
+        """
+        bound = 2 * len(self._entries) + SLACK_ENTRIES
+        if len(self._heap) > bound:
+            self._heap = [(entry.rank, ident) for ident, entry in self._entries.items()]
+            heapq.heapify(self._heap)
+        if len(self._deadlines) > bound:
+            self._deadlines = [item for item in self._deadlines if item[1] in self._entries]
+            heapq.heapify(self._deadlines)

@@ -101,6 +101,20 @@ def test_blobs_come_together_in_any_order_and_repeated():
     assert assembler.add(*next(blob_chunks("x", b"again"))) == b"again"
 
 
+def test_chunks_that_overlap_and_yet_add_up_are_refused():
+    assembler = BlobAssembler()
+    assert assembler.add(Blob("x", 0, 10), memoryview(b"aaaaa")) is None
+    with pytest.raises(ProtocolError, match="overlap"):
+        assembler.add(Blob("x", 3, 10), memoryview(b"bbbbb"))
+
+
+def test_a_blob_keeps_its_total():
+    assembler = BlobAssembler()
+    assembler.add(Blob("x", 0, 10), memoryview(b"aaaaa"))
+    with pytest.raises(ProtocolError, match="earlier chunk"):
+        assembler.add(Blob("x", 5, 11), memoryview(b"bbbbb"))
+
+
 def test_too_many_or_overlapping_blobs_are_refused():
     assembler = BlobAssembler()
     for number in range(MAX_BLOBS_AT_ONCE):

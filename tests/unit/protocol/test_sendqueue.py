@@ -1,3 +1,5 @@
+import tracemalloc
+
 import pytest
 
 from cags_common.errors import ProtocolError
@@ -148,3 +150,20 @@ def test_a_half_sent_message_is_not_replaced_by_its_key():
     q.queue.put(tile(2, 0, 10, key="a"))
     assert [(entry.outgoing.message.frame, reason) for entry, reason in q.dropped] == [(1, "replaced")]
     assert {outgoing.message.frame for outgoing, _, _ in q.send_all()} == {0, 2}
+
+
+def test_what_was_dropped_leaves_no_memory_behind_a_message_that_waits():
+    """A congested link: a base layer always waits, and detail of lower priority is chosen and dropped for ever."""
+    q = Queue()
+    q.queue.put(tile(0, 0, 10))
+    tracemalloc.start()
+    try:
+        for frame in range(20_000):
+            q.queue.put(Outgoing(FrameEnd(frame), priority=3, deadline_us=frame))
+            q.queue.expire(frame)
+            q.dropped.clear()
+        held_bytes, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held_bytes < 100_000
+    assert q.queue.peek().outgoing.priority == 0
