@@ -57,10 +57,7 @@ class Decode:
             except DecodeError as error:
                 errors.append(error)
                 needs_idr |= isinstance(event, ev.ReferenceReceived)
-        try:
-            self.pipeline.flush()
-        except DecodeError as error:
-            errors.append(error)
+        errors += self.pipeline.flush()
         return DecodeResult(tuple(errors), needs_idr, whole)
 
 

@@ -114,7 +114,7 @@ class Shell:
 
     async def run(self) -> None:
         """Until the player has finished, the connection is gone, or a sink fails."""
-        self._reader = asyncio.create_task(self._read(self._transport))
+        self._start_reader()
         try:
             while not self.player.finished and self._failure is None:
                 await self._turn()
@@ -196,8 +196,13 @@ class Shell:
             return
         self._transport = transport
         self.player.connected(now_us())
-        self._reader = asyncio.create_task(self._read(transport))
+        self._start_reader()
         await old.close()
+
+    def _start_reader(self) -> None:
+        """Read what comes over the connection; what reading raises ends the play."""
+        self._reader = asyncio.create_task(self._read(self._transport))
+        self._reader.add_done_callback(self._ended)
 
     def _start(self, work: Any) -> None:
         task = asyncio.create_task(work)

@@ -19,10 +19,17 @@ def addresses(url: str) -> tuple[str, ...]:
     """The stream addresses in ``url``, which commas separate. Raises :class:`NetworkError` for what is none."""
     found = tuple(part.strip() for part in url.split(","))
     for address in found:
-        parts = urlsplit(address)
-        if parts.scheme not in ("ws", "wss") or not parts.hostname:
+        if not _is_stream_address(address):
             raise NetworkError(f"{address}: is no stream address; write ws://HOST:PORT/stream")
     return found
+
+
+def _is_stream_address(text: str) -> bool:
+    try:
+        parts = urlsplit(text)
+        return parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+    except ValueError:  # a port beyond 65535, brackets that do not close
+        return False
 
 
 class Dial:

@@ -98,6 +98,7 @@ class GofStore:
         self._rewound = False
         self._waiting = WaitingLayers()
         self._touched: dict[Key, Held] = {}
+        self._errors: list[DecodeError] = []
         self._staged: dict[Key, _Staged] = {}
         self._ends: dict[int, Ids] = {}  # not yet shown
         self._ended: dict[int, Ids] = {}
@@ -121,34 +122,37 @@ class GofStore:
                     errors.append(error)
         return errors
 
-    def flush(self, horizon: int | None = None) -> None:
-        """Dequantise the tiles that :meth:`add` touched (of frames up to ``horizon``), each once, and stage them.
-
-        Raises :class:`DecodeError` for a tile that has grown ids beyond the capacity, after staging the others.
+    def flush(self) -> list[DecodeError]:
+        """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that have
+        grown ids beyond the capacity, and are left out.
         """
+        self._stage(None)
+        with self._decoding:
+            errors, self._errors = self._errors, []
+        return errors
+
+    def _stage(self, horizon: int | None) -> None:
+        """:meth:`flush` the tiles of frames up to ``horizon``; errors wait for the next :meth:`flush`."""
         with self._decoding:
             near = self._shown_frame + REPLAY_AHEAD if horizon is None else horizon
             for key in [k for k in self._replay if k[0] <= near]:
                 self._touched[key] = self._replay.pop(key)
-            touched, wrong = self._take_touched(horizon)
+            touched = self._take_touched(horizon)
             splats = self.opener.dequantise([held.tile.state for held in touched.values()])
             with self._lock:
                 for (key, held), values in zip(touched.items(), splats, strict=True):
                     self._staged[key] = _Staged(held, held.tile.state.ids, values, held.tile.state.lod)
-            if wrong is not None:
-                raise wrong
 
-    def _take_touched(self, horizon: int | None) -> tuple[dict[Key, Held], DecodeError | None]:
+    def _take_touched(self, horizon: int | None) -> dict[Key, Held]:
         touched: dict[Key, Held] = {}
-        wrong = None
         for key in [k for k in self._touched if horizon is None or k[0] <= horizon]:
             held = self._touched.pop(key)
             try:
                 self._check_ids(held.tile.state.ids, f"tile {key[1]} of frame {key[0]}")
                 touched[key] = held
             except DecodeError as error:
-                wrong = wrong or error
-        return touched, wrong
+                self._errors.append(error)
+        return touched
 
     def _open_ahead(self, arrivals: Sequence[Arrival]) -> dict[int, OpenTile | DecodeError]:
         """Arrivals' places -> the new tiles that they bring."""
@@ -224,7 +228,7 @@ class GofStore:
         self.past.advance(frame)
         with self._lock:
             horizon = max((f for f in self._ended if f <= frame), default=-1)
-        self.flush(horizon)
+        self._stage(horizon)
         with self._lock:
             updates = sorted(
                 ((key, s) for key, s in self._staged.items() if key[0] <= horizon), key=lambda item: item[0]

@@ -108,9 +108,12 @@ class ClientPipeline:
         """Decode layers of tiles; what is wrong with those that are left out. What was held stays."""
         return self._store.add_all([Arrival(m.frame, m.tile, m.from_lod, m.split(payload)) for m, payload in tiles])
 
-    def flush(self) -> None:
-        """After :meth:`on_tiles`: dequantise what they touched, each tile once, off the display path."""
-        self._store.flush()
+    def flush(self) -> list[DecodeError]:
+        """After :meth:`on_tiles`: dequantise what they touched, each tile once, off the display path.
+
+        What is wrong with tiles that are left out.
+        """
+        return self._store.flush()
 
     def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:
         """Decode a reference; False asks for an IDR picture. Raises :class:`DecodeError`."""
@@ -118,7 +121,7 @@ class ClientPipeline:
 
     def on_frame_end(self, message: FrameEnd, payload: memoryview) -> None:
         """The frame is whole. Raises :class:`DecodeError`."""
-        capacity = self.info.capacity[self.info.gof_of(message.frame)]
+        capacity = self._store.capacity(message.frame)
         what = f"removed ids of frame {message.frame}"
         removed = decode_ids(payload, what=what, limit=max(capacity, 1)) if len(payload) else np.zeros(0, np.int32)
         self._store.end(message.frame, removed)

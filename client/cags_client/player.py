@@ -27,7 +27,7 @@ from cags_client.play_stats import PlayStats
 from cags_client.reconnect import Reconnect
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_common.bundle.manifest import Manifest
-from cags_common.errors import CagsError, DecodeError, NetworkError
+from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
 from cags_protocol import events as ev
 from cags_protocol.client import ClientSession, ClientSessionSettings
@@ -263,7 +263,11 @@ class Player:
             self.stats.away_us += now_us - self._lost_us
         self._welcome = welcome
         if self.pipeline is None:
-            self.info = Manifest.from_json(welcome.info)
+            try:
+                self.info = Manifest.from_json(welcome.info)
+            except BundleError as error:
+                self._fail(error)
+                return
             self._open(now_us)
         if self._resume_at is not None:
             self._session.control(self._resume_at, now_us=now_us)

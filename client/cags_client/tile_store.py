@@ -54,12 +54,19 @@ class TileStore:
             errors += store.add(some)
         return errors
 
-    def flush(self) -> None:
-        """Dequantise what :meth:`add` touched, each tile once. Else :meth:`commit` does it, on the display path."""
+    def flush(self) -> list[DecodeError]:
+        """Dequantise what :meth:`add` touched, each tile once. Else :meth:`commit` does it, on the display path.
+
+        What is wrong with tiles that are left out.
+        """
         with self._lock:
             stores = list(self._gofs.values())
-        for store in stores:
-            store.flush()
+        return [error for store in stores for error in store.flush()]
+
+    def capacity(self, frame: int) -> int:
+        """One more than the largest splat id in the group of ``frame``. Raises :class:`DecodeError`."""
+        self._check(frame)
+        return self._manifest.capacity[self._manifest.gof_of(frame)]
 
     def end(self, frame: int, removed: Ids) -> None:
         """The server plans nothing more for ``frame``. Raises :class:`DecodeError`."""
@@ -123,9 +130,12 @@ class TileStore:
             self._shown, self._oldest = None, self._manifest.gof_of(frame)
         self.earlier.clear()
 
-    def _store(self, frame: int) -> GofStore | None:
+    def _check(self, frame: int) -> None:
         if not 0 <= frame < self._manifest.frames:
             raise DecodeError(f"frame {frame} is outside the clip's {self._manifest.frames} frames")
+
+    def _store(self, frame: int) -> GofStore | None:
+        self._check(frame)
         gof = self._manifest.gof_of(frame)
         with self._lock:
             if gof < self._oldest:

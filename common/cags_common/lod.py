@@ -11,6 +11,9 @@ from dataclasses import dataclass
 
 from cags_common.errors import BundleError
 
+MAX_LODS = 64
+"""Levels of one tile, LoD 0 included, in bundles and on the wire; the finest quantiser, ``layered-fine``, has 56."""
+
 
 @dataclass(frozen=True, slots=True)
 class LodLayer:

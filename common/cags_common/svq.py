@@ -141,7 +141,10 @@ class CodebookSet:
         if bytes(data[: len(_MAGIC)]) != _MAGIC:
             raise DecodeError(f"codebooks: begin with {bytes(data[:8])!r}, expected {_MAGIC!r} (another version?)")
         body = _Cursor(gunzip_bounded(memoryview(data)[len(_MAGIC) :], MAX_CODEBOOK_BYTES, "codebooks"))
-        books = [_read_book(body) for _ in range(body.byte())]
+        count = body.byte()
+        if count > len(ATTRIBUTE_DIMS):  # tables grow to a thousand times the bytes that describe them
+            raise DecodeError(f"codebooks: {count} of them for {len(ATTRIBUTE_DIMS)} attributes")
+        books = [_read_book(body) for _ in range(count)]
         body.finish()
         if len({book.attribute for book in books}) != len(books):
             raise DecodeError("codebooks: an attribute appears twice")

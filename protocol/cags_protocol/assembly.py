@@ -66,7 +66,7 @@ class Partial:
         self.received += len(chunk)
 
     def joined(self, what: str) -> bytes:
-        """All of it. Raises :class:`ProtocolError` naming ``what`` where chunks overlap or do not add up to ``total``."""
+        """All of it. Raises :class:`ProtocolError` naming ``what`` for chunks that overlap or do not add up."""
         position = 0
         ordered = sorted(self._chunks.items())
         for offset, chunk in ordered:

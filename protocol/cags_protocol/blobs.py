@@ -37,7 +37,7 @@ class BlobAssembler:
         if len(self._partials) > MAX_BLOBS_AT_ONCE:
             raise ProtocolError(f"{name}: more than {MAX_BLOBS_AT_ONCE} blobs half sent at once")
         if partial.total != blob.total:
-            raise ProtocolError(f"{name}: has a total of {blob.total} bytes, and of {partial.total} in an earlier chunk")
+            raise ProtocolError(f"{name}: has a total of {blob.total} bytes, in an earlier chunk {partial.total}")
         if not partial.holds(blob.offset):
             self._bytes += len(chunk)
             partial.add(blob.offset, chunk)

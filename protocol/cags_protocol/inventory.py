@@ -9,7 +9,7 @@ import struct
 from collections.abc import Iterable
 
 from cags_common.errors import ProtocolError
-from cags_protocol import limits
+from cags_common.lod import MAX_LODS
 from cags_protocol.messages import HeldTile
 
 _TILE = struct.Struct("<IHB")
@@ -33,7 +33,7 @@ def unpack_inventory(data: bytes) -> tuple[HeldTile, ...]:
         )
     tiles = tuple(HeldTile(*fields) for fields in _TILE.iter_unpack(data))
     for t in tiles:
-        if t.frame > 2**31 - 1 or not 1 <= t.lods <= limits.MAX_LODS:
+        if t.frame > 2**31 - 1 or not 1 <= t.lods <= MAX_LODS:
             raise ProtocolError(
                 f"inventory: frame {t.frame}, tile {t.tile}, {t.lods} LoDs is not a tile that can be held"
             )

@@ -44,8 +44,5 @@ MAX_ACK_RANGES = 32
 MAX_EVICTED_TILES = 512
 """Tiles in one acknowledgement's list of what the store dropped."""
 
-MAX_LODS = 64
-"""LoDs of one tile."""
-
 MAX_TEXT_BYTES = 1024
 """Longest text field."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from cags_common.geometry import DEFAULT_NEAR, Intrinsics, Pose
+from cags_common.lod import MAX_LODS
 from cags_protocol import limits
 from cags_protocol.fields import INTRINSICS, POSE, Choice, Flag, Integer, ListOf, Real, Record, Text, wire
 
@@ -21,7 +22,7 @@ Buffer = bytes | bytearray | memoryview
 _TIME = Integer(2**62)
 _FRAME = Integer(2**31 - 1)
 _TILE = Integer(2**16 - 1)
-_LOD = Integer(limits.MAX_LODS)
+_LOD = Integer(MAX_LODS)
 _SEQ = Integer(2**53)
 _NOISE = Integer(1_000_000)
 _BYTES = Integer(2**53)
@@ -223,8 +224,8 @@ class TileLayers(Message):
     tile: int = wire(_TILE)
     from_lod: int = wire(_LOD)
     to_lod: int = wire(_LOD)
-    sizes: tuple[int, ...] = wire(ListOf(Integer(limits.MAX_MESSAGE_BYTES), limits.MAX_LODS))
-    crcs: tuple[int, ...] = wire(ListOf(_CRC, limits.MAX_LODS))
+    sizes: tuple[int, ...] = wire(ListOf(Integer(limits.MAX_MESSAGE_BYTES), MAX_LODS))
+    crcs: tuple[int, ...] = wire(ListOf(_CRC, MAX_LODS))
 
     def split(self, payload: Buffer) -> list[memoryview]:
         """The payload of each LoD, without copying."""

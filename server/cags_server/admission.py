@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hmac
 import ssl
-from urllib.parse import urlsplit
 
 from cags_common.errors import ConfigError
+from cags_common.transport.hosts import same_host
 from cags_protocol.messages import Hello
 
 HANDSHAKES_BEYOND_CLIENTS = 16
@@ -22,7 +22,7 @@ def origin_allowed(origin: str | None, host: str | None, allowed: str) -> bool:
         return True
     if origin in {part.strip().rstrip("/") for part in allowed.split(",") if part.strip()}:
         return True
-    return bool(host) and urlsplit(origin).netloc == host
+    return same_host(origin, host)
 
 
 def token_allowed(expected: str, hello: Hello, header: str | None) -> bool:
@@ -31,8 +31,9 @@ def token_allowed(expected: str, hello: Hello, header: str | None) -> bool:
         return True
     shown = header.removeprefix("Bearer ") if header and header.startswith("Bearer ") else ""
     # Compared in constant time, both of them, so that nothing is learnt from how long a refusal takes.
+    # Bytes of a header that are not UTF-8 come as lone surrogates.
     by_hello = hmac.compare_digest(hello.token.encode(), expected.encode())
-    by_header = hmac.compare_digest(shown.encode(), expected.encode())
+    by_header = hmac.compare_digest(shown.encode(errors="surrogateescape"), expected.encode())
     return by_hello or by_header
 
 

@@ -90,7 +90,7 @@ class App:
         return web.json_response({"status": "draining" if self._draining else "ready"}, status=status)
 
     async def _metrics(self, request: web.Request) -> web.Response:
-        page = exposition(self._ended, (connection.stats for _, connection in self._clients.values()))
+        page = exposition(self._ended, (stats for _, stats in self.sessions()))
         return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 
     async def _bundle(self, request: web.Request) -> web.Response:

@@ -43,7 +43,7 @@ def _serve(argv: Sequence[str]) -> None:
     from cags_common.bundle import BundleReader
     from cags_common.files import writable_folder
     from cags_common.terminal import live_table, watched
-    from cags_common.transport.tcp import host_port
+    from cags_common.transport.hosts import host_port
     from cags_server.admission import tls_context
     from cags_server.app import App, serve
     from cags_server.board import sessions_table

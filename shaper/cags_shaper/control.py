@@ -122,7 +122,7 @@ async def _line(reader: asyncio.StreamReader) -> bytes:
 def _parse(line: bytes) -> dict[str, Any]:
     try:
         wanted = json.loads(line)
-    except ValueError as error:  # not JSON, or not UTF-8
+    except (ValueError, RecursionError) as error:  # not JSON, not UTF-8, or lists in lists in lists
         raise ConfigError(f"not a JSON object ({error})") from error
     if not isinstance(wanted, dict):
         raise ConfigError("not a JSON object")

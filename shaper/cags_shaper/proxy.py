@@ -53,7 +53,7 @@ class ShapedDirection:
 
     async def carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Pump one connection's stream through the link, until its end has been delivered."""
-        with contextlib.suppress(ConnectionError):  # a reset is an end: what is under way still arrives
+        with contextlib.suppress(OSError):  # a reset or a time-out is an end: what is under way still arrives
             while data := await reader.read(READ_BYTES):
                 for start in range(0, len(data), SEGMENT_BYTES):
                     await self._push(Piece(data[start : start + SEGMENT_BYTES], writer))

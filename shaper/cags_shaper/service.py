@@ -9,7 +9,7 @@ import signal
 import time
 from typing import TYPE_CHECKING
 
-from cags_common.transport.tcp import host_port
+from cags_common.transport.hosts import host_port
 from cags_shaper.control import ControlPort
 from cags_shaper.link import Link
 from cags_shaper.log import LogWriter, open_log

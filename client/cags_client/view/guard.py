@@ -13,6 +13,8 @@ from urllib.parse import urlsplit
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
+from cags_common.transport.hosts import same_host
+
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' {socket}; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -39,7 +41,7 @@ def host_allowed(host: str, names: frozenset[str]) -> bool:
 def same_origin(request: web.Request) -> bool:
     """Whether a WebSocket request comes from the page that this server gave out (or from no browser at all)."""
     origin = request.headers.get("Origin")
-    return origin is None or urlsplit(origin).netloc == request.host
+    return origin is None or same_host(origin, request.host)
 
 
 def guard(names: frozenset[str]) -> Middleware:

@@ -37,7 +37,7 @@ from cags_client.view.pictures import NEED_TRUTH, PICTURES, Gallery
 from cags_client.view.poses import LivePoses, PoseSource
 from cags_client.view.settings import ViewSettings
 from cags_common.errors import CagsError, ConfigError, NetworkError, ProtocolError
-from cags_common.transport.tcp import host_port
+from cags_common.transport.hosts import host_port
 
 LOG = logging.getLogger(__name__)
 

@@ -15,15 +15,13 @@ from typing import Any, TypeVar
 
 from cags_common.errors import BundleError
 from cags_common.geometry import DEFAULT_NEAR, Vec3
-from cags_common.lod import LodLayer
+from cags_common.lod import MAX_LODS, LodLayer
 from cags_common.splats import MAX_SPLATS
 
 FORMAT = "cags-bundle"
 VERSION = 2
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
-MAX_LODS = 254
-"""LoDs travel as single bytes."""
 
 T = TypeVar("T")
 
@@ -151,8 +149,8 @@ def _checked(fields: _Fields) -> Manifest:
         capacity=fields.many("capacity", lambda f: f.integer("", 0, MAX_SPLATS), MAX_FRAMES),
         sh_degree=fields.integer("sh_degree", 0, 3),
         bounds=_bounds(fields),
-        lod_order=fields.many("lod_order", _lod_layer, MAX_LODS),
-        lod_gains_db=fields.many("lod_gains_db", lambda f: f.number("", -1e3, 1e3), MAX_LODS),
+        lod_order=fields.many("lod_order", _lod_layer, MAX_LODS - 1),
+        lod_gains_db=fields.many("lod_gains_db", lambda f: f.number("", -1e3, 1e3), MAX_LODS - 1),
         codec=fields.text("codec"),
         quantiser=fields.text("quantiser"),
         up=fields.vector("up"),

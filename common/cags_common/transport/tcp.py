@@ -19,11 +19,6 @@ _INFO = struct.Struct("=8B24I4Q6IQ")  # struct tcp_info of linux/tcp.h, up to tc
 _FLAGS, _RTT, _RTTVAR, _NOTSENT, _MIN_RTT, _DELIVERY_RATE = 7, 23, 24, 38, 39, 42
 
 
-def host_port(host: str, port: int) -> str:
-    """``HOST:PORT`` as addresses write it: IPv6 in brackets."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-
-
 @dataclass(frozen=True)
 class TcpInfo:
     """What Linux knows of a TCP connection."""

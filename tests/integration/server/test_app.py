@@ -61,6 +61,19 @@ async def test_several_clients_watch_at_once_and_leave() -> None:
     assert 'cags_sent_bytes_total{kind="reference"}' in page
 
 
+async def test_who_was_never_let_in_is_not_counted_as_a_session() -> None:
+    """A counter never falls: neither may the connections that come and go without a Hello."""
+    async with (
+        serving() as (_, server),
+        aiohttp.ClientSession() as http,
+        http.ws_connect(stream_url(server), protocols=(SUBPROTOCOL,)),
+        http.get(server.make_url("/metrics")) as answer,
+    ):
+        page = await answer.text()
+    assert "cags_sessions_total 0.0" in page
+    assert "cags_sessions 0.0" in page
+
+
 async def test_headless_clients_of_the_benchmark_watch_to_the_end() -> None:
     async with serving() as (_, server):
         clients = await watch_all(stream_url(server), CLIENT, 2)
@@ -154,6 +167,7 @@ async def test_another_version_is_refused_by_name() -> None:
         ("https://viewer.example", "*", 101),
         (None, "", 101),
         ("null", "", 403),
+        ("http://[", "", 403),
     ],
 )
 async def test_pages_of_strange_origins_are_turned_away(origin: str | None, allowed: str, status: int) -> None:

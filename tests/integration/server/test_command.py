@@ -44,7 +44,7 @@ def test_a_bundle_of_another_version_is_refused(tmp_path) -> None:
 
 
 def test_the_ready_line_is_an_address_with_brackets_where_it_must_have_them() -> None:
-    from cags_common.transport.tcp import host_port
+    from cags_common.transport.hosts import host_port
 
     assert host_port("::1", 8765) == "[::1]:8765"
     assert host_port("127.0.0.1", 8765) == "127.0.0.1:8765"

@@ -6,6 +6,9 @@ import pytest
 from cags_common.bundle import LodLayer, Manifest
 from cags_common.bundle.manifest import FileEntry, GofFiles
 from cags_common.errors import BundleError
+from cags_common.lod import MAX_LODS
+from cags_protocol.encoding import decode, encode
+from cags_protocol.messages import TileLayers
 
 FILE = FileEntry("gof_0000.bin", 8, 123, 20)
 MANIFEST = Manifest(
@@ -82,3 +85,11 @@ def test_nonsense_is_refused() -> None:
     for data in (b"", b"[]", b"null", b"{", b"[" * 100_000, b"\xff"):
         with pytest.raises(BundleError):
             Manifest.from_json(data)
+
+
+def test_more_levels_than_the_wire_carries_are_refused_when_the_bundle_is_opened() -> None:
+    order = [["scale", layer] for layer in range(1, MAX_LODS)]
+    assert Manifest.from_json(changed(lod_order=order, lod_gains_db=[])).lods == MAX_LODS
+    with pytest.raises(BundleError, match="lod_order has 64 entries"):
+        Manifest.from_json(changed(lod_order=[*order, ["scale", MAX_LODS]], lod_gains_db=[]))
+    assert decode(encode(TileLayers(0, 0, 0, MAX_LODS, (0,) * MAX_LODS, (0,) * MAX_LODS)))[0].to_lod == MAX_LODS

@@ -43,7 +43,9 @@ async def test_if_none_answers_the_last_ones_reason_is_given(asked: list[str]) -
     assert asked == ["ws://a1/stream", "ws://a2/stream"]
 
 
-@pytest.mark.parametrize("url", ["", "http://a/stream", "ws://a/stream,", "a:80"])
+@pytest.mark.parametrize(
+    "url", ["", "http://a/stream", "ws://a/stream,", "a:80", "ws://a:99999/x", "ws://[::1/x", "ws://a:0/x"]
+)
 def test_what_is_no_address_is_refused(url: str) -> None:
     with pytest.raises(NetworkError, match="no stream address"):
         dial.addresses(url)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cags_client.actions import Decode
 from cags_client.pipeline import ClientPipeline
 from cags_client.score import averages, score
 from cags_client.settings import ClientSettings
@@ -19,6 +20,7 @@ from cags_common.raster.base import Footprint, RasterScene, RenderedView, Render
 from cags_common.video.h264 import H264Encoder
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
+from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 
 SMALL = Intrinsics.of_fov(80, 60, 1.2, 1.0)
@@ -233,3 +235,11 @@ def test_a_damaged_reference_asks_for_an_idr_and_is_not_shown(reader: BundleRead
 def test_unknown_restorers_are_named(reader: BundleReader) -> None:
     with pytest.raises(ConfigError, match="magic"):
         pipeline(reader, restore="magic")
+
+
+def test_the_end_of_a_frame_that_the_clip_does_not_have_is_reported_like_any_damage(reader: BundleReader) -> None:
+    pipe = pipeline(reader, restore="none")
+    ends = [ev.FrameEnded(FrameEnd(frame), memoryview(b"")) for frame in (2**31 - 1, 0)]
+    result = Decode(tuple(ends), pipe).run()
+    assert [str(error) for error in result.errors] == ["frame 2147483647 is outside the clip's 3 frames"]
+    assert result.whole == 0

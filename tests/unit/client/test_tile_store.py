@@ -14,6 +14,7 @@ from cags_common.codecs import SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.lod import LodLayer
+from cags_common.splats import Splats
 from cags_common.svq import Codebook, CodebookSet
 from cags_common.tiles import PositionGrid, encode_base, encode_layer
 
@@ -317,3 +318,48 @@ def test_what_has_come_whole_ahead_of_the_display_is_told(store: TileStore) -> N
     store.commit(0)
     assert store.ahead(0) == 4
     assert store.ahead(5) == 0
+
+
+class GrowingTile:
+    """A tile whose second level brings a splat with an id that the group does not have."""
+
+    def __init__(self) -> None:
+        self.ids, self.lod = np.array([0], np.int32), 0
+
+    @property
+    def means(self) -> np.ndarray:
+        return np.zeros((len(self.ids), 3), np.float32)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
+        self.ids, self.lod = np.array([0, CAPACITY], np.int32), lod
+        return True
+
+    def dequantise(self, into: object = None) -> Splats:
+        n = len(self.ids)
+        quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+        colours = np.zeros((n, 3), np.float32)
+        return Splats(self.means, quats, colours, np.zeros(n, np.float32), colours, np.zeros((n, 0, 3), np.float32))
+
+
+class GrowingCodec:
+    def open_tile(self, payload: bytes | memoryview) -> GrowingTile:
+        return GrowingTile()
+
+    def tile_ids(self, payload: bytes | memoryview) -> np.ndarray:
+        return np.array([0], np.int32)
+
+
+def test_a_tile_that_grows_beyond_its_group_is_reported_and_does_not_end_the_display() -> None:
+    store = TileStore(manifest(), GrowingCodec())
+    store.add(0, 0, 0, [memoryview(b"base")])
+    store.end(0, removed())
+    assert xs(store, 0)[0] == 0
+    store.add(0, 0, 1, [memoryview(b"more")])
+    assert xs(store, 0) == [0, *[-1] * (CAPACITY - 1)]  # the display path dequantises what nobody flushed
+    assert [str(error) for error in store.flush()] == [
+        f"tile 0 of frame 0: id {CAPACITY} is outside the group's capacity {CAPACITY}"
+    ]
+    assert store.flush() == []

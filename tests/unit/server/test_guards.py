@@ -26,6 +26,7 @@ from support.server_scene import hello
         ("http://b.evil", "a:1", "http://b", False),
         ("null", None, "", False),
         ("http://b", "a:1", "*", True),
+        ("http://[", "[", "", False),
     ],
 )
 def test_origins(origin: str | None, host: str | None, allowed: str, expected: bool) -> None:
@@ -38,6 +39,7 @@ def test_tokens() -> None:
     assert token_allowed("s", hello(), "Bearer s")
     assert not token_allowed("s", hello(), None)
     assert not token_allowed("s", hello(token="S"), "Basic s")
+    assert not token_allowed("s", hello(), "Bearer \udcff")  # a byte that is not UTF-8, as aiohttp hands it on
 
 
 def test_tls_needs_both_files_and_readable_ones(tmp_path) -> None:

@@ -53,6 +53,7 @@ async def test_cap_and_delay_hold_for_both_directions(control):
         (b"", "not a JSON object"),
         (b"[]", "not a JSON object"),
         (b"\xff", "not a JSON object"),
+        (b"[" * 4000, "not a JSON object"),
         (b'{"colour": 1}', "unknown key 'colour'"),
         (b'{"cap_mbps": 0}', "cap_mbps = 0 must be"),
         (b'{"cap_mbps": true}', "cap_mbps = True must be"),

@@ -36,3 +36,13 @@ async def test_waiting_for_the_delay_costs_no_turns():
     await direction.close()
     assert sink.data == b"x" * 1000
     assert calls < 50, "a busy loop asks for the time thousands of times"
+
+
+async def test_a_connection_that_times_out_ends_like_one_that_is_reset():
+    link: Link[Piece] = Link(None)
+    direction = ShapedDirection(link, LinkClock(lambda: int(asyncio.get_running_loop().time() * 1e6)))
+    reader = asyncio.StreamReader()
+    reader.set_exception(TimeoutError(110, "Connection timed out"))
+    await direction.carry(reader, Sink())
+    await direction.close()
+    assert link.counts.delivered_packets == 1  # the end of the stream

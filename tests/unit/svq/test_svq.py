@@ -1,7 +1,10 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from cags_common.errors import DecodeError
+from cags_common.packing import gzip_bytes
 from cags_common.svq import Codebook, CodebookSet
 from support.codec_scenes import books
 
@@ -55,3 +58,18 @@ def test_layers_outside_the_bounds_are_refused(layer_bits: tuple[int, ...]) -> N
 def test_a_missing_attribute_is_named() -> None:
     with pytest.raises(DecodeError, match="no codebook for attribute 'sh3'"):
         books()["sh3"]
+
+
+def test_many_small_codebooks_that_unpack_to_gigabytes_are_refused_unread() -> None:
+    """A book of sixteen layers of equal rows takes 20 bytes and 11 MB of tables: 255 of them come in one small blob."""
+    book = bytes([9, 0, 16, 0, *[1] * 16]) + b"".join(bytes(-(-(2 << layer) // 8)) for layer in range(16))
+    data = b"CAGSCB01" + gzip_bytes(bytes([255]) + 255 * book)
+    tracemalloc.start()
+    try:
+        with pytest.raises(DecodeError, match="255 of them"):
+            CodebookSet.from_bytes(data)
+        _, most_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(data) < 10_000
+    assert most_bytes < 50e6
