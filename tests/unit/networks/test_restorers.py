@@ -138,17 +138,18 @@ def test_every_runtime_says_the_same(name, network):
     torch.nn.init.normal_(made.tail.weight, std=0.1)
     rng = np.random.default_rng(2)
     channels = (3, 3, 4) if network is Lite else (3, 3)
+    weights = weights_of(made, "lite" if network is Lite else "srresnet")
     for shape in ((24, 32), (16, 8)):
         images = [rng.uniform(size=(*shape, count)).astype(np.float32) for count in channels]
         images += [np.full((1, 1, 6), 0.5, np.float32)] if network is Lite else []
-        expected = runtimes.create("torch", made).run(*images)
-        np.testing.assert_allclose(runtimes.create(name, made, threads=1).run(*images), expected, atol=1e-3)
+        expected = runtimes.create("torch", weights).run(*images)
+        np.testing.assert_allclose(runtimes.create(name, weights, threads=1).run(*images), expected, atol=1e-3)
 
 
 def test_unknown_names_are_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match="lite, srresnet"):
         create("deep")
-    with pytest.raises(ConfigError, match="torch, cuda, openvino"):
+    with pytest.raises(ConfigError, match="kernels, torch, cuda, openvino"):
         from_weights(weights_of(Lite(), "lite"), "abacus")
 
 

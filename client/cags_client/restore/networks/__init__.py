@@ -42,7 +42,7 @@ def from_weights(weights: Weights, runtime: str = "", threads: int | None = None
     from cags_client.restore.networks import runtimes
     from cags_client.restore.networks.restorer import LiteRestorer, PictureRestorer
 
-    ready = runtimes.create(runtime or runtimes.DEFAULT, network_of(weights), threads)
+    ready = runtimes.create(runtime or runtimes.default_for(weights.network), weights, threads)
     name = f"{weights.network}@{runtime}" if runtime else weights.network
     if weights.network == "lite":
         return LiteRestorer(ready, name, threads)

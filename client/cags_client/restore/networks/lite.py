@@ -15,6 +15,8 @@ bit, whatever the weights are; where it corrects half a display code the gate is
 bounded by the coding noise.
 
 Outside, images are [B, h, w, C]; inside, blocks are channels (space to depth), so that the convolutions run at 200x150.
+
+The same network is in ``kernels/src/native/lite``, which the client runs: what changes here changes there.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cags_client.restore.affine import NOISE_FLOOR
+from cags_client.restore.networks.bounds import FACTOR_REACH, REACH, USUAL_DEVIATION
 
 SLOPE = 0.1
 """Of the leaky rectifiers."""
@@ -40,16 +43,6 @@ SEEN_CHANNELS = 10
 
 FIELD_CHANNELS = 4
 NOISE_CHANNELS = 6
-
-REACH = 0.5
-"""How far a correction may be moved, in standard deviations of the coding noise: more is not the codec's doing. Weights
-that were trained on another encoder's noise lost up to 7 dB in single crops without a bound; with it they cannot."""
-
-FACTOR_REACH = 0.3
-"""How far a factor may be moved."""
-
-USUAL_DEVIATION = 0.03
-"""Standard deviation of pictures within a window, about; the codec's noise grows with it."""
 
 FAINT = 8.0
 """By how much faint channels count for more than colours: differences going in, corrections coming out."""

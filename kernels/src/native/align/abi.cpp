@@ -206,7 +206,7 @@ int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output) {
   if (!valid(*input)) return CAGS_INVALID;
   CagsAlignInput in = *input;
   in.threads = std::min(in.threads, cags::kMaxThreads);
-  return guarded([&] { cags::align::align(in, *output); });
+  return cags::guarded([&] { cags::align::align(in, *output); });
 }
 
 static bool valid(const CagsCorrectInput& in) {
@@ -216,10 +216,10 @@ static bool valid(const CagsCorrectInput& in) {
 
 int32_t cags_fields(const CagsCorrectInput* input, float* fields) {
   if (!valid(*input)) return CAGS_INVALID;
-  return cags::align::guarded([&] { cags::align::fields_of(*input, fields); });
+  return cags::guarded([&] { cags::align::fields_of(*input, fields); });
 }
 
 int32_t cags_correct(const CagsCorrectInput* input, float* restored) {
   if (!valid(*input)) return CAGS_INVALID;
-  return cags::align::guarded([&] { cags::align::correct(*input, restored); });
+  return cags::guarded([&] { cags::align::correct(*input, restored); });
 }

@@ -59,5 +59,5 @@ bool valid(const CagsCarryInput& in) {
 int32_t cags_carry(const CagsCarryInput* input, float* carried) {
   using namespace cags::align;
   if (!valid(*input)) return CAGS_INVALID;
-  return guarded([&] { cags::align::carry(*input, carried); });
+  return cags::guarded([&] { cags::align::carry(*input, carried); });
 }

@@ -1,6 +1,7 @@
 #include "cags_kernels.h"
 #include "raster/frame.h"
 #include "raster/stages.h"
+#include "support/calls.h"
 #include "support/float_mode.h"
 #include "support/thread_pool.h"
 
@@ -8,7 +9,6 @@
 #include <limits>
 #include <memory>
 #include <mutex>
-#include <new>
 #include <vector>
 
 using cags::raster::Frame;
@@ -41,17 +41,6 @@ constexpr float kMaxColourAngle = 1.5f;  // radians: the sine must tell angles a
 constexpr int kStripe = 16;      // rows that a thread brings up to the whole resolution at a time
 constexpr int64_t kMaxSplats = std::numeric_limits<int32_t>::max() / 64;
 
-template <typename Body>
-int32_t guarded(const Body& body) {
-  try {
-    return body();
-  } catch (const std::bad_alloc&) {
-    return CAGS_OUT_OF_MEMORY;
-  } catch (...) {
-    return CAGS_FAILED;
-  }
-}
-
 bool valid(const CagsSplats& splats) {
   const int k = splats.sh_rest_count;
   return splats.count >= 0 && splats.count <= kMaxSplats && (k == 0 || k == 3 || k == 8 || k == 15);
@@ -71,12 +60,11 @@ bool valid(const CagsCamera& camera, const CagsRasterOptions& options) {
 int32_t run(CagsRasterScene* scene, const CagsCamera& camera, const CagsRasterOptions& options,
             const cags::raster::Targets& targets, const cags::raster::SplatSums& sums, CagsRasterStatistics* statistics) {
   if (!valid(camera, options)) return CAGS_INVALID;
-  return guarded([&] {
+  return cags::guarded([&] {
     std::unique_ptr<Frame> frame = scene->take_frame();
     const int threads = std::min(options.threads, cags::kMaxThreads);
     frame->run(scene->scene, cags::raster::make_view(camera, options), targets, sums, threads, statistics);
     scene->give_back(std::move(frame));
-    return CAGS_OK;
   });
 }
 
@@ -84,9 +72,8 @@ int32_t run(CagsRasterScene* scene, const CagsCamera& camera, const CagsRasterOp
 
 int32_t cags_raster_scene_create(const CagsSplats* splats, int32_t threads, CagsRasterScene** scene) {
   if (!valid(*splats) || threads < 1) return CAGS_INVALID;
-  return guarded([&] {
+  return cags::guarded([&] {
     *scene = new CagsRasterScene(*splats, std::min(threads, cags::kMaxThreads));
-    return CAGS_OK;
   });
 }
 
@@ -122,7 +109,7 @@ int32_t cags_raster_upsample(const CagsRasterTargets* half, int32_t width, int32
                              const CagsRasterTargets* whole) {
   const bool complete = half->rgb && half->alpha && whole->rgb && whole->alpha && !half->depth == !whole->depth;
   if (!complete || width < 1 || width > kMaxSide || height < 1 || height > kMaxSide || threads < 1) return CAGS_INVALID;
-  return guarded([&] {
+  return cags::guarded([&] {
     const cags::raster::UpsampleJob job{{half->rgb, half->alpha, half->depth, nullptr},
                                         {whole->rgb, whole->alpha, whole->depth, nullptr}, width, height, void_alpha};
     const int workers = std::min(threads, cags::kMaxThreads), stripes = (height + kStripe - 1) / kStripe;
@@ -133,7 +120,6 @@ int32_t cags_raster_upsample(const CagsRasterTargets* half, int32_t width, int32
       for (int y = stripe * kStripe; y < std::min(height, (stripe + 1) * kStripe); y++)
         cags::raster::active_stages().upsample(job, y, rows.data() + worker * pitch);
     });
-    return CAGS_OK;
   });
 }
 
