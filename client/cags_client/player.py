@@ -33,7 +33,7 @@ from cags_protocol import events as ev
 from cags_protocol.client import ClientSession, ClientSessionSettings
 from cags_protocol.inventory import pack_inventory
 from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Control, Hello, PoseSample, Refusal, Welcome
+from cags_protocol.messages import Control, Hello, PoseSample, Refusal, RefusalCode, Welcome
 from cags_protocol.session import SessionTimers
 
 CODEBOOKS_BLOB = "codebooks"
@@ -44,7 +44,7 @@ KEYFRAME_RETRY_US = 250_000
 RESUMING = ClientSessionSettings(SessionTimers(handshake_us=3_000_000))
 """A server that takes over must answer soon, for there may be another."""
 
-FATAL_REFUSALS = frozenset({"version", "token", "malformed", "unexpected", "quota"})
+FATAL_REFUSALS = frozenset(RefusalCode) - {RefusalCode.FULL, RefusalCode.TIMEOUT}
 """Refusals that another attempt would only meet again; any other code may be gone a moment later."""
 
 FATAL_ENDS = frozenset({"malformed", "unexpected"})

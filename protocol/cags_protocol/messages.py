@@ -10,6 +10,7 @@ Times named ``_us`` are microseconds of the client's clock unless a docstring sa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import ClassVar
 
 from cags_common.geometry import DEFAULT_NEAR, Intrinsics, Pose
@@ -272,20 +273,29 @@ class Notice(Message):
     message: str = wire(_TEXT)
 
 
+class RefusalCode(StrEnum):
+    """Why a server of this version ends a session; a client takes a code that it does not know for a passing one."""
+
+    VERSION = "version"
+    TOKEN = "token"  # noqa: S105 - the name of a reason, not a secret
+    FULL = "full"
+    MALFORMED = "malformed"
+    UNEXPECTED = "unexpected"
+    QUOTA = "quota"
+    TIMEOUT = "timeout"
+
+
 @dataclass(frozen=True, slots=True)
 class Refusal(Message):
     """The session ends by the server's decision. Every version of the protocol can read this message.
 
-    ``code`` is one of ``REFUSAL_CODES`` (or a later one), ``field`` names what was wrong (may be empty).
+    ``code`` is a :class:`RefusalCode` or one of a later version, ``field`` names what was wrong (may be empty).
     """
 
     TAG = "refusal"
     code: str = wire(_TEXT)
     field: str = wire(_TEXT)
     message: str = wire(_TEXT)
-
-
-REFUSAL_CODES = ("version", "token", "full", "draining", "malformed", "unexpected", "quota", "timeout", "internal")
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from cags_protocol.messages import (
     Notice,
     PoseBatch,
     Refusal,
+    RefusalCode,
     Welcome,
 )
 from cags_protocol.sendqueue import Entry, SendQueue
@@ -29,6 +30,9 @@ from cags_protocol.tracing import EventTrace
 
 REFERENCE_RESERVE_BYTES = 2 * limits.PACKET_BYTES
 """Credit that only reference pictures may use, so that they never wait for tiles to be acknowledged."""
+
+ENDS_OF_THEIR_OWN = frozenset({RefusalCode.MALFORMED, RefusalCode.UNEXPECTED, RefusalCode.TIMEOUT})
+"""Refusals that :class:`cags_protocol.events.Closed` tells apart; every other one is "refused" there."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +76,11 @@ class ServerSession(Session[ev.ServerEvent]):
         self._state = State.OPEN
         self._say(welcome, now_us)
 
-    def refuse(self, code: str, field: str, message: str, *, now_us: int) -> None:
+    def refuse(self, code: RefusalCode, field: str, message: str, *, now_us: int) -> None:
         """End the session for a reason that the client is told. Possible at any time."""
         if not self.closed:
-            self._say(Refusal(code, printable(field), printable(message)), now_us)
-            self._close("refused" if code not in ("malformed", "unexpected", "timeout") else code, message, now_us)
+            self._say(Refusal(code.value, printable(field), printable(message)), now_us)
+            self._close(code.value if code in ENDS_OF_THEIR_OWN else "refused", message, now_us)
 
     def queue(self, outgoing: ev.Outgoing, *, now_us: int) -> None:
         """Queue a message by value; it ends in exactly one :class:`Delivered` or :class:`Dropped` event."""
@@ -252,13 +256,14 @@ class ServerSession(Session[ev.ServerEvent]):
 
     def _on_breach(self, error: ProtocolError, now_us: int) -> None:
         if isinstance(error, VersionError):
-            self.refuse("version", "version", str(error), now_us=now_us)
+            self.refuse(RefusalCode.VERSION, "version", str(error), now_us=now_us)
         else:
-            code = "unexpected" if isinstance(error, UnexpectedMessageError) else "malformed"
+            unexpected = isinstance(error, UnexpectedMessageError)
+            code = RefusalCode.UNEXPECTED if unexpected else RefusalCode.MALFORMED
             self.refuse(code, "", str(error), now_us=now_us)
 
     def _on_timeout(self, reason: str, now_us: int) -> None:
-        self.refuse("timeout", "", reason, now_us=now_us)
+        self.refuse(RefusalCode.TIMEOUT, "", reason, now_us=now_us)
 
     def _on_close(self, now_us: int) -> None:
         self._now_us = now_us

@@ -17,7 +17,7 @@ from cags_common.errors import NetworkError, OutputError
 from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from cags_protocol.messages import Hello
+from cags_protocol.messages import Hello, RefusalCode
 from cags_server.admission import HANDSHAKES_BEYOND_CLIENTS, origin_allowed, tls_context, token_allowed
 from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
@@ -136,11 +136,11 @@ class App:
             max_queue_bytes=round(settings.max_queue_mb * 1e6),
         )
 
-        def admit(hello: Hello) -> tuple[str, str, str] | None:
+        def admit(hello: Hello) -> tuple[RefusalCode, str, str] | None:
             if not token_allowed(settings.token, hello, header):
-                return "token", "token", "the token is missing or wrong; give the server's with --token"
+                return RefusalCode.TOKEN, "token", "the token is missing or wrong; give the server's with --token"
             if self._served() >= settings.max_clients:
-                return "full", "", f"{settings.max_clients} clients are here already; try again later"
+                return RefusalCode.FULL, "", f"{settings.max_clients} clients are here already; try again later"
             return None
 
         return Connection(

@@ -13,6 +13,7 @@ import time
 from concurrent.futures import Executor
 
 from cags_common.transport.base import ConnectionEndedError, Transport
+from cags_protocol.messages import RefusalCode
 from cags_server.connection import Connection
 from cags_server.reference import FrameJob
 
@@ -84,7 +85,7 @@ class ClientTask:
                 await self._transport.send(packet)
         except TimeoutError:
             reason = f"the client took longer than {self._slow_s:g} s for one packet"
-            self._connection.session.refuse("timeout", "", reason, now_us=now_us())
+            self._connection.session.refuse(RefusalCode.TIMEOUT, "", reason, now_us=now_us())
             return False
         return True
 

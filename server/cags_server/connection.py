@@ -13,7 +13,7 @@ from cags_common.errors import ProtocolError
 from cags_protocol import ServerSession
 from cags_protocol import events as ev
 from cags_protocol.inventory import unpack_inventory
-from cags_protocol.messages import Buffer, Hello
+from cags_protocol.messages import Buffer, Hello, RefusalCode
 from cags_protocol.server import ServerSessionSettings
 from cags_protocol.tracing import EventTrace
 from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
@@ -25,7 +25,7 @@ from cags_server.reference import FrameJob, FrameRender
 from cags_server.settings import ServerSettings
 from cags_server.streamer import Streamer
 
-Admission = Callable[[Hello], tuple[str, str, str] | None]
+Admission = Callable[[Hello], tuple[RefusalCode, str, str] | None]
 """Looks at a Hello: None lets the client in, (code, field, message) refuses it."""
 
 
@@ -162,7 +162,7 @@ class Connection:
 
     def _enforce(self, broken: str | None, now_us: int) -> None:
         if broken is not None:
-            self.session.refuse("quota", broken, f"too many {broken} a second; send less", now_us=now_us)
+            self.session.refuse(RefusalCode.QUOTA, broken, f"too many {broken} a second; send less", now_us=now_us)
 
     def _join(self, hello: Hello, now_us: int) -> None:
         refusal = self._admit(hello) if self._admit else None
@@ -173,7 +173,7 @@ class Connection:
         try:
             inventory = unpack_inventory(hello.inventory) if resumed else ()
         except ProtocolError as error:
-            self.session.refuse("malformed", "inventory", str(error), now_us=now_us)
+            self.session.refuse(RefusalCode.MALFORMED, "inventory", str(error), now_us=now_us)
             return
         streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, may_look=self._may_look)
         if resumed:

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from cags_protocol.messages import RefusalCode
+
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 PAGES = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
@@ -53,6 +55,12 @@ def test_shell_blocks_run_in_order(page: str, tmp_path: Path) -> None:
     )
     logs = "".join(f"\n{log.name}: {log.read_text()}" for log in tmp_path.glob("*.log"))
     assert result.returncode == 0, result.stdout + result.stderr + logs
+
+
+def test_the_wire_page_lists_every_reason_of_a_refusal() -> None:
+    row = next(line for line in (DOCS / "wire.md").read_text(encoding="utf-8").splitlines() if "| `refusal` |" in line)
+    listed = row.partition("codes: ")[2].partition(";")[0]
+    assert listed.split(", ") == [code.value for code in RefusalCode]
 
 
 def test_console_commands_are_known() -> None:

@@ -23,12 +23,24 @@ def test_a_refused_client_knows_why():
     pair = Pair()
     pair.client.hello(hello(), now_us=0)
     pair.run(30_000)
-    pair.server.refuse("full", "", "16 clients at most", now_us=pair.now_us)
+    pair.server.refuse(m.RefusalCode.FULL, "", "16 clients at most", now_us=pair.now_us)
     pair.run(30_000)
     assert pair.client_events(ev.Refused)[0].refusal == m.Refusal("full", "", "16 clients at most")
     assert pair.client.closed
     assert pair.server.closed
     assert pair.client_events(ev.Closed)[0].code == "refused"
+
+
+@pytest.mark.parametrize("code", m.RefusalCode)
+def test_every_reason_reaches_the_client_as_it_is(code):
+    pair = Pair()
+    pair.client.hello(hello(), now_us=0)
+    pair.run(30_000)
+    pair.server.refuse(code, "field", "why", now_us=pair.now_us)
+    pair.run(30_000)
+    refusal = pair.client_events(ev.Refused)[0].refusal
+    assert (refusal.code, refusal.field, refusal.message) == (code.value, "field", "why")
+    assert type(pair.server_events(ev.Closed)[0].code) is str
 
 
 def test_a_client_of_another_version_is_refused_by_name_of_both_versions():

@@ -4,7 +4,7 @@ from cags_common.geometry import Pose
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
 from cags_protocol.inventory import pack_inventory
-from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample
+from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample, RefusalCode
 from cags_server.connection import Connection
 from cags_server.looks import Looks
 from support.server_scene import SETTINGS, hello, library
@@ -80,7 +80,7 @@ def test_two_runs_send_the_same() -> None:
 
 
 def test_a_refused_client_is_told_why() -> None:
-    pair = Pair(admit=lambda hello: ("full", "", "16 clients are here already; try again later"))
+    pair = Pair(admit=lambda hello: (RefusalCode.FULL, "", "16 clients are here already; try again later"))
     pair.run(30)
     assert pair.of(ev.Refused)[0].refusal.code == "full"
     assert pair.connection.closed
