@@ -283,6 +283,7 @@ class RefusalCode(StrEnum):
     UNEXPECTED = "unexpected"
     QUOTA = "quota"
     TIMEOUT = "timeout"
+    INTERNAL = "internal"
 
 
 @dataclass(frozen=True, slots=True)

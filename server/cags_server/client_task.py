@@ -44,7 +44,11 @@ class ClientTask:
         """Serve until the client or the server leaves."""
         tasks = [asyncio.create_task(part()) for part in (self._read, self._write, self._plan)]
         try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if any(_failed(task) for task in ended):
+                self._connection.session.refuse(
+                    RefusalCode.INTERNAL, "", "the server failed; join again", now_us=now_us()
+                )
             if not self._connection.closed:
                 self._connection.connection_lost("the connection ended", now_us())
             await self._flush()
@@ -107,12 +111,10 @@ class ClientTask:
     async def _run(self, job: FrameJob, loop: asyncio.AbstractEventLoop) -> None:
         try:
             render = await loop.run_in_executor(self._executor, job.run, time.perf_counter_ns)
+            self._connection.job_done(render, now_us())
         except Exception:
             log.exception("%s: frame %d failed", self._connection.name, job.plan.frame)
             self._connection.job_failed(job)
-            self._to_plan.set()
-            return
-        self._connection.job_done(render, now_us())
         self._wake()
         self._executor.submit(job.library.prepare, job.plan.frame + 1)
 
@@ -138,3 +140,9 @@ class ClientTask:
     def _wake(self) -> None:
         self._to_send.set()
         self._to_plan.set()
+
+
+def _failed(task: asyncio.Task[None]) -> bool:
+    """Whether a coroutine ended by a fault of the program: not because the client went away."""
+    error = None if task.cancelled() else task.exception()
+    return error is not None and not isinstance(error, ConnectionEndedError)

@@ -38,7 +38,7 @@ class BundleReader:
         self.manifest = manifest
         self.codec = tile_codec(manifest, codebooks)
         self._store, self._codebooks = store, codebooks
-        self._lock = threading.RLock()
+        self._lock, self._replaying = threading.Lock(), threading.Lock()
         self._index: dict[int, tuple[FrameEntry, ...]] = {}
         self._source_index: dict[int, tuple[tuple[int, int], ...]] = {}
         self._frames: OrderedDict[int, bytes] = OrderedDict()
@@ -66,6 +66,7 @@ class BundleReader:
         """Drop what is cached; the reader may still be used afterwards."""
         with self._lock:
             self._frames.clear()
+        with self._replaying:
             self._replay = None
 
     def codebooks(self) -> bytes:
@@ -134,7 +135,7 @@ class BundleReader:
         """All unquantised splats alive in ``frame``. Cheapest in rising order: an earlier frame replays its group."""
         gof = self.manifest.gof_of(frame)
         first = self.manifest.gof_starts[gof]
-        with self._lock:
+        with self._replaying:  # seconds of reading and decoding: payloads need not wait for it
             if self._replay is None or not first <= self._replay[0] <= frame:
                 state = SourceState(self.manifest.capacity[gof], self.manifest.sh_degree)
                 state.apply(self.source_delta(first))
@@ -146,20 +147,20 @@ class BundleReader:
             return state.frame()
 
     def _tile_index(self, gof: int) -> tuple[FrameEntry, ...]:
-        with self._lock:
-            if gof not in self._index:
-                data = self._read_index(self.manifest.gofs[gof].tiles)
-                frames = self.manifest.gof_frames(gof)
-                self._index[gof] = decode_tile_index(data, gof=gof, frames=frames, lods=self.manifest.lods)
-            return self._index[gof]
+        known = self._index.get(gof)
+        if known is None:  # two threads may read it side by side: both read the same
+            data = self._read_index(self.manifest.gofs[gof].tiles)
+            frames = self.manifest.gof_frames(gof)
+            known = self._index[gof] = decode_tile_index(data, gof=gof, frames=frames, lods=self.manifest.lods)
+        return known
 
     def _sources(self, gof: int) -> tuple[tuple[int, int], ...]:
-        with self._lock:
-            if gof not in self._source_index:
-                data = self._read_index(self.manifest.gofs[gof].source)
-                frames = len(self.manifest.gof_frames(gof))
-                self._source_index[gof] = decode_source_index(data, gof=gof, frames=frames)
-            return self._source_index[gof]
+        known = self._source_index.get(gof)
+        if known is None:
+            data = self._read_index(self.manifest.gofs[gof].source)
+            frames = len(self.manifest.gof_frames(gof))
+            known = self._source_index[gof] = decode_source_index(data, gof=gof, frames=frames)
+        return known
 
     def _read_index(self, file: FileEntry) -> bytes:
         data = self._store.read(file.name, file.index_offset, file.size_bytes)
@@ -170,13 +171,14 @@ class BundleReader:
     def _frame_bytes(self, entry: FrameEntry) -> bytes:
         with self._lock:
             data = self._frames.pop(entry.frame, None)
-            if data is None:
-                name = self.manifest.gofs[entry.gof].tiles.name
-                data = self._store.read(name, entry.offset, entry.offset + entry.size_bytes)
+        if data is None:  # read without the lock: frames that are there already need not wait for a slow store
+            name = self.manifest.gofs[entry.gof].tiles.name
+            data = self._store.read(name, entry.offset, entry.offset + entry.size_bytes)
+        with self._lock:
             self._frames[entry.frame] = data
             while len(self._frames) > CACHED_FRAMES:
                 self._frames.popitem(last=False)
-            return data
+        return data
 
     @staticmethod
     def _tile(entry: FrameEntry, tile: int) -> TileEntry:

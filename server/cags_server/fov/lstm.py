@@ -15,18 +15,19 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
-from cags_common.errors import ConfigError
+from cags_common.errors import ConfigError, DecodeError
 from cags_common.files import whole_file
 from cags_common.geometry import F32, Intrinsics, Pose
+from cags_common.npz import load_npz
 from cags_server.fov.base import FovObservation
 from cags_server.fov.truth import fast_margins
 
 INPUTS = 16  # q (4), change of q (4), p (3), change of p (3), margins of the frame before (2)
 MAX_HIDDEN = 256
+MAX_WEIGHTS_BYTES = 4 << 20
 MAX_PENDING = 64
 """Frames planned whose true pose has not arrived; older ones are given up."""
 
@@ -62,10 +63,10 @@ class LstmWeights:
     def load(path: Path = SHIPPED) -> LstmWeights:
         """Read what :meth:`save` wrote. Raises :class:`ConfigError` for anything else."""
         try:
-            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-                arrays = {name: file[name].astype(np.float32) for name in _NAMES}
-                provenance = json.loads(file["provenance"].tobytes())
-        except (OSError, ValueError, KeyError, BadZipFile) as error:
+            file = load_npz(path, MAX_WEIGHTS_BYTES)
+            arrays = {name: file[name].astype(np.float32) for name in _NAMES}
+            provenance = json.loads(file["provenance"].tobytes())
+        except (OSError, DecodeError, ValueError, KeyError) as error:
             raise ConfigError(f"{path}: cannot be read as LSTM weights ({error})") from error
         hidden = arrays["w_hidden"].shape[-1]
         shapes = ((4 * hidden, INPUTS), (4 * hidden, hidden), (4 * hidden,), (2, hidden), (2,), (INPUTS,), (INPUTS,))

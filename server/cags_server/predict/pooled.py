@@ -12,14 +12,14 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from cags_common import so3
-from cags_common.errors import ConfigError
+from cags_common.errors import ConfigError, DecodeError
 from cags_common.files import whole_file
 from cags_common.geometry import F64
+from cags_common.npz import load_npz
 
 ORDERS = (1, 2, 4, 8, 12)
 """Window lengths: a short history uses a short window."""
@@ -88,12 +88,10 @@ class PooledWeights:
     def load(path: Path = SHIPPED) -> PooledWeights:
         """Read what :meth:`save` wrote. Raises :class:`ConfigError` for anything else."""
         try:
-            if path.stat().st_size > MAX_WEIGHTS_BYTES:
-                raise ConfigError(f"{path}: larger than {MAX_WEIGHTS_BYTES} bytes; these are not predictor weights")
-            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-                provenance = json.loads(file["provenance"].tobytes())
-                matrices = {order: file[f"order_{order}"].astype(np.float64) for order in ORDERS}
-        except (OSError, ValueError, KeyError, BadZipFile) as error:
+            file = load_npz(path, MAX_WEIGHTS_BYTES)
+            provenance = json.loads(file["provenance"].tobytes())
+            matrices = {order: file[f"order_{order}"].astype(np.float64) for order in ORDERS}
+        except (OSError, DecodeError, ValueError, KeyError) as error:
             raise ConfigError(f"{path}: cannot be read as predictor weights ({error})") from error
         for order, matrix in matrices.items():
             if matrix.shape != (len(HORIZON_STEPS), 6 * order, 6) or not np.isfinite(matrix).all():

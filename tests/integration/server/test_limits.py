@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import aiohttp
 import pytest
@@ -14,8 +15,9 @@ from cags_common.errors import NetworkError
 from cags_common.geometry import Pose
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
+from cags_protocol.encoding import decode
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from cags_protocol.messages import Blob, PoseSample
+from cags_protocol.messages import Blob, PoseSample, Refusal
 from cags_server import app, cli, client_task
 from cags_server.client_task import ClientTask
 from cags_server.connection import Connection
@@ -120,6 +122,60 @@ async def test_a_client_that_takes_nothing_is_cut_off(monkeypatch: pytest.Monkey
     assert connection.ending is not None
     assert connection.ending.code == "timeout"
     assert "0.1 s" in connection.ending.reason
+
+
+class Willing(Stuck):
+    """A client that says Hello and takes everything."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.taken: list[bytes] = []
+
+    async def send(self, data: bytes) -> None:
+        self.taken.append(data)
+
+    async def close(self, reason: str = "") -> None:
+        pass
+
+
+async def test_a_fault_of_the_server_ends_its_session_with_a_word_and_a_line_in_the_log(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    connection = Connection(
+        library(), ServerSettings(reference_width=64, reference_height=48), name="s", now_us=now_us()
+    )
+
+    def broken(now_us: int) -> None:
+        raise RuntimeError("a fault of the program")
+
+    monkeypatch.setattr(connection, "next_job", broken)
+    transport = Willing()
+    with ThreadPoolExecutor(1) as executor:
+        async with asyncio.timeout(10):
+            await ClientTask(transport, connection, executor, slow_s=1.0).run()
+    refusal, _ = decode(transport.taken[-1])
+    assert isinstance(refusal, Refusal)
+    assert refusal.code == "internal"
+    assert "a fault of the program" in caplog.text
+
+
+async def test_a_job_whose_result_cannot_be_used_is_given_up_and_the_stream_goes_on(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with serving() as (_, server):
+        whole, calls = Connection.job_done, []
+
+        def fails_once(connection: Connection, *arguments: Any) -> None:
+            calls.append(arguments)
+            if len(calls) == 1:
+                raise RuntimeError("cannot be used")
+            whole(connection, *arguments)
+
+        monkeypatch.setattr(Connection, "job_done", fails_once)
+        client = await Client.join(server)
+        assert await client.play()
+        assert len(calls) > 1
+    assert "cannot be used" in caplog.text
 
 
 def test_the_log_is_json_where_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,3 +1,5 @@
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -5,6 +7,7 @@ import pytest
 
 from cags_common.bundle import BundleReader, BundleWriter, LodLayer, Manifest, SourceDelta, TilePayloads
 from cags_common.bundle.source import decode_source, encode_source
+from cags_common.bundle.store import UrlStore
 from cags_common.bundle.weights import store_weights
 from cags_common.errors import BundleError, CagsError, DecodeError
 from cags_common.tiles import PositionGrid, encode_base, encode_layer
@@ -174,3 +177,37 @@ def test_damaged_weights_are_noticed_and_too_many_refused(tmp_path: Path) -> Non
         reader.weights()
     with pytest.raises(BundleError, match="more than the allowed"):
         store_weights(url, bytes(5 << 20))
+
+
+class GatedStore(UrlStore):
+    """A store whose files that begin with ``slow`` are read only once the gate is open."""
+
+    def __init__(self, url: str, slow: str) -> None:
+        super().__init__(url)
+        self._slow, self.asked, self.gate = slow, threading.Event(), threading.Event()
+
+    def read(self, name: str, start: int, end: int) -> bytes:
+        if name.startswith(self._slow) and end - start > 8:
+            self.asked.set()
+            assert self.gate.wait(10)
+        return super().read(name, start, end)
+
+
+@pytest.mark.parametrize(("slow", "work"), [("source/", "source"), ("gof_0001", "removed_payload")])
+def test_a_slow_read_holds_up_nobody_who_wants_something_else(url: str, slow: str, work: str) -> None:
+    manifest = write(url)
+    store = GatedStore(url, slow)
+    reader = BundleReader(store, manifest, BOOKS.to_bytes())
+    store.gate.set()
+    reader.frame(2)  # indices are read once, and then known
+    reader.payload(0, 0, 0)
+    store.gate.clear()
+    with ThreadPoolExecutor(2) as pool:
+        waits = pool.submit(getattr(reader, work), 2)
+        assert store.asked.wait(10)
+        try:
+            assert pool.submit(reader.payload, 0, 0, 0).result(5)
+            assert not waits.done()
+        finally:
+            store.gate.set()
+        waits.result(10)

@@ -70,6 +70,16 @@ def test_archives_that_unpack_to_too_much_are_refused():
         Weights.from_bytes(out.getvalue(), "bomb.npz")
 
 
+def test_an_array_that_claims_more_than_its_bytes_is_refused_before_anything_is_allocated():
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (2**34,)})
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as file:
+        file.writestr("a.npy", header.getvalue())
+    with pytest.raises(ConfigError, match="no weights file"):  # numpy.load asks the system for 64 GiB
+        Weights.from_bytes(out.getvalue(), "w.npz")
+
+
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.npz"):
         Weights.load(tmp_path / "none.npz")

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.errors import ConfigError
+from cags_common.errors import ConfigError, DecodeError
 from cags_common.files import write_whole
 from cags_common.geometry import F32
+from cags_common.npz import read_npz
 
 VERSION = 1
 MAX_FILE_BYTES = 4 << 20
-MAX_ARRAYS = 256
 
 _ABOUT = "about"
 _SHIPPED = "cags_client.restore.networks.shipped"
@@ -63,9 +63,9 @@ class Weights:
         if len(data) > MAX_FILE_BYTES:
             raise ConfigError(f"{source}: {len(data)} bytes are more than a weights file may have ({MAX_FILE_BYTES})")
         try:
-            arrays = _arrays(data)
+            arrays = read_npz(data, MAX_FILE_BYTES)
             about = json.loads(arrays.pop(_ABOUT).tobytes())
-        except (OSError, ValueError, KeyError, EOFError, RecursionError, zipfile.BadZipFile) as error:
+        except (DecodeError, ValueError, KeyError, RecursionError) as error:
             raise ConfigError(f"{source}: is no weights file ({error}); train or fetch it again") from error
         return _checked(about, arrays, source)
 
@@ -94,15 +94,6 @@ def _put(archive: zipfile.ZipFile, name: str, array: NDArray[Any]) -> None:
     out = io.BytesIO()
     np.lib.format.write_array(out, array, allow_pickle=False)
     archive.writestr(entry, out.getvalue())
-
-
-def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        entries = archive.infolist()
-        if len(entries) > MAX_ARRAYS or sum(entry.file_size for entry in entries) > MAX_FILE_BYTES:
-            raise ValueError("it unpacks to too much")
-    with np.load(io.BytesIO(data), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
 
 
 def _checked(about: Any, arrays: dict[str, NDArray[Any]], source: str) -> Weights:

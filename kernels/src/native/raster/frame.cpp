@@ -121,14 +121,11 @@ void Frame::prepare_colours(const SceneData& scene, const View& view) {
 // Turns counts into places: where each tile's list starts, where each chunk writes in it, where each chunk's slots start.
 void Frame::place_entries(const View& view) {
   const int tiles = view.tiles_x * view.tiles_y;
-  uint64_t total = 0;
-  for (int chunk = 0; chunk < data_.chunks; chunk++) {
-    const uint32_t count = data_.chunk_slot[chunk];
-    data_.chunk_slot[chunk] = uint32_t(total);
-    total += count;
-  }
+  uint64_t total = 0;  // of the counts a tile and chunk, which cannot overflow: a chunk's own sum may have
+  for (size_t i = 0; i < size_t(data_.chunks) * tiles; i++) total += data_.tile_cursor[i];
   if (total > std::numeric_limits<uint32_t>::max()) throw std::bad_alloc();
-  uint32_t place = 0;
+  uint32_t slot = 0, place = 0;
+  for (int chunk = 0; chunk < data_.chunks; chunk++) slot += std::exchange(data_.chunk_slot[chunk], slot);
   for (int tile = 0; tile < tiles; tile++) {
     data_.tile_start[tile] = place;
     for (int chunk = 0; chunk < data_.chunks; chunk++) {
