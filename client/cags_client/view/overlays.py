@@ -23,6 +23,9 @@ GRID_PX = 4
 DETAIL_PX = 8
 """Pixels of the picture a cell of the detail map."""
 
+FILL_CELLS = (3, 7, 15, 31, 63)
+"""Sides of the squares from which a cell of the detail map without a splat's centre takes its value."""
+
 SURFACE_TOLERANCE = 0.1
 """A splat this share of the depth behind the surface still belongs to it."""
 
@@ -69,7 +72,8 @@ def _shrunk(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def detail_grid(held: SplatDetail, shown: ShownFrame) -> Grid:
     """Mean detail of the splats seen in each cell: bytes [H/8, W/8], 0 where none is, 1 (base only) to 255 (all).
 
-    Splats behind what the picture shows there do not count.
+    Splats behind what the picture shows there do not count. Cells of a surface in which no splat has its centre, for
+    large ones cover many, have the mean of those nearest.
     """
     i = shown.camera.intrinsics
     width, height = max(1, i.width_px // DETAIL_PX), max(1, i.height_px // DETAIL_PX)
@@ -79,14 +83,31 @@ def detail_grid(held: SplatDetail, shown: ShownFrame) -> Grid:
     x = ((points[:, 0] / z * i.fx_px + i.cx_px) / DETAIL_PX).astype(np.int64)
     y = ((points[:, 1] / z * i.fy_px + i.cy_px) / DETAIL_PX).astype(np.int64)
     seen = (held.tiles >= 0) & (points[:, 2] > shown.camera.near) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    solid = np.zeros((height, width), bool)
     if shown.depth is not None:
         surface = cv2.resize(shown.depth, (width, height), interpolation=cv2.INTER_NEAREST)
         seen[seen] = z[seen] <= surface[y[seen], x[seen]] * np.float32(1 + SURFACE_TOLERANCE)
+        solid = np.isfinite(surface)
     cells = y[seen] * width + x[seen]
-    count = np.bincount(cells, minlength=width * height)
-    total = np.bincount(cells, weights=held.detail[seen], minlength=width * height)
+    count = np.bincount(cells, minlength=width * height).reshape(height, width).astype(np.float64)
+    total = np.bincount(cells, weights=held.detail[seen], minlength=width * height).reshape(height, width)
+    _fill(total, count, solid)
     values = np.where(count > 0, 1 + 254 * total / np.maximum(count, 1), 0).astype(np.uint8)
-    return Grid("detail", values.reshape(height, width))
+    return Grid("detail", values)
+
+
+def _fill(total: F64, count: F64, wanted: NDArray[np.bool_]) -> None:
+    """Give cells [h, w] that are ``wanted`` and empty the sums of a square about them, the smallest that holds any."""
+    for reach in FILL_CELLS:
+        empty = wanted & (count == 0)
+        if not empty.any():
+            return
+        sums = (
+            cv2.boxFilter(s, -1, (reach, reach), normalize=False, borderType=cv2.BORDER_CONSTANT)
+            for s in (total, count)
+        )
+        for into, around in zip((total, count), sums, strict=True):
+            into[empty] = around[empty]
 
 
 def tile_boxes(held: SplatDetail, camera: Camera) -> list[dict[str, object]]:

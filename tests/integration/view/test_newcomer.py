@@ -54,6 +54,10 @@ def test_a_splat_file_becomes_a_scene_in_the_browser(tmp_path: Path) -> None:
         time.sleep(2.0)
         shown = pixels(running)
         keep_screenshot(running, "newcomer")
+        tag = running.find_element("id", "tag-a")
+        wait(
+            running, lambda _: "all detail is here" in tag.text, "the page does not say that nothing is left to restore"
+        )
         before = running.execute_script("return window.cags.frames")
         running.find_element("css selector", "#picture-a option[value=truth]").click()
         wait(running, lambda page: page["frames"] > before and page["picture"]["name"] == "truth", "no truth")

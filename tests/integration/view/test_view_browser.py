@@ -138,6 +138,19 @@ def test_keys_fly_step_and_compare(page: Any, show: BallShow) -> None:
     wait(page, lambda: page.execute_script("return document.getElementById('help').open"))
 
 
+def test_a_choice_that_was_come_to_by_keyboard_is_made_by_arrows(page: Any, show: BallShow) -> None:
+    chosen = "return document.querySelector('[name=rig]:checked').value"
+    page.execute_script("document.getElementById('seek').focus()")
+    press(page, "\ue004")
+    assert page.execute_script("return document.activeElement.value") == "walk"
+    press(page, "\ue014")
+    wait(page, lambda: page.execute_script(chosen) == "orbit" and show.view.poses.held)
+    press(page, "\ue014")
+    wait(page, lambda: page.execute_script(chosen) == "fly")
+    press(page, "t")
+    wait(page, lambda: not show.view.poses.held)
+
+
 def test_two_pictures_overlays_and_figures(page: Any, show: BallShow) -> None:
     click(page, "#mode label:nth-child(2)")
     for name in ("occlusion", "tiles", "reference", "score"):

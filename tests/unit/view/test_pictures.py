@@ -105,7 +105,19 @@ def test_detail_counts_what_is_seen_and_not_what_lies_behind() -> None:
     grid = detail_grid(held, shown).values
     assert grid.shape == (60, 80)
     assert grid[30, 40] == 255
-    assert int((grid > 0).sum()) == 1
+    assert set(np.unique(grid)) == {255}  # nothing of the splat behind
+
+
+def test_detail_fills_the_surface_between_centres_and_nothing_beside_it() -> None:
+    depth = np.full((480, 640), np.inf, np.float32)
+    depth[120:360, 160:480] = 2.0
+    shown = ShownFrame(0, Camera(INTRINSICS, Pose.identity()), {}, depth=depth)
+    means = np.array([[-0.3, 0, 2], [0.3, 0, 2]], np.float32)
+    held = SplatDetail(means, np.zeros(2, np.int32), np.array([0.0, 1.0], np.float32))
+    grid = detail_grid(held, shown).values
+    assert ((grid > 0) == np.isfinite(depth[::8, ::8])).all()
+    assert (grid[30, 24], grid[30, 56]) == (1, 255)
+    assert (np.diff(grid[30, 20:60].astype(int)) >= 0).all()
 
 
 def test_tile_boxes_hold_their_splats_and_hide_behind_the_camera() -> None:

@@ -153,10 +153,12 @@ function tellShaper(message) {
   panel.shaper(message);
 }
 
+/** Arrows and the space bar choose among radio buttons that were come to by keyboard, as everywhere. */
+const choosing = (event) => event.target.matches("[type=radio]:focus-visible") && /^(Arrow| $)/.test(event.key);
 const typing = (target) => target.closest("input, select, dialog, [role=slider]") !== null;
 
 addEventListener("keydown", (event) => {
-  if (typing(event.target) && event.target.type !== "radio") return;
+  if (choosing(event) || (typing(event.target) && event.target.type !== "radio")) return;
   if (gestures?.key(event, true) || panel.key(event)) event.preventDefault();
 });
 addEventListener("keyup", (event) => gestures?.key(event, false));

@@ -20,6 +20,7 @@ export class Panel {
   #troubleTimer = 0;
   #frame = 0;
   #clocked = 0;
+  #idle = false;
 
   /** `send(message)` goes to the server; `on` holds rig(name) and home(). */
   constructor(stage, send, on) {
@@ -85,7 +86,20 @@ export class Panel {
     $("waiting").hidden = true;
     if (!this.#seeking) $("seek").value = header.frame;
     say("tier", this.#state.restorer === "auto" ? `chose ${header.tier}` : "");
+    this.#tags(header);
     say("clock", `${header.frame + 1} / ${this.#scene?.frames ?? "?"}`);
+  }
+
+  /** Names of the pictures; one that cannot differ from what was received, for nothing is left to restore, says so. */
+  #tags(header) {
+    if (header) {
+      const whole = header.stats.lod_mean >= this.#scene?.lods - 1 - 1e-3;
+      this.#idle = whole && this.#state.restorer !== "none" && !("restore" in header.stages_ms);
+    }
+    for (const [i, id] of ["tag-a", "tag-b"].entries()) {
+      const name = this.stage.names[i];
+      say(id, this.#idle && name === "restored" ? `${TITLES[name]} · all detail is here` : TITLES[name]);
+    }
   }
 
   link(state, text) {
@@ -120,8 +134,7 @@ export class Panel {
     const wanted = mode === "single" ? [names[0]] : [...new Set(names)];
     const overlays = [...$("overlays").querySelectorAll("input:checked")].map((box) => box.value);
     this.stage.names = names;
-    $("tag-a").textContent = TITLES[names[0]];
-    $("tag-b").textContent = TITLES[names[1]];
+    this.#tags();
     $("tag-b").hidden = mode === "single";
     $("picture-b").disabled = mode === "single";
     this.#send({ type: "look", pictures: wanted, overlays });

@@ -8,11 +8,11 @@ const STAGE_COLOURS = ["--s1", "--s2", "--s3", "--s4", "--s5", "--s6"];
 
 const PLOTS = [
   { title: "Rate", unit: "Mbps", series: [["goodput", "goodput_mbps", "--s1"], ["capacity", "capacity_mbps", "--s2"]] },
-  { title: "Quality", unit: "dB", floor: false, hint: "turn on PSNR", series: [["restored", "psnr_restored_db", "--s3"], ["aligned", "psnr_aligned_db", "--s2"], ["distorted", "psnr_distorted_db", "--s5"]] },
+  { title: "Quality", unit: "dB", floor: false, hint: () => (document.getElementById("score").checked ? "measuring …" : "turn on PSNR"), series: [["restored", "psnr_restored_db", "--s3"], ["aligned", "psnr_aligned_db", "--s2"], ["distorted", "psnr_distorted_db", "--s5"]] },
   { title: "Frame time", unit: "ms", stages: true, series: [] },
   { title: "Detail", unit: "LoD", series: [["mean in view", "lod_mean", "--s4"]] },
   { title: "Prediction error", unit: "°", series: [["angle", "prediction_error_deg", "--s5"]] },
-  { title: "Latency", unit: "ms", hint: "drag the picture", series: [["drag to photon", "photon_ms", "--s1"]] },
+  { title: "Latency", unit: "ms", hint: () => "drag the picture", series: [["drag to photon", "photon_ms", "--s1"]] },
   { title: "Buffer", unit: "ms", series: [["ahead", "buffer_ms", "--s6"]] },
 ];
 
@@ -143,13 +143,14 @@ export class Plots {
 
   #legend(plot, series, now, colour) {
     const at = this.#hover === null ? this.#samples.at(-1) : this.#near(now - this.#hover * SPAN_MS);
-    const names = series.map((one) => one.label).join();
+    const hint = plot.hint?.() ?? "nothing yet";
+    const names = series.map((one) => one.label).join() || hint;
     if (plot.names !== names) {
       plot.names = names;
       plot.values = series.map(() => element("b"));
       const title = element("strong", `${plot.title} `, note(plot.unit));
       const entries = series.map((one, i) => element("span", element("i"), `${one.label} `, plot.values[i]));
-      plot.legend.replaceChildren(title, ...(entries.length ? entries : [element("span", plot.hint ?? "nothing yet")]));
+      plot.legend.replaceChildren(title, ...(entries.length ? entries : [element("span", hint)]));
     }
     series.forEach((one, i) => {
       const value = at ? (one.own ?? one.get)(at) : null;
