@@ -90,7 +90,8 @@ def detail_grid(held: SplatDetail, shown: ShownFrame) -> Grid:
         solid = np.isfinite(surface)
     cells = y[seen] * width + x[seen]
     count = np.bincount(cells, minlength=width * height).reshape(height, width).astype(np.float64)
-    total = np.bincount(cells, weights=held.detail[seen], minlength=width * height).reshape(height, width)
+    total = np.asarray(np.bincount(cells, weights=held.detail[seen], minlength=width * height), np.float64)
+    total = total.reshape(height, width)
     _fill(total, count, solid)
     values = np.where(count > 0, 1 + 254 * total / np.maximum(count, 1), 0).astype(np.uint8)
     return Grid("detail", values)
