@@ -22,6 +22,7 @@ from typing import Protocol
 
 from cags_client.actions import Decode, DecodeResult, Present, Restarted
 from cags_client.arrivals import Arrivals
+from cags_client.cadence import Cadence
 from cags_client.pipeline import ClientPipeline, PresentedFrame
 from cags_client.play_stats import PlayStats
 from cags_client.reconnect import Reconnect
@@ -100,6 +101,7 @@ class Player:
         self._arrivals = Arrivals()
         self._presenting = False
         self._next_frame = settings.start_frame
+        self._cadence = Cadence(settings.start_frame)
         self._due_us: int | None = None
         self._end_frame = settings.start_frame + 1
         self._next_pose_us = now_us
@@ -271,6 +273,7 @@ class Player:
             self._open(now_us)
         if self._resume_at is not None:
             self._session.control(self._resume_at, now_us=now_us)
+            self._cadence.restart(self._resume_at.frame)
             self._resume_at = None
 
     def _on_codebooks(self, data: bytes, now_us: int) -> None:
@@ -351,14 +354,14 @@ class Player:
         return Decode(self._arrivals.take(), pipeline)
 
     def _present(self, now_us: int) -> Present:
-        frame = self._next_frame
+        frame = self._cadence.next(self._next_frame, self._end_frame)
         if self.settings.drop_late:
-            while frame + 1 < self._end_frame and self._frame_due_us(frame + 1) <= now_us:
-                frame += 1
+            frame = self._cadence.newest_due(now_us, self._next_frame, self._end_frame, self._frame_due_us)
         self.stats.dropped += frame - self._next_frame
         self._next_frame, self._presenting = frame + 1, True
         due_us = self._frame_due_us(frame)
-        self._due_us = self._frame_due_us(frame + 1) if self._next_frame < self._end_frame else None
+        following = self._cadence.next(frame + 1, self._end_frame)
+        self._due_us = self._frame_due_us(following) if following > frame else None
         assert self.pipeline is not None
         return Present(frame, due_us, self._pose(due_us), self.pipeline, self._arrivals.traffic())
 
@@ -375,7 +378,7 @@ class Player:
             samples.append(PoseSample(self._next_pose_us, self._pose(self._next_pose_us)))
             self._next_pose_us += period_us
         if samples:
-            self._session.send_poses(samples[-64:], now_us=now_us)
+            self._session.send_poses(samples[-64:], now_us=now_us, cadence_permille=self._cadence.permille)
 
     def _ask_idr(self, last_seq: int, now_us: int) -> None:
         if self._asked_idr_us is not None and now_us - self._asked_idr_us < KEYFRAME_RETRY_US:

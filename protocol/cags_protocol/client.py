@@ -10,6 +10,7 @@ from cags_protocol import events as ev
 from cags_protocol import limits
 from cags_protocol.assembly import Assembler, ReceivedPackets
 from cags_protocol.blobs import BlobAssembler
+from cags_protocol.cadence import EVERY_FRAME
 from cags_protocol.encoding import DamagedError, decode, printable
 from cags_protocol.messages import (
     SERVER_DATA,
@@ -85,12 +86,15 @@ class ClientSession(Session[ev.ClientEvent]):
         self._state = State.DECIDING
         self._say(hello, now_us)
 
-    def send_poses(self, samples: Iterable[PoseSample], *, now_us: int) -> None:
-        """Send poses, oldest first; nothing happens unless the session is open."""
+    def send_poses(self, samples: Iterable[PoseSample], *, now_us: int, cadence_permille: int = EVERY_FRAME) -> None:
+        """Send poses, oldest first, and the share of media frames that is displayed (:mod:`cags_protocol.cadence`).
+
+        Nothing happens unless the session is open.
+        """
         poses = tuple(samples)
         if self._state is State.OPEN:
             for start in range(0, len(poses), limits.MAX_POSE_SAMPLES):
-                self._say(PoseBatch(poses[start : start + limits.MAX_POSE_SAMPLES]), now_us)
+                self._say(PoseBatch(poses[start : start + limits.MAX_POSE_SAMPLES], cadence_permille), now_us)
 
     def control(self, control: Control, *, now_us: int) -> None:
         """Play, pause, seek or change the rate; nothing happens unless the session is open."""

@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from cags_protocol.cadence import EVERY_FRAME
 from cags_protocol.messages import (
     Control,
     FrameEnd,
@@ -69,10 +70,11 @@ class Joined:
 
 @dataclass(frozen=True)
 class PosesReceived:
-    """Poses, oldest first, and when they arrived (server clock)."""
+    """Poses, oldest first, when they arrived (server clock), and the share of media frames that the client displays."""
 
     samples: tuple[PoseSample, ...]
     now_us: int
+    cadence_permille: int = EVERY_FRAME
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import ClassVar
 from cags_common.geometry import DEFAULT_NEAR, Intrinsics, Pose
 from cags_common.lod import MAX_LODS
 from cags_protocol import limits
+from cags_protocol.cadence import EVERY_FRAME, LEAST_PERMILLE
 from cags_protocol.fields import INTRINSICS, POSE, Choice, Flag, Integer, ListOf, Real, Record, Text, wire
 
 Buffer = bytes | bytearray | memoryview
@@ -28,6 +29,7 @@ _SEQ = Integer(2**53)
 _NOISE = Integer(1_000_000)
 _BYTES = Integer(2**53)
 _CRC = Integer(2**32 - 1)
+_CADENCE = Integer(EVERY_FRAME, LEAST_PERMILLE)
 _TEXT = Text(limits.MAX_TEXT_BYTES)
 
 NO_PAYLOAD, OPAQUE = "", "*"
@@ -104,10 +106,14 @@ class Hello(Message):
 
 @dataclass(frozen=True, slots=True)
 class PoseBatch(Message):
-    """Poses since the last batch, oldest first."""
+    """Poses since the last batch, oldest first, and how many of 1,000 media frames the client displays.
+
+    Which ones they are, :mod:`cags_protocol.cadence` says.
+    """
 
     TAG = "poses"
     samples: tuple[PoseSample, ...] = wire(ListOf(_SAMPLE, limits.MAX_POSE_SAMPLES))
+    cadence_permille: int = wire(_CADENCE, EVERY_FRAME)
 
 
 @dataclass(frozen=True, slots=True)

@@ -190,7 +190,7 @@ class ServerSession(Session[ev.ServerEvent]):
             case Hello():
                 self._emit(ev.Joined(message))
             case PoseBatch():
-                self._emit(ev.PosesReceived(message.samples, now_us))
+                self._emit(ev.PosesReceived(message.samples, now_us, message.cadence_permille))
             case Ack():
                 self._on_ack(message, now_us)
             case Control():

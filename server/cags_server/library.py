@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import threading
 from bisect import bisect_right
-from collections import OrderedDict
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -15,13 +14,14 @@ from numpy.typing import NDArray
 from cags_common.bundle import BundleReader, FrameEntry, Manifest
 from cags_common.geometry import F32
 from cags_common.raster.base import Rasteriser
+from cags_common.recent import Recent
 from cags_server.scenes import SourceScenes
 
 LOOK_AHEAD, LONGEST_STAY = 8, 60
 """Frames looked ahead for what the media will replace, and the longest stay that detail is credited with."""
 
-OWNER_FRAMES = 64
-"""Frames whose owner tables stay in memory."""
+OWNER_BYTES, OWNER_FRAMES = 64 << 20, 2 * LOOK_AHEAD
+"""Bound on the owner tables in memory, and so many frames' in any case."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,8 @@ class SceneLibrary:
         self.scenes = SourceScenes(reader, rasteriser)
         self.weights = reader.weights()
         """Of a restorer, trained for this content; clients are offered them."""
-        self._owners: OrderedDict[tuple[int, int], NDArray[np.int32]] = OrderedDict()  # by (group, frame)
+        self._owners = Recent[tuple[int, int], NDArray[np.int32]](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
+        self._stays = Recent[int, NDArray[np.uint8]](OWNER_BYTES)  # by frame
         self._numbers: dict[int, tuple[int, ...]] = {}
         self._lock = threading.Lock()
         self.digest = hashlib.sha256(reader.manifest.to_json()).hexdigest()[:12]
@@ -82,16 +83,15 @@ class SceneLibrary:
         """
         gof = self.manifest.gof_of(frame)
         with self._lock:
-            if (gof, frame) in self._owners:
-                self._owners.move_to_end((gof, frame))
-                return self._owners[gof, frame]
-            before = max((f for g, f in self._owners if g == gof and f < frame), default=None)
-            known = None if before is None else (before, self._owners[gof, before])
+            found = self._owners.get((gof, frame))
+            if found is not None:
+                return found
+            before = max((f for g, f in self._owners if g == gof and f < frame), default=-1)
+            nearest = self._owners.get((gof, before))
+            known = None if nearest is None else (before, nearest)
         traced = self._trace_owners(gof, frame, known)
         with self._lock:
-            self._owners[gof, frame] = traced
-            while len(self._owners) > OWNER_FRAMES:
-                self._owners.popitem(last=False)
+            self._owners.put((gof, frame), traced, traced.nbytes)
         return traced
 
     def visible_tiles(self, frame: int, contribution: F32, least: float) -> tuple[VisibleTile, ...]:
@@ -103,20 +103,26 @@ class SceneLibrary:
         numbers = np.nonzero(every)[0]
         counts = every[numbers]
         weights = np.bincount(held, weights=contribution[splats])[numbers]
-        left = np.bincount(held, weights=self._frames_left(frame, owners)[splats])[numbers] / counts
+        left = np.bincount(held, weights=self._frames_left(frame)[splats])[numbers] / counts
         rows = zip(numbers.tolist(), counts.tolist(), weights.tolist(), left.tolist(), strict=True)
         tiles = [VisibleTile(*self.tile_of(frame, number), *rest) for number, *rest in rows]
         return tuple(sorted(tiles, key=lambda t: (-t.count, t.frame, t.tile)))
 
-    def _frames_left(self, frame: int, owners: NDArray[np.int32]) -> NDArray[np.float64]:
+    def _frames_left(self, frame: int) -> NDArray[np.uint8]:
         """[capacity] frames until each splat is replaced, from its owners in the next ``LOOK_AHEAD`` frames.
 
         A splat that stays that long is taken to stay to the end of its group (at most ``LONGEST_STAY``).
         """
-        last = self.manifest.gof_frames(self.manifest.gof_of(frame))[-1]
-        left = np.full(len(owners), float(min(last - frame + 1, LONGEST_STAY)))
+        with self._lock:
+            known = self._stays.get(frame)
+        if known is not None:
+            return known
+        last, owners = self.manifest.gof_frames(self.manifest.gof_of(frame))[-1], self.owners(frame)
+        left = np.full(len(owners), min(last - frame + 1, LONGEST_STAY), np.uint8)
         for at in range(min(frame + LOOK_AHEAD, last), frame, -1):
             left[self.owners(at) != owners] = at - frame
+        with self._lock:
+            self._stays.put(frame, left, left.nbytes)
         return left
 
     def tile_of(self, frame: int, number: int) -> tuple[int, int]:

@@ -8,7 +8,6 @@ one at another frame moves an idle scene forward or loads a new one.
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ import numpy as np
 
 from cags_common.bundle import BundleReader, SourceDelta
 from cags_common.raster.base import Rasteriser, RasterScene
+from cags_common.recent import Recent
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 
 IDLE_SCENES = 4
@@ -48,8 +48,7 @@ class SourceScenes:
     def __init__(self, reader: BundleReader, rasteriser: Rasteriser) -> None:
         self._reader, self._rasteriser = reader, rasteriser
         self._scenes: list[_Rolling] = []  # least recently used first
-        self._deltas: OrderedDict[int, SourceDelta] = OrderedDict()
-        self._delta_bytes = 0
+        self._deltas = Recent[int, SourceDelta](CACHED_DELTA_BYTES)
         self._content: dict[int, int] = {}
         self._lock = threading.Lock()
 
@@ -143,16 +142,12 @@ class SourceScenes:
 
     def _delta(self, frame: int) -> SourceDelta:
         with self._lock:
-            if frame in self._deltas:
-                self._deltas.move_to_end(frame)
-                return self._deltas[frame]
+            known = self._deltas.get(frame)
+        if known is not None:
+            return known
         delta = self._reader.source_delta(frame)
         with self._lock:
-            if frame not in self._deltas:
-                self._deltas[frame] = delta
-                self._delta_bytes += _size(delta)
-            while self._delta_bytes > CACHED_DELTA_BYTES and len(self._deltas) > 1:
-                self._delta_bytes -= _size(self._deltas.popitem(last=False)[1])
+            self._deltas.put(frame, delta, _size(delta))
         return delta
 
 

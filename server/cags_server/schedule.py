@@ -1,12 +1,14 @@
 """When one client's frames are planned: a lead before their display, with a look at the scene or without.
 
-Frames are counted by *ticks* of the timeline. One look (a job that renders) is out at a time. A frame whose look is
-overdue is served blind, so that media never waits for the renderer: soon where its group of frames has been seen
-before, later where nothing has, since tiles are then chosen by their bounds alone.
+Frames are counted by *ticks* of the timeline. A client that cannot draw them all says how many it displays; the others
+are skipped: nobody would see their references or what their tiles change. One look (a job that renders) is out at a
+time. A frame whose look is overdue is served blind, so that media never waits for the renderer: soon where its group of
+frames has been seen before, later where nothing has, since tiles are then chosen by their bounds alone.
 """
 
 from __future__ import annotations
 
+from cags_protocol.cadence import EVERY_FRAME, last_displayed, next_displayed
 from cags_protocol.messages import Control
 from cags_server.clock import ClientClock
 from cags_server.pace import Pace
@@ -29,7 +31,8 @@ class Schedule:
         self.timeline = timeline
         self.generation = 0
         """Counts controls: what was planned before one is void after it."""
-        self.next_tick = 0
+        self.cadence_permille = EVERY_FRAME
+        """How many of 1,000 media frames the client displays (:mod:`cags_protocol.cadence`)."""
         self.looking = False
         """Whether a job is out."""
         self.pace = Pace()
@@ -37,6 +40,7 @@ class Schedule:
         self._lead_frames, self._look_every = settings.lead_frames, settings.reference_every
         self._clock = clock
         self._controlled = False
+        self._from_tick = 0  # first tick that is neither planned nor skipped
         self._blind_tick = -1  # newest frame that was served without looking
         self._looked_tick: int | None = None  # newest frame that was looked at
         self._look_covers = 1
@@ -48,7 +52,7 @@ class Schedule:
         self.timeline = self.timeline.controlled(control)
         self._controlled = True
         self.generation += 1
-        self.next_tick, self._blind_tick, self._looked_tick = 0, -1, None
+        self._from_tick, self._blind_tick, self._looked_tick = 0, -1, None
 
     def lead_us(self, rtt_us: int) -> float:
         """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
@@ -58,6 +62,22 @@ class Schedule:
     def media_frame(self, tick: int) -> int | None:
         """While paused the viewer still moves: the same frame is planned again and again. None past the end."""
         return self.timeline.media_frame(tick) if self.timeline.playing else self.timeline.frame
+
+    @property
+    def next_tick(self) -> int:
+        """The tick to be planned next: one that the client displays, as it does the clip's last one in any case."""
+        return self._up_to_the_end(next_displayed(self._from_tick, self.cadence_permille))
+
+    def _up_to_the_end(self, tick: int) -> int:
+        """``tick``, or that of the clip's last frame if it lies between."""
+        t = self.timeline
+        last = tick if t.loop or not t.playing else t.frames - 1 - t.frame
+        return min(tick, last) if last >= self._from_tick else tick
+
+    @property
+    def planned_period_us(self) -> float:
+        """Time between two frames that are planned."""
+        return self.timeline.period_us * EVERY_FRAME / self.cadence_permille
 
     @property
     def _unserved_look(self) -> int | None:
@@ -99,11 +119,12 @@ class Schedule:
 
         The next one became due ``late_us`` ago. Those between are skipped: their references would come too late.
         """
-        tick = self.next_tick + int(late_us // self.timeline.period_us)
-        while (frame := self.media_frame(tick)) is None:
-            tick -= 1
-        self._look_covers = tick - self.next_tick + 1
-        self.next_tick, self._looked_tick, self.looking = tick + 1, tick, True
+        newest = last_displayed(self.next_tick + int(late_us // self.timeline.period_us), self.cadence_permille)
+        tick = max(self.next_tick, self._up_to_the_end(newest))
+        frame = self.media_frame(tick)
+        assert frame is not None, "a look begins at a frame that is due"
+        self._look_covers = self._cover(tick)
+        self._looked_tick, self.looking = tick, True
         return tick, frame, self._look_covers
 
     def go_blind(self) -> tuple[int, int]:
@@ -116,8 +137,13 @@ class Schedule:
             self._blind_tick = look
             return look, self._look_covers
         self._blind_tick = self.next_tick
-        self.next_tick += 1
-        return self._blind_tick, 1
+        return self._blind_tick, self._cover(self._blind_tick)
+
+    def _cover(self, tick: int) -> int:
+        """``tick`` is planned, and with it all before it are done; how many those are, it included."""
+        covered = tick - self._from_tick + 1
+        self._from_tick = tick + 1
+        return covered
 
     def is_out(self, tick: int) -> bool:
         """Whether a look at ``tick`` is out."""

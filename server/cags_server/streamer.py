@@ -129,8 +129,9 @@ class Streamer:
     def on_event(self, event: ev.ServerEvent, now_us: int) -> None:
         """Take one event of the session."""
         match event:
-            case ev.PosesReceived(samples, arrival_us):
+            case ev.PosesReceived(samples, arrival_us, cadence_permille):
                 self._viewer.observe(samples, arrival_us)
+                self._schedule.cadence_permille = cadence_permille
             case ev.Acknowledged(sample, _):
                 self._estimator.on_ack(sample)
                 self.stats.rtt_us = sample.rtt_us
@@ -348,8 +349,8 @@ class Streamer:
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps, allowed_bps = self._estimator.estimate_bps(now_us), self._estimator.allowance_bps(now_us)
         tiles = tuple(self._tiles.view(tile) for tile in visible)
-        period_us = self._schedule.timeline.period_us
-        earned_bytes = self._budget.open(record, allowed_bps, period_us)
+        period_us = self._schedule.planned_period_us
+        earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
         spare_us = self._viewer.clock.to_server(record.display_us) - now_us - MARGIN_US
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in tiles if not tile.depth]
         timely = self._budget.room(spare_us, period_us, record.estimate_bps, max(fresh, default=0))

@@ -66,6 +66,8 @@ class Scenario:
     """Only every so many-th frame is compared with the truth."""
     cuts: tuple[Cut, ...] = ()
     """When the connection breaks, in order."""
+    draw_us: int = 0
+    """Time that the client takes to draw a frame. With some, frames come late and are dropped, as on a slow machine."""
     lpips: str = ""
     """Weights file of LPIPS; with one, every :data:`LPIPS_EVERY`-th frame is judged by it too."""
 
@@ -107,7 +109,8 @@ class _Simulation:
         self.player = Player(
             ClientSession(now_us=0), self._client_settings(), self._poses(), now_us=0, near=reader.manifest.near
         )
-        self.world = World(self.server, self.player, *self._directions(), self._work, alarm=self._next_cut_us)
+        self._drawing: tuple[int, Present, PresentedFrame] | None = None  # done when
+        self.world = World(self.server, self.player, *self._directions(), self._work, alarm=self._alarm_us)
         self.truth = BundleTruth(str(scenario.bundle), scenario.client) if scenario.scored else None
         self.frames: list[dict[str, Any]] = []
         self._flicker = FlickerScore()
@@ -137,8 +140,10 @@ class _Simulation:
             Direction(Link(None, LinkSettings(delay_us=delay_us)), self.server.receive),
         )
 
-    def _next_cut_us(self) -> int | None:
-        return self.cuts[0].at_us if self.cuts else None
+    def _alarm_us(self) -> int | None:
+        """The next cut, or the end of the drawing under way."""
+        times = [cut.at_us for cut in self.cuts] + ([self._drawing[0]] if self._drawing else [])
+        return min(times, default=None)
 
     def _connections(self, now_us: int) -> bool:
         """Break the connection when it is time; open another when the player wants one."""
@@ -161,8 +166,8 @@ class _Simulation:
         return busy
 
     def _client_settings(self) -> ClientSettings:
-        """Virtual time has no late frames: work takes none of it."""
-        return replace(self.scenario.client, drop_late=False)
+        """Virtual time has no late frames, unless drawing takes some of it."""
+        return replace(self.scenario.client, drop_late=self.scenario.draw_us > 0)
 
     def _poses(self) -> Any:
         manifest = self.reader.manifest
@@ -178,7 +183,9 @@ class _Simulation:
         while (job := self.server.next_job(now_us)) is not None:
             self.server.job_done(job.run(), now_us)
             busy = True
+        busy |= self._drawn(now_us)
         while (action := self.player.next_action(now_us)) is not None:
+            busy = True
             if isinstance(action, Decode):
                 self.usage.arrived(action.events)
             else:  # a picture that nobody looks at is not restored
@@ -187,10 +194,20 @@ class _Simulation:
             result = action.run()
             if isinstance(action, Present):
                 assert isinstance(result, PresentedFrame)
-                self._record(action, result, now_us)
-            self.player.done(action, result, now_us)
-            busy = True
+                self._drawing = now_us + self.scenario.draw_us, action, result
+                self._drawn(now_us)
+            else:
+                self.player.done(action, result, now_us)
         return busy
+
+    def _drawn(self, now_us: int) -> bool:
+        """Show the frame whose drawing is done; False where there is none."""
+        if self._drawing is None or self._drawing[0] > now_us:
+            return False
+        (_, action, result), self._drawing = self._drawing, None
+        self._record(action, result, now_us)
+        self.player.done(action, result, now_us)
+        return True
 
     def _scores(self, frame: int) -> bool:
         return frame % self.scenario.score_every == 0

@@ -131,8 +131,9 @@ class InteractivePlayer(Player):
         if not self.loop:
             self.pause(now_us)
         elif self._loop_told and self.pipeline.keeps(0):
-            self._next_frame, self._due_us = 0, self._frame_due_us(self._end_frame)
-            self._anchor = (0, self._due_us)
+            self._anchor = (0, self._frame_due_us(self._end_frame))
+            self._cadence.counted_from -= self._end_frame
+            self._next_frame, self._due_us = 0, self._frame_due_us(self._cadence.next(0, self._end_frame))
         else:
             self.seek(0)
 
@@ -151,6 +152,7 @@ class InteractivePlayer(Player):
         if self.stats.started_us is None:
             return
         self._anchor, self._next_frame, self._due_us = (frame, at_us), frame, at_us
+        self._cadence.restart(frame)
         keeps = self.pipeline is not None and self.pipeline.keeps(frame)
         self._loop_told = self.loop and keeps and self.info is not None and len(self.info.gof_starts) == 1
         control = Control(action, frame, at_us, self.rate, loop=self._loop_told, keeps=keeps)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from types import TracebackType
 
 from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index, decode_tile_index
@@ -14,6 +13,7 @@ from cags_common.bundle.store import ByteStore, UrlStore
 from cags_common.codecs import tile_codec
 from cags_common.errors import BundleError
 from cags_common.packing import check_crc, crc32, decode_ids
+from cags_common.recent import Recent
 from cags_common.splats import Ids
 from cags_common.svq import MAX_CODEBOOK_BYTES
 
@@ -27,8 +27,9 @@ def weights_name(crc: int) -> str:
     return f"weights-{crc:08x}.npz"
 
 
-CACHED_FRAMES = 16
-"""Frames whose payloads stay in memory: one read fetches a frame, the streamer then picks layers from it."""
+CACHED_BYTES, CACHED_FRAMES = 64 << 20, 16
+"""Bound on the payloads in memory, and so many frames' in any case: one read fetches a frame, the streamer then picks
+layers from it."""
 
 
 class BundleReader:
@@ -41,7 +42,7 @@ class BundleReader:
         self._lock, self._replaying = threading.Lock(), threading.Lock()
         self._index: dict[int, tuple[FrameEntry, ...]] = {}
         self._source_index: dict[int, tuple[tuple[int, int], ...]] = {}
-        self._frames: OrderedDict[int, bytes] = OrderedDict()
+        self._frames = Recent[int, bytes](CACHED_BYTES, least=CACHED_FRAMES)
         self._replay: tuple[int, SourceState] | None = None
 
     @classmethod
@@ -170,14 +171,12 @@ class BundleReader:
 
     def _frame_bytes(self, entry: FrameEntry) -> bytes:
         with self._lock:
-            data = self._frames.pop(entry.frame, None)
+            data = self._frames.get(entry.frame)
         if data is None:  # read without the lock: frames that are there already need not wait for a slow store
             name = self.manifest.gofs[entry.gof].tiles.name
             data = self._store.read(name, entry.offset, entry.offset + entry.size_bytes)
-        with self._lock:
-            self._frames[entry.frame] = data
-            while len(self._frames) > CACHED_FRAMES:
-                self._frames.popitem(last=False)
+            with self._lock:
+                self._frames.put(entry.frame, data, len(data))
         return data
 
     @staticmethod

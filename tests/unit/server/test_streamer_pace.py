@@ -192,3 +192,48 @@ def test_a_viewer_who_jumps_back_while_a_look_is_out_is_given_a_beginning() -> N
     assert {(t.frame, t.tile) for t in of(TileLayers, blind) if t.frame == 0} == {(0, k) for k in range(4)}
     assert [e.frame for e in of(FrameEnd, blind)] == [0, 1]
     assert rig.streamer.finish(job.run(), OFFSET_US) == [], "of the play before the seek"
+
+
+def test_only_frames_that_the_client_displays_are_looked_at_and_planned() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 600), OFFSET_US)
+    due, looked, ends = rig.streamer.next_due_us(), [], []
+    for _ in range(5):
+        out = rig.step()
+        looked += [r.frame for r in of(ReferenceFrame, out)]
+        ends.append([e.frame for e in of(FrameEnd, out)])
+    assert looked == [0, 2, 4, 5, 7]
+    assert ends == [[], [1, 2], [3, 4], [5], [6, 7]]
+    assert [r.ticks_covered for r in rig.streamer.stats.records] == [1, 2, 2, 1, 2], "each earns the bytes of its time"
+    assert rig.streamer.next_due_us() - due == pytest.approx(9 * PERIOD_US, abs=2)
+
+
+def test_a_client_that_displays_every_frame_again_is_planned_every_frame_at_once() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 250), OFFSET_US)
+    rig.step()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US), OFFSET_US)
+    assert [r.frame for r in of(ReferenceFrame, rig.step())] == [1]
+
+
+def test_late_looks_of_a_slow_client_are_at_frames_that_it_displays() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 500), OFFSET_US)
+    rig.step()
+    assert [r.frame for r in of(ReferenceFrame, rig.step(late_us=int(3.5 * PERIOD_US)))] == [4]
+
+
+def test_a_slow_client_is_served_blind_at_its_own_frames_too() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 500), OFFSET_US)
+    rig.step()
+    due = rig.streamer.next_due_us()
+    assert rig.streamer.begin(due) is not None
+    ends = []
+    for k in range(3, 8):
+        ends += [e.frame for e in of(FrameEnd, rig.streamer.catch_up(round(due + k * PERIOD_US)))]
+    assert ends == [1, 2, 3, 4, 5, 6]
