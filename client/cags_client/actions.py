@@ -33,7 +33,7 @@ class DecodeResult:
 class Decode:
     """Messages to decode; :meth:`run` returns what came of it.
 
-    Tiles go first, all at once: the end of a frame never overtakes what belongs to it.
+    Tiles go first, all at once and dequantised: the end of a frame never overtakes what belongs to it.
     """
 
     events: tuple[DataEvent, ...]
@@ -42,7 +42,7 @@ class Decode:
     def run(self) -> DecodeResult:
         """Decode into the pipeline. A damaged message is left out and reported; the others count."""
         tiles = [(event.message, event.payload) for event in self.events if isinstance(event, ev.TileReceived)]
-        errors = self.pipeline.on_tiles(tiles)
+        errors = self.pipeline.on_tiles(tiles) + self.pipeline.flush()
         needs_idr, whole = False, -1
         for event in self.events:
             try:
@@ -57,7 +57,6 @@ class Decode:
             except DecodeError as error:
                 errors.append(error)
                 needs_idr |= isinstance(event, ev.ReferenceReceived)
-        errors += self.pipeline.flush()
         return DecodeResult(tuple(errors), needs_idr, whole)
 
 

@@ -1,13 +1,9 @@
-"""What the client holds of one group of frames: tiles at any depth, merged into one array of splats.
+"""What the client holds of one group of frames: tiles at any depth, in any order of arrival.
 
 Tiles are decoded when they arrive (off the display path, several at a time) and *staged*; :meth:`GofStore.commit` makes
-them visible, all of a frame's at once, when that frame is shown. The rules, whatever the order of arrival:
-
-- the newest source frame wins, splat by splat (a tile of a later frame holds whole splats);
-- an enhancement layer changes only the splats that its own tile still owns;
-- a removal at frame f ends splats of source frames before f, and keeps late tiles of those from bringing them back;
-- each group of frames has ids, and a store, of its own;
-- showing an earlier frame of the group replays what is held, so a loop or a jump back asks the network for nothing.
+them visible, all of a frame's at once, when that frame is shown (:mod:`cags_client.merged` has the rules by which they
+become one array of splats). Each group of frames has ids, and a store, of its own. Showing an earlier frame of the
+group replays what is held, so a loop or a jump back asks the network for nothing.
 """
 
 from __future__ import annotations
@@ -15,22 +11,20 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_client.merged import MergedSplats
 from cags_client.opening import Arrival, OpenTile, TileOpener
 from cags_client.past import SplatPast
 from cags_client.shown import Held, Shown
 from cags_client.waiting import Key, WaitingLayers
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
-from cags_common.splats import SH_REST_OF_DEGREE, Ids, Splats
+from cags_common.splats import Ids, Splats
 from cags_protocol.messages import HeldTile
-
-ABSENT_LOGIT = np.float32(-30.0)
-"""Opacity logit of a row without a splat: drawn opacity 1e-13, which every rasteriser culls."""
 
 MAX_LATE_BYTES = 8 << 20
 """Bound on layers of replaced tiles that are kept for showing earlier frames again; past it none are."""
@@ -64,31 +58,16 @@ class Committed:
     """The end of this frame was not there: something older is shown."""
 
 
-@dataclass(eq=False)
 class GofStore:
-    """The splats of one group of frames. Rows are splat ids. Decoding and committing may run in two threads."""
+    """One group of frames. One thread may add and flush while another commits, which never waits for a decoder."""
 
-    capacity: int
-    sh_degree: int
-    opener: TileOpener
-    manifest: Manifest
-    past: SplatPast = field(default_factory=SplatPast)  # what the splats on display were a few frames ago
-    splats: Splats = field(init=False)
-    improved: int = field(default=0, init=False)
-    """Times that layers made splats on display better without a change of what they show."""
-
-    def __post_init__(self) -> None:
-        n, rest = self.capacity, SH_REST_OF_DEGREE[self.sh_degree]
-        quats = np.zeros((n, 4), np.float32)
-        quats[:, 0] = 1.0
-        zeros = np.zeros((n, 3), np.float32)
-        absent = np.full(n, ABSENT_LOGIT)
-        self.splats = Splats(zeros, quats, zeros - 10, absent, zeros.copy(), np.zeros((n, rest, 3), np.float32))
-        self._owner = np.full(n, -1, np.int32)
-        self._source = np.full(n, -1, np.int32)
-        self._removed_at = np.full(n, -1, np.int32)
+    def __init__(self, manifest: Manifest, gof: int, opener: TileOpener) -> None:
+        self.capacity = manifest.capacity[gof]
+        self.past = SplatPast(manifest.gof_starts[gof])
+        """What the splats on display were a few frames ago."""
+        self._opener, self._top_lod = opener, manifest.lods - 1
+        self._merged = MergedSplats(self.capacity, manifest.sh_degree, self.past, self._replaced)
         self._tiles: dict[Key, Held | None] = {}  # None: every splat of it has been replaced, and it is not kept
-        self._by_index: list[Held] = []
         self._late: dict[Key, list[tuple[int, bytes]]] = {}  # layers of tiles that are kept, though replaced
         self._replay: dict[Key, Held] = {}
         self._kept_splats = self._late_bytes = 0
@@ -104,6 +83,16 @@ class GofStore:
         self._ended: dict[int, Ids] = {}
         self._lock = threading.Lock()
         self._decoding = threading.Lock()
+
+    @property
+    def splats(self) -> Splats:
+        """Those on display; rows are splat ids. They change with :meth:`commit`."""
+        return self._merged.splats
+
+    @property
+    def improved(self) -> int:
+        """Times that layers made splats on display better without a change of what they show."""
+        return self._merged.improved
 
     # ------------------------------------------------------------------------------------------ arrival (decode thread)
 
@@ -126,22 +115,23 @@ class GofStore:
         """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that have
         grown ids beyond the capacity, and are left out.
         """
-        self._stage(None)
         with self._decoding:
+            self._stage(None, self._shown_frame + REPLAY_AHEAD)
             errors, self._errors = self._errors, []
         return errors
 
-    def _stage(self, horizon: int | None) -> None:
-        """:meth:`flush` the tiles of frames up to ``horizon``; errors wait for the next :meth:`flush`."""
-        with self._decoding:
-            near = self._shown_frame + REPLAY_AHEAD if horizon is None else horizon
-            for key in [k for k in self._replay if k[0] <= near]:
-                self._touched[key] = self._replay.pop(key)
-            touched = self._take_touched(horizon)
-            splats = self.opener.dequantise([held.tile.state for held in touched.values()])
-            with self._lock:
-                for (key, held), values in zip(touched.items(), splats, strict=True):
-                    self._staged[key] = _Staged(held, held.tile.state.ids, values, held.tile.state.lod)
+    def _stage(self, horizon: int | None, replayed: int) -> None:
+        """Dequantise touched tiles of frames up to ``horizon``, and those to be replayed of frames up to ``replayed``.
+
+        Errors wait for the next :meth:`flush`.
+        """
+        for key in [k for k in self._replay if k[0] <= replayed]:
+            self._touched[key] = self._replay.pop(key)
+        touched = self._take_touched(horizon)
+        splats = self._opener.dequantise([held.tile.state for held in touched.values()])
+        with self._lock:
+            for (key, held), values in zip(touched.items(), splats, strict=True):
+                self._staged[key] = _Staged(held, held.tile.state.ids, values, held.tile.state.lod)
 
     def _take_touched(self, horizon: int | None) -> dict[Key, Held]:
         touched: dict[Key, Held] = {}
@@ -161,7 +151,7 @@ class GofStore:
             if arrival.from_lod == 0 and arrival.payloads and arrival.key not in self._tiles:
                 first.setdefault(arrival.key, at)
         places = list(first.values())
-        return dict(zip(places, self.opener.open([arrivals[at].payloads[0] for at in places]), strict=True))
+        return dict(zip(places, self._opener.open([arrivals[at].payloads[0] for at in places]), strict=True))
 
     def _add(self, arrival: Arrival, ahead: OpenTile | DecodeError | None) -> None:
         key = arrival.key
@@ -177,7 +167,7 @@ class GofStore:
             if arrival.from_lod > 0 or not layers:
                 self._waiting.add(key, layers)
                 return
-            held = self._take(key, ahead or self.opener.open([layers[0][1]])[0])
+            held = self._take(key, ahead or self._opener.open([layers[0][1]])[0])
             layers = layers[1:] + self._waiting.take(key)
             changed = True
         try:
@@ -197,12 +187,12 @@ class GofStore:
     def _take(self, key: Key, tile: OpenTile | DecodeError) -> Held:
         if isinstance(tile, DecodeError):
             raise tile
-        if len(self._by_index) >= MAX_TILES_PER_GOF:
+        if len(self._merged.tiles) >= MAX_TILES_PER_GOF:
             raise DecodeError(f"tile {key[1]} of frame {key[0]}: the group already has {MAX_TILES_PER_GOF} tiles")
         self._check_ids(tile.state.ids, f"tile {key[1]} of frame {key[0]}")
-        held = Held(len(self._by_index), key, tile)
+        held = Held(len(self._merged.tiles), key, tile)
         with self._lock:
-            self._by_index.append(held)
+            self._merged.tiles.append(held)
             self._tiles[key] = held
         return held
 
@@ -228,32 +218,41 @@ class GofStore:
         self.past.advance(frame)
         with self._lock:
             horizon = max((f for f in self._ended if f <= frame), default=-1)
-        self._stage(horizon)
-        with self._lock:
-            updates = sorted(
-                ((key, s) for key, s in self._staged.items() if key[0] <= horizon), key=lambda item: item[0]
-            )
-            ends = sorted((f, ids) for f, ids in self._ends.items() if f <= horizon)
-            for key, _ in updates:
-                del self._staged[key]
-            for f, _ in ends:
-                del self._ends[f]
-            whole = frame in self._ended
+        self._stage_unless_decoding(horizon)
+        updates, ends, whole = self._due(frame, horizon)
         touched = np.zeros(self.capacity, dtype=bool)
         if self._rewound:
             touched[:], self._rewound = True, False
         for f, ids in ends:
-            self._remove(f, ids, touched)
-        for _, staged in updates:
-            self._write(staged, touched)
+            touched[self._merged.remove(f, ids)] = True
+        for staged in updates:
+            touched[self._merged.write(staged.held, staged.lod, staged.ids, staged.splats)] = True
         return np.nonzero(touched)[0], whole
+
+    def _stage_unless_decoding(self, horizon: int) -> None:
+        """Dequantise what nobody flushed. While a batch is being decoded nothing of a frame that has ended is missing:
+        its tiles are flushed before its end. Only what is replayed must be waited for.
+        """
+        wait = any(key[0] <= horizon for key in list(self._replay))
+        if not self._decoding.acquire(blocking=wait):
+            return
+        try:
+            self._stage(horizon, horizon)
+        finally:
+            self._decoding.release()
+
+    def _due(self, frame: int, horizon: int) -> tuple[list[_Staged], list[tuple[int, Ids]], bool]:
+        """Staged tiles and removals of frames up to ``horizon``, in order, and whether ``frame`` has ended."""
+        with self._lock:
+            keys = sorted(key for key in self._staged if key[0] <= horizon)
+            frames = sorted(f for f in self._ends if f <= horizon)
+            updates = [self._staged.pop(key) for key in keys]
+            return updates, [(f, self._ends.pop(f)) for f in frames], frame in self._ended
 
     def _rewind(self) -> None:
         """Back to an empty picture; everything held waits to be shown again, in order."""
         with self._decoding, self._lock:
-            self.splats.logit_opacities[:] = ABSENT_LOGIT
-            for rows in (self._owner, self._source, self._removed_at):
-                rows[:] = -1
+            self._merged.clear()
             for key, held in self._tiles.items():
                 if held is not None:
                     held.owned, held.shown_lod, held.replaced = 0, -1, False
@@ -283,45 +282,7 @@ class GofStore:
         with self._lock:
             return self.keeps and frame in self._ended
 
-    def _remove(self, frame: int, ids: Ids, touched: NDArray[np.bool_]) -> None:
-        self._removed_at[ids] = np.maximum(self._removed_at[ids], frame)
-        gone = ids[self._source[ids] < frame]
-        self._release(gone)
-        self._owner[gone] = -1
-        self.past.record(frame, gone, self.splats)
-        self.splats.logit_opacities[gone] = ABSENT_LOGIT
-        touched[gone] = True
-
-    def _write(self, staged: _Staged, touched: NDArray[np.bool_]) -> None:
-        held, ids = staged.held, staged.ids
-        mine = self._owner[ids] == held.index
-        newer = (self._source[ids] < held.frame) & (self._removed_at[ids] <= held.frame)
-        claimed = ids[newer & ~mine]
-        self._release(claimed)
-        self._owner[claimed], self._source[claimed] = held.index, held.frame
-        held.owned += len(claimed)
-        self.past.record(held.frame, claimed, self.splats)
-        self.improved += bool(mine.any())
-        write = mine | newer
-        rows = ids[write]
-        for (_, target), (_, values) in zip(self.splats.arrays(), staged.splats.arrays(), strict=True):
-            target[rows] = values[write]
-        touched[rows] = True
-        held.shown_lod = staged.lod
-        if not held.owned:
-            self._forget(held)
-
-    def _release(self, rows: Ids) -> None:
-        """These rows leave the tiles that own them; a tile without rows is forgotten."""
-        owners = self._owner[rows]
-        counts = np.bincount(owners[owners >= 0], minlength=0)
-        for index in np.nonzero(counts)[0]:
-            held = self._by_index[index]
-            held.owned -= int(counts[index])
-            if not held.owned:
-                self._forget(held)
-
-    def _forget(self, held: Held) -> None:
+    def _replaced(self, held: Held) -> None:
         """Nothing of a tile is shown any more: it is kept for a replay, as long as there is room."""
         if held.replaced:
             return
@@ -346,7 +307,7 @@ class GofStore:
     def shown(self) -> Shown:
         """What is on display."""
         with self._lock:
-            return Shown(self._owner, tuple(self._by_index))
+            return self._merged.shown
 
     def held(self) -> list[HeldTile]:
         """The tiles of which splats are shown, wait to be, or are kept for a replay."""
@@ -356,4 +317,4 @@ class GofStore:
     @property
     def full(self) -> bool:
         """Whether everything shown is at its highest LoD, so that nothing is left to restore."""
-        return self.shown.full(self.manifest.lods - 1)
+        return self.shown.full(self._top_lod)

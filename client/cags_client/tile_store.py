@@ -12,7 +12,7 @@ import numpy as np
 
 from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival, TileOpener
-from cags_client.past import EarlierGroups, SplatPast
+from cags_client.past import EarlierGroups
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import TileCodec
 from cags_common.errors import DecodeError
@@ -141,7 +141,5 @@ class TileStore:
             if gof < self._oldest:
                 return None
             if gof not in self._gofs:
-                capacity = self._manifest.capacity[gof]
-                past = SplatPast(self._manifest.gof_starts[gof])
-                self._gofs[gof] = GofStore(capacity, self._manifest.sh_degree, self._opener, self._manifest, past)
+                self._gofs[gof] = GofStore(self._manifest, gof, self._opener)
             return self._gofs[gof]

@@ -2,15 +2,17 @@
 
 import contextlib
 import itertools
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
-from cags_client.gof_store import ABSENT_LOGIT
+from cags_client.merged import ABSENT_LOGIT
 from cags_client.opening import Arrival
 from cags_client.tile_store import TileStore
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import SvqTileCodec
+from cags_common.codecs import SvqTileCodec, TileDecoder
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.lod import LodLayer
@@ -242,7 +244,7 @@ def test_layers_that_come_after_their_tile_was_replaced_count_in_the_replay(stor
     store.add(0, 0, 1, [layer(2, 1)])
     gof, committed = store.commit(0)
     assert len(committed.rows) == CAPACITY
-    assert gof._by_index[1].shown_lod == 1
+    assert gof.shown.tiles[1].shown_lod == 1
     assert gof.splats.sh0[0, 0] == 3  # code 1 with another bit
 
 
@@ -363,3 +365,39 @@ def test_a_tile_that_grows_beyond_its_group_is_reported_and_does_not_end_the_dis
         f"tile 0 of frame 0: id {CAPACITY} is outside the group's capacity {CAPACITY}"
     ]
     assert store.flush() == []
+
+
+class GatedCodec(SvqTileCodec):
+    """Opens tiles only once the gate is open."""
+
+    def __init__(self) -> None:
+        super().__init__(manifest(), books().to_bytes())
+        self.asked, self.gate = threading.Event(), threading.Event()
+
+    def open_tile(self, payload: bytes | memoryview) -> TileDecoder:
+        self.asked.set()
+        assert self.gate.wait(10)
+        return super().open_tile(payload)
+
+
+def test_the_display_does_not_wait_for_a_batch_that_is_being_decoded() -> None:
+    codec = GatedCodec()
+    codec.gate.set()
+    store = TileStore(manifest(), codec)
+    store.add(0, 0, 0, [base([0], 1)])
+    store.flush()
+    store.end(0, removed())
+    codec.gate.clear()
+    codec.asked.clear()
+    with ThreadPoolExecutor(2) as pool:
+        decoding = pool.submit(store.add, 1, 0, 0, [base([0], 2)])
+        assert codec.asked.wait(10)
+        try:
+            assert pool.submit(xs, store, 0).result(5)[0] == 1
+            assert not decoding.done()
+        finally:
+            codec.gate.set()
+        decoding.result(10)
+    store.flush()
+    store.end(1, removed())
+    assert xs(store, 1)[0] == 2
