@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from cags_client.pipeline import ClientPipeline, PresentedFrame
+from cags_client.pipeline import ClientPipeline
+from cags_client.presented import PresentedFrame
 from cags_common.errors import DecodeError
 from cags_common.geometry import Pose
 from cags_protocol import events as ev

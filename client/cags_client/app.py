@@ -18,9 +18,9 @@ from typing import Any
 from cags_client.actions import Decode, Present
 from cags_client.dial import Dial
 from cags_client.interrupts import interrupts
-from cags_client.pipeline import PresentedFrame
 from cags_client.player import Player, PoseSource
 from cags_client.present.base import FrameSink
+from cags_client.presented import PresentedFrame
 from cags_client.report import frame_stats
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_common.errors import CagsError, NetworkError

@@ -20,7 +20,9 @@ from cags_client.align import Aligned, AlignSettings, ReferencePicture
 from cags_client.carry import Held, ReferenceViews
 from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival
+from cags_client.presented import PresentedFrame
 from cags_client.references import References
+from cags_client.resolution import AUTO, HALF, Resolutions
 from cags_client.restore import RestoreInput, Restorer, auto
 from cags_client.restore.networks.weights import Weights
 from cags_client.settings import ClientSettings, LiveSettings
@@ -35,34 +37,8 @@ from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.halving import enlarged, halved
 from cags_protocol.messages import FrameEnd, HeldTile, ReferenceFrame, TileLayers
-
-
-@dataclass(frozen=True, eq=False)
-class PresentedFrame:
-    """One displayed frame and how it came about."""
-
-    frame: int
-    camera: Camera
-    rgb: F32  # [H, W, 3] in [0, 1]: what is shown
-    distorted: F32  # [H, W, 3]: the client's own render
-    aligned: Aligned | None
-    """The aligned reference, or None where there was none to align or nothing to restore."""
-    depth: F32 | None  # [H, W] camera-space z; +inf where void. None where nothing needed it
-    alpha: F32  # [H, W]
-    reference: ReferencePicture | None
-    """The reference at hand, whether or not the frame's effects use it."""
-    lod_mean: float
-    """Mean LoD of the splats in view; NaN where none is held."""
-    missed: bool
-    """The frame's own data had not all come: something older is shown."""
-    stages_ms: dict[str, float]
-    effects: EffectPlan
-    """What was done for this frame, and by that what was left out."""
-    buffer_ms: float = 0.0
-    """Media that has come whole and is not yet due: how long the link may fail unseen."""
-    tier: str = "none"
-    """The restorer in use, whether or not the frame's effects needed it."""
 
 
 class ClientPipeline:
@@ -98,6 +74,7 @@ class ClientPipeline:
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._stand_in = StandIn(self._aligner)
+        self._resolutions = Resolutions(1e3 / info.fps)
         self._weights: dict[str, Weights] = {}
         self._restorer_wanted = self.live.restore
         self._restorer = self._made_restorer()
@@ -191,22 +168,27 @@ class ClientPipeline:
         reference = self._reference(frame, store)
         situation = self._situation(store, committed, (frame, camera), reference)
         plan = plan_frame(situation, self.settings.effects)
+        half = self._resolutions.chosen(self.live.resolution) == HALF
+        seen_by = halved(camera) if half else camera
         with watch("raster"):
-            view = scene.render(camera, self._options(plan))
+            view = scene.render(seen_by, self._drawing(plan, half=half))
         distorted = np.clip(view.rgb, 0.0, 1.0, out=view.rgb)  # a new array costs 6 MB of page faults
-        drawn = _Drawn(scene, store, camera, distorted, view)
+        drawn = _Drawn(scene, store, seen_by, distorted, view)
         aligned, own, shown = None, None, distorted
         if reference is not None:
             aligned, own, shown = self._with_reference(plan, drawn, reference, frame, watch)
             if own is not None and own.contribution is not None:
                 self._shares = own.contribution
+        if half:
+            with watch("enlarge"):
+                shown = enlarged(shown, camera, self.settings.threads)
         tier = self._tier
         self._observe(started_s, watch.stages_ms)
         return PresentedFrame(
             frame=frame,
             camera=camera,
             rgb=shown,
-            distorted=distorted,
+            drawn=distorted,
             aligned=aligned,
             depth=view.depth,
             alpha=view.alpha,
@@ -267,10 +249,13 @@ class ClientPipeline:
         return self._restorer.tier if isinstance(self._restorer, auto.AutoRestorer) else self._restorer.name
 
     def _observe(self, started_s: float, stages_ms: dict[str, float]) -> None:
-        """Tell ``auto`` what the frame took."""
+        """Tell ``auto``, of the restorer and of the resolution, what the frame took."""
+        now_s = self._clock()
+        frame_ms = (now_s - started_s) * 1e3
         if isinstance(self._restorer, auto.AutoRestorer):
-            now_s = self._clock()
-            self._restorer.controller.observe(now_s, stages_ms.get("restore"), (now_s - started_s) * 1e3)
+            self._restorer.controller.observe(now_s, stages_ms.get("restore"), frame_ms)
+        if self.live.resolution == AUTO:
+            self._resolutions.observe(now_s, stages_ms, frame_ms)
 
     def _with_reference(
         self, plan: EffectPlan, drawn: _Drawn, reference: ReferencePicture, frame: int, watch: Stopwatch
@@ -361,6 +346,10 @@ class ClientPipeline:
             max_sh_degree=plan.sh_degree,
             depth=DepthKind.EXPECTED if Effect.DEPTH in plan else DepthKind.NONE,
         )
+
+    def _drawing(self, plan: EffectPlan, *, half: bool) -> RenderOptions:
+        options = self._options(plan)
+        return replace(options, footprint=options.footprint.at_half_resolution()) if half else options
 
     def _reference_options(self, plan: EffectPlan, reference: ReferencePicture) -> RenderOptions:
         """How the server draws references, so that the client's splats can be compared with them."""

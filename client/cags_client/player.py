@@ -23,8 +23,9 @@ from typing import Protocol
 from cags_client.actions import Decode, DecodeResult, Present, Restarted
 from cags_client.arrivals import Arrivals
 from cags_client.cadence import Cadence
-from cags_client.pipeline import ClientPipeline, PresentedFrame
+from cags_client.pipeline import ClientPipeline
 from cags_client.play_stats import PlayStats
+from cags_client.presented import PresentedFrame
 from cags_client.reconnect import Reconnect
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_common.bundle.manifest import Manifest

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from cags_client.actions import Present
-from cags_client.pipeline import PresentedFrame
 from cags_client.play_stats import PlayStats
+from cags_client.presented import PresentedFrame
 from cags_client.score import averages
 from cags_common.effects import Effect, tally
 from cags_common.geometry import F32, angle_between

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cags_client.pipeline import PresentedFrame
+from cags_client.presented import PresentedFrame
 from cags_common.geometry import F32
 from cags_common.metrics import covered_mask, flicker, psnr, ssim
 
@@ -19,8 +19,7 @@ def score(presented: PresentedFrame, truth_rgb: F32, truth_alpha: F32) -> dict[s
     ``truth_rgb`` [H, W, 3] and ``truth_alpha`` [H, W] are the source frame seen from the same camera. The aligned
     reference is scored only where there is one.
     """
-    aligned = presented.aligned.rgb if presented.aligned is not None else None
-    return score_pictures(presented.distorted, aligned, presented.rgb, truth_rgb, truth_alpha)
+    return score_pictures(presented.distorted, presented.aligned_rgb, presented.rgb, truth_rgb, truth_alpha)
 
 
 def score_pictures(

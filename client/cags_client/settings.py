@@ -22,6 +22,12 @@ class ClientSettings:
     fov: float = setting(60.0, "horizontal field of view in degrees", low=1, high=170)
     raster: str = setting("auto", "rasteriser: auto, reference, cpu or cuda")
     exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
+    resolution: str = setting(
+        "full",
+        "pixels that a frame is worked out at: full, half (a side; the shown picture is brought up), or auto: half "
+        "while full takes too long",
+        choices=("full", "half", "auto"),
+    )
     align: str = setting("auto", "aligner: auto, cpu, cuda, fast, reference, unaligned or rotation")
     erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
     restore: str = setting(
@@ -68,5 +74,6 @@ class LiveSettings:
     def __init__(self, settings: ClientSettings) -> None:
         self.restore = settings.restore
         self.exactness = settings.exactness
+        self.resolution = settings.resolution
         self.depth_shown = False
         """Whether somebody looks at the depth picture; else it is drawn only where alignment needs it."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from cags_bench.align.command import AlignBenchSettings
 from cags_bench.align.device import timed
+from cags_bench.align.frames import frame_checks, frame_table, frames
 from cags_bench.jsonl import JsonObject, check, provenance, summary
 from cags_bench.restore.cases import Case, Cases
 from cags_bench.restore.checks import checks_of, time_checks
@@ -35,20 +36,22 @@ EXACT = (0.0, 0.0)
 
 
 def measure(settings: AlignBenchSettings) -> Iterator[JsonObject]:
-    """One line a case and method, one a picture size with the client's other stages, then the summary."""
+    """One line a case and method, one a frame at each accuracy, one a size with the other stages, then the summary."""
     cases, methods = Cases(settings), methods_of(list(METHODS), settings.threads)
     lines: list[JsonObject] = []
     for line in measured(cases, methods, settings):
         lines.append(line)
         yield line
+    drawn = list(frames(cases, settings))
+    yield from drawn
     stages = [_stages(cases.first(size, settings.error_list[0]), settings) for size in settings.size_list]
     yield from stages
-    raster_ms = {line["size"]: line["raster_ms"] for line in stages}
-    checks = [*checks_of(lines), *_identity(cases, settings), *time_checks(lines, raster_ms, settings.threads)]
+    checks = [*checks_of(lines), *_identity(cases, settings), *time_checks(lines, settings.threads)]
+    checks += frame_checks(drawn)
     for line in stages:
         title = f"one adapter step at 400x300, client at {line['size']}"
         checks.append(check(title, "<= 15 ms", line["adapt_ms"], line["adapt_ms"] <= 15))
-    yield summary("align", checks, table=table_of(lines))
+    yield summary("align", checks, table=table_of(lines), frames=frame_table(drawn))
 
 
 def _identity(cases: Cases, settings: AlignBenchSettings) -> Iterator[JsonObject]:

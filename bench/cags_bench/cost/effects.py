@@ -10,7 +10,8 @@ from typing import Any
 from cags_bench.cost.engine import Measured, Outcome, Point, Stage
 from cags_bench.cost.moments import JUDGED_LOD, Workbench
 from cags_bench.jsonl import check
-from cags_client.pipeline import ClientPipeline, PresentedFrame
+from cags_client.pipeline import ClientPipeline
+from cags_client.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.effects import ALWAYS, NEEDED

@@ -9,7 +9,7 @@ from typing import Any
 from cags_bench.seeing import Seen, see
 from cags_bench.sim.session import Scenario, simulate
 from cags_client.align import ReferencePicture
-from cags_client.pipeline import PresentedFrame
+from cags_client.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_client.truth import BundleTruth
 from cags_common import raster

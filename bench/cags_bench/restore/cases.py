@@ -110,6 +110,12 @@ class Cases:
         """The first view at the lowest LoD."""
         return next(self._of_view(size, 0, self._moments[0], error))
 
+    def ladder(self, size: tuple[int, int], error: tuple[float, float]) -> Iterator[Case]:
+        """The first view at every LoD, with the first kind of reference."""
+        kind = self._conditions.reference_list[0]
+        cases = self._of_view(size, 0, self._moments[0], error)
+        return (case for case in cases if case.labels["reference"] == kind)
+
     def _of_view(self, size: tuple[int, int], view: int, t_us: int, error: tuple[float, float]) -> Iterator[Case]:
         focal = size[0] / (2 * math.tan(math.radians(self._conditions.fov) / 2))
         intrinsics = Intrinsics(*size, focal, focal, size[0] / 2, size[1] / 2)

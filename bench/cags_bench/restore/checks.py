@@ -22,8 +22,6 @@ FULL_FRAME = 0.95
 
 EXACT, LEAST_LOST_DEG = "0/0", 5.0
 
-FRAME_STAGES = ("raster_ms", "align_ms", "own_ms", "restore_ms")
-
 
 def checks_of(lines: Sequence[JsonObject]) -> list[JsonObject]:
     """The targets that this run can speak of; judged with references as they are shipped."""
@@ -98,8 +96,8 @@ def _references(lines: Sequence[JsonObject]) -> Iterator[JsonObject]:
         yield check("affine: the client's footprint against a plain reference", ">= 0 dB", value, value >= 0)
 
 
-def time_checks(lines: Sequence[JsonObject], raster_ms: dict[str, float], threads: int) -> list[JsonObject]:
-    """Times at 1600x1200 and 800x600; ``raster_ms`` is the client's own render by picture size."""
+def time_checks(lines: Sequence[JsonObject], threads: int) -> list[JsonObject]:
+    """Times of single stages at 1600x1200."""
     out: list[JsonObject] = []
     # "aligned" has its colours with the alignment; how the bench lays them over the picture does not count
     limits = [("aligned", "align_ms", 6.0), ("affine", "restore_ms", 10.0), ("lite", "restore_ms", 33.0)]
@@ -108,12 +106,6 @@ def time_checks(lines: Sequence[JsonObject], raster_ms: dict[str, float], thread
         if found:
             title = f"{'alignment with erosion' if name == 'aligned' else name} at 1600x1200, {threads} threads"
             out.append(check(title, f"<= {limit:g} ms", median(found), median(found) <= limit))
-    for size, limit in (("1600x1200", 33.0), ("800x600", 16.0)):
-        found = [sum(x[s] for s in FRAME_STAGES if s in x) for x in _of(lines, "affine") if x["size"] == size]
-        if found and size in raster_ms:
-            value = raster_ms[size] + median(found)
-            title = f"client frame at {size}: rasterise, own view, align, affine"
-            out.append(check(title, f"<= {limit:g} ms", value, value <= limit))
     return out
 
 

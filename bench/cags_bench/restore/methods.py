@@ -62,7 +62,7 @@ class Method:
 
     def run(self, case: Case) -> tuple[F32, Milliseconds]:
         """The picture [H, W, 3], and milliseconds of each stage that the method needs."""
-        watch = _Watch()
+        watch = Watch()
         if self.adapts:
             case = adapted(case)
             watch("adapt")
@@ -135,11 +135,14 @@ def _method(name: str, threads: int) -> Method:
 
 
 @dataclass(eq=False)
-class _Watch:
+class Watch:
+    """Milliseconds between calls, by the name given at the end of each."""
+
     started: float = field(default_factory=time.perf_counter)
     stages_ms: Milliseconds = field(default_factory=dict)
 
     def __call__(self, stage: str) -> None:
+        """The stage ends now."""
         now = time.perf_counter()
         self.stages_ms[stage] = (now - self.started) * 1e3
         self.started = now

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from cags_bench.sim.usage import Usage
 from cags_bench.sim.world import Direction, World
 from cags_client.actions import Decode, Present
-from cags_client.pipeline import PresentedFrame
 from cags_client.player import Player
+from cags_client.presented import PresentedFrame
 from cags_client.report import frame_stats, summary
 from cags_client.score import FlickerScore, score
 from cags_client.settings import ClientSettings

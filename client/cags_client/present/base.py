@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol, TypeAlias
 
-from cags_client.pipeline import PresentedFrame
+from cags_client.presented import PresentedFrame
 
 FrameStats: TypeAlias = Mapping[str, float | int | bool | None]
 """The frame's line of the report: ``frame``, ``time_us``, ``latency_ms``, ``lod_mean``, bytes, stage times, ..."""

@@ -15,8 +15,8 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from cags_client.pipeline import PresentedFrame
 from cags_client.present.base import FrameSink, FrameStats
+from cags_client.presented import PresentedFrame
 from cags_common.errors import OutputError
 from cags_common.files import WholeFile, writable_folder, write_whole
 from cags_common.geometry import F32
@@ -117,8 +117,8 @@ class StagesSink:
         pictures = {"distorted": presented.distorted, "restored": presented.rgb}
         if presented.reference is not None:
             pictures["reference"] = presented.reference.rgb
-        if presented.aligned is not None:
-            pictures["aligned"] = presented.aligned.rgb
+        if presented.aligned_rgb is not None:
+            pictures["aligned"] = presented.aligned_rgb
         for name, picture in pictures.items():
             path = stage_path(self._folder, presented.frame, name)
             self._waiting.append((path, self._spool.put(bytes_of(picture))))

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.pipeline import PresentedFrame
 from cags_client.present.base import FrameStats
 from cags_client.present.files import PictureSpool, Spooled, bytes_of
+from cags_client.presented import PresentedFrame
 from cags_client.score import score_pictures
 from cags_common.geometry import F32, Camera
 
@@ -37,8 +37,7 @@ class ScoringSpool:
 
     def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
         """See :class:`cags_client.present.base.FrameSink`."""
-        aligned = presented.aligned.rgb if presented.aligned is not None else None
-        pictures = dict(zip(_NAMES, (presented.distorted, aligned, presented.rgb), strict=True))
+        pictures = dict(zip(_NAMES, (presented.distorted, presented.aligned_rgb, presented.rgb), strict=True))
         spooled = {
             name: self._spool.put(bytes_of(picture)) for name, picture in pictures.items() if picture is not None
         }

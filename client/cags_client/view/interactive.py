@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import Any
 
 from cags_client.actions import Decode, DecodeResult, Present
-from cags_client.pipeline import PresentedFrame
 from cags_client.player import Player
+from cags_client.presented import PresentedFrame
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
 from cags_protocol.messages import Control

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 
-from cags_client.pipeline import PresentedFrame
 from cags_client.present.base import FrameStats
+from cags_client.presented import PresentedFrame
 from cags_client.view.controls import SceneInfo, ShownFrame
 from cags_client.view.live import LiveView
 from cags_common.bundle.manifest import Manifest
@@ -54,7 +54,7 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
     }
     aligned, reference = presented.aligned, presented.reference
     if aligned is not None:
-        pictures["aligned"] = lambda: aligned.rgb  # painted when it is looked at, and not before
+        pictures["aligned"] = lambda: _painted(presented)  # painted when it is looked at, and not before
     if reference is not None:
         pictures["reference"] = lambda: reference.rgb
     return ShownFrame(
@@ -70,6 +70,11 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
         missed=presented.missed,
         tier=presented.tier,
     )
+
+
+def _painted(presented: PresentedFrame) -> F32:
+    assert presented.aligned_rgb is not None
+    return presented.aligned_rgb
 
 
 class _Pictures(Mapping[str, F32]):

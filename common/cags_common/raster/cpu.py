@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 import cags_kernels
 from cags_common.errors import CagsError, ConfigError
-from cags_common.geometry import F32, Camera, Intrinsics
+from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.checks import check_camera, check_residual, drawable, recolouring, replacements
+from cags_common.raster.halving import halved
 from cags_common.splats import Splats
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class CpuScene:
 
     def _half(self, camera: Camera, options: RenderOptions) -> RasterImage:
         footprint = options.footprint.at_half_resolution()
-        half = self._whole(_halved(camera), replace(options, footprint=footprint))
+        half = self._whole(halved(camera), replace(options, footprint=footprint))
         if half.contribution is not None:
             half.contribution[:] *= 4  # pixels of the whole image
         width, height = camera.width_px, camera.height_px
@@ -119,13 +120,6 @@ def _camera(camera: Camera) -> RasterCamera:
     i = camera.intrinsics
     rotation, position = camera.world_to_camera[0], np.asarray(camera.pose.position)
     return RasterCamera(rotation, position, i.fx_px, i.fy_px, i.cx_px, i.cy_px, camera.near, i.width_px, i.height_px)
-
-
-def _halved(camera: Camera) -> Camera:
-    """The same view on half the pixels a side; an odd last one is halved too, so that all pixels are of one size."""
-    i = camera.intrinsics
-    width, height = (i.width_px + 1) // 2, (i.height_px + 1) // 2
-    return replace(camera, intrinsics=Intrinsics(width, height, i.fx_px / 2, i.fy_px / 2, i.cx_px / 2, i.cy_px / 2))
 
 
 def _options(options: RenderOptions) -> RasterOptions:

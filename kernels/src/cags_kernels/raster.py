@@ -17,12 +17,18 @@ from cags_kernels.library import check, library
 
 F32: TypeAlias = NDArray[np.float32]
 F64: TypeAlias = NDArray[np.float64]
+Planes: TypeAlias = tuple[F32, F32 | None, F32 | None]
+"""Colours, alpha, depth."""
 
 _Pointer = ctypes.c_void_p
 _int32, _int64, _float, _double = ctypes.c_int32, ctypes.c_int64, ctypes.c_float, ctypes.c_double
 
 FAST, BALANCED, EXACT = 0, 1, 2
 DEPTH_NONE, DEPTH_EXPECTED, DEPTH_MEDIAN = 0, 1, 2
+
+BRIGHTEST = float(np.finfo(np.float32).max)
+
+_pictures = BufferPool()
 
 
 class _Splats(ctypes.Structure):
@@ -164,18 +170,12 @@ class NativeScene:
 
     def upsample(self, half: RasterImage, width: int, height: int, void_alpha: float, threads: int) -> RasterImage:
         """A view of twice the resolution: ``half`` is of (width + 1) // 2 by (height + 1) // 2 pixels."""
-        if half.alpha.shape != ((height + 1) // 2, (width + 1) // 2):
+        if half.alpha.shape != _half_shape(width, height):
             raise ValueError(f"alpha of shape {half.alpha.shape} is not half of {width}x{height} px")
         shape = (height, width)
         rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
         depth = None if half.depth is None else self._buffers.empty(shape)
-        small = _Targets(*(_address(array) for array in (half.rgb, half.alpha, half.depth)), None)
-        whole = _Targets(*(_address(array) for array in (rgb, alpha, depth)), None)
-        upsample = self._library.cags_raster_upsample
-        check(
-            upsample(ctypes.byref(small), width, height, _float(void_alpha), threads, ctypes.byref(whole)),
-            "raster_upsample",
-        )
+        _upsample((half.rgb, half.alpha, half.depth), (rgb, alpha, depth), void_alpha, BRIGHTEST, threads)
         return RasterImage(rgb, alpha, depth, half.contribution, half.statistics)
 
     def back_project(self, camera: RasterCamera, residual: F32, options: RasterOptions) -> tuple[F32, F32]:
@@ -189,6 +189,31 @@ class NativeScene:
         )
         check(status, "raster_back_project")
         return weighted, weight
+
+
+def enlarge(picture: F32, width: int, height: int, threads: int) -> F32:
+    """``picture`` [(height + 1) // 2, (width + 1) // 2, 3] brought up to [height, width, 3] by cubic convolution.
+
+    Both in [0, 1]. Raises ``KernelError`` and, for a picture of another size, ``ValueError``.
+    """
+    if picture.shape != (*_half_shape(width, height), 3):
+        raise ValueError(f"picture of shape {picture.shape} is not half of {width}x{height} px")
+    whole = _pictures.empty((height, width, 3))
+    _upsample((np.ascontiguousarray(picture, np.float32), None, None), (whole, None, None), 0.0, 1.0, threads)
+    return whole
+
+
+def _half_shape(width: int, height: int) -> tuple[int, int]:
+    return (height + 1) // 2, (width + 1) // 2
+
+
+def _upsample(half: Planes, whole: Planes, void_alpha: float, brightest: float, threads: int) -> None:
+    height, width = whole[0].shape[:2]
+    small, large = (_Targets(*map(_address, planes), None) for planes in (half, whole))
+    size = _int32(width), _int32(height)
+    limits = _float(void_alpha), _float(brightest)
+    done = library().cags_raster_upsample(ctypes.byref(small), *size, *limits, threads, ctypes.byref(large))
+    check(done, "raster_upsample")
 
 
 def _address(array: NDArray[np.generic] | None) -> ctypes.c_void_p:

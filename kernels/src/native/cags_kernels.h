@@ -68,7 +68,7 @@ CAGS_API int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* ca
 CAGS_API int32_t cags_raster_back_project(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,
                                           const float* residual, float* weighted_residual, float* weight);
 
-// Brings a view of ((width + 1) / 2) x ((height + 1) / 2) up to width x height; `contribution` is not looked at, depth may be
-// left out on both sides.
-CAGS_API int32_t cags_raster_upsample(const CagsRasterTargets* half, int32_t width, int32_t height, float void_alpha,
+// Brings a view of ((width + 1) / 2) x ((height + 1) / 2) up to width x height, colours to `brightest` at most; `contribution` is
+// not looked at; depth, or alpha and depth, may be left out on both sides.
+CAGS_API int32_t cags_raster_upsample(const CagsRasterTargets* half, int32_t width, int32_t height, float void_alpha, float brightest,
                                       int32_t threads, const CagsRasterTargets* whole);

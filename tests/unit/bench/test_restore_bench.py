@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from cags_bench.align.frames import frame_checks, frame_table
 from cags_bench.cli import main
 from cags_bench.restore import cases
 from cags_bench.restore.cases import spread
@@ -16,6 +17,7 @@ from cags_bench.restore.checks import checks_of, gain, time_checks
 from cags_bench.restore.conditions import PREDICTED, Conditions
 from cags_common.errors import ConfigError
 
+STAGES = ("raster", "own", "align", "restore", "enlarge")
 SMALL = ["--scene", "procedural:size=1500,seed=3,frames=1", "--sizes", "96x64", "--lods", "0", "--views", "1"]
 
 
@@ -73,11 +75,22 @@ def test_tiers_are_compared_below_the_top() -> None:
     assert judged["lite against srresnet"] == (pytest.approx(-0.2), True)
 
 
-def test_a_frame_is_the_sum_of_its_stages() -> None:
+def test_single_stages_are_judged_by_their_own_time() -> None:
     times = {"align_ms": 4.0, "own_ms": 6.0, "restore_ms": 9.0}
-    judged = {c["name"]: c for c in time_checks([_line("affine", 30.0, **times)], {"1600x1200": 20.0}, 2)}
-    assert judged["client frame at 1600x1200: rasterise, own view, align, affine"]["value"] == 39.0
+    judged = {c["name"]: c for c in time_checks([_line("affine", 30.0, **times)], 2)}
     assert judged["affine at 1600x1200, 2 threads"]["ok"]
+    assert judged["affine at 1600x1200, 2 threads"]["value"] == 9.0
+
+
+def test_frames_are_judged_at_the_lowest_lod_at_every_accuracy() -> None:
+    lines = [
+        {"frame": name, "size": "1600x1200", "lod_share": lod, "frame_ms": ms + 10 * lod, "psnr_covered_db": 30.0}
+        for lod in (0.25, 0.0)
+        for name, ms in (("whole", 40.0), ("half", 20.0))
+    ]
+    judged = {c["name"].rpartition("; ")[2]: (c["value"], c["ok"]) for c in frame_checks(lines)}
+    assert judged == {"whole": (40.0, False), "half": (20.0, True)}
+    assert frame_table(lines)["1600x1200, LoD 0"]["half"] == {"ms": 20.0, "psnr_covered_db": 30.0}
 
 
 def _run(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
@@ -113,6 +126,11 @@ def test_align_times_the_other_stages_and_follows_a_recorded_walk(
     assert {x["error"] for x in lines if "method" in x} == {"predicted"}
     assert all(0 < x["error_deg"] < 30 for x in lines if "method" in x)
     assert lines[-1]["adapt_ms"] > 0
+    drawn = {x["frame"]: x for x in lines if "frame" in x}
+    assert len(drawn) == 4
+    for x in drawn.values():
+        assert x["frame_ms"] == pytest.approx(sum(x.get(f"{s}_ms", 0) for s in STAGES), rel=1e-6)
+        assert x["psnr_covered_db"] > x["distorted_psnr_covered_db"]
     names = {c["name"] for c in last["checks"]}
     assert "pixels called occluded under an identity, 96x64" in names
     assert "affine: gain at the base LoD" in names

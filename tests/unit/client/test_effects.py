@@ -9,7 +9,8 @@ import pytest
 
 from cags_client import align, pipeline
 from cags_client.align import Aligned, ReferencePicture
-from cags_client.pipeline import ClientPipeline, PresentedFrame
+from cags_client.pipeline import ClientPipeline
+from cags_client.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader

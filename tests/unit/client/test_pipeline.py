@@ -35,7 +35,8 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> BundleReader:
 
 
 def pipeline(reader: BundleReader, **settings: object) -> ClientPipeline:
-    return ClientPipeline(reader.manifest, reader.codebooks(), ClientSettings(width=160, height=120, **settings))  # type: ignore[arg-type]
+    made = ClientSettings(**{"width": 160, "height": 120, **settings})  # type: ignore[arg-type]
+    return ClientPipeline(reader.manifest, reader.codebooks(), made)
 
 
 def send(pipe: ClientPipeline, reader: BundleReader, frame: int, lods: int = 1) -> None:
@@ -243,3 +244,25 @@ def test_the_end_of_a_frame_that_the_clip_does_not_have_is_reported_like_any_dam
     result = Decode(tuple(ends), pipe).run()
     assert [str(error) for error in result.errors] == ["frame 2147483647 is outside the clip's 3 frames"]
     assert result.whole == 0
+
+
+@pytest.mark.parametrize("size", [(160, 120), (161, 119)])
+def test_at_half_resolution_a_frame_is_restored_and_everything_looked_at_is_whole(
+    reader: BundleReader, size: tuple[int, int]
+) -> None:
+    width, height = size
+    scores = {}
+    for resolution in ("full", "half"):
+        pipe, pose = pipeline(reader, width=width, height=height, resolution=resolution), pose_of(reader)
+        send(pipe, reader, 0)
+        pipe.on_reference(*reference(pipe, reader, 0, pose))
+        shown = pipe.present(0, pipe.camera(pose))
+        true = truth(reader, 0, shown.camera)
+        scores[resolution] = score(shown, true, np.ones((height, width), np.float32))
+        assert shown.rgb.shape == shown.distorted.shape == (height, width, 3)
+        assert shown.rgb.min() >= 0
+        assert shown.rgb.max() <= 1
+    assert shown.drawn.shape == ((height + 1) // 2, (width + 1) // 2, 3)
+    assert "enlarge" in shown.stages_ms
+    assert scores["half"]["psnr_restored_db"] > scores["half"]["psnr_distorted_db"] + 1
+    assert abs(scores["half"]["psnr_distorted_db"] - scores["full"]["psnr_distorted_db"]) < 1.5

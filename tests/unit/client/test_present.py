@@ -29,7 +29,7 @@ def presented(frame: int, *, aligned: bool = True) -> Any:
         camera=CAMERA,
         distorted=picture(0.2),
         rgb=picture(0.4),
-        aligned=SimpleNamespace(rgb=picture(0.6)) if aligned else None,
+        aligned_rgb=picture(0.6) if aligned else None,
         reference=SimpleNamespace(rgb=np.full((3, 5, 3), 0.8, np.float32)),
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cags_client.actions import Decode, DecodeResult, Present
-from cags_client.pipeline import PresentedFrame
+from cags_client.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_client.view.interactive import SEEK_PATIENCE_US, InteractivePlayer
 from cags_client.view.poses import LivePoses

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cags_client.pipeline import PresentedFrame
+from cags_client.presented import PresentedFrame
 from cags_client.view import LiveView, ShownFrame, ViewSettings
 from cags_client.view.sink import ViewSink
 from cags_common.effects import EffectPlan

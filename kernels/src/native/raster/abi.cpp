@@ -105,13 +105,14 @@ int32_t cags_raster_back_project(CagsRasterScene* scene, const CagsCamera* camer
   return run(scene, *camera, *options, {nullptr, nullptr, nullptr, residual}, {4, 3, weighted_residual, weight}, nullptr);
 }
 
-int32_t cags_raster_upsample(const CagsRasterTargets* half, int32_t width, int32_t height, float void_alpha, int32_t threads,
-                             const CagsRasterTargets* whole) {
-  const bool complete = half->rgb && half->alpha && whole->rgb && whole->alpha && !half->depth == !whole->depth;
+int32_t cags_raster_upsample(const CagsRasterTargets* half, int32_t width, int32_t height, float void_alpha, float brightest,
+                             int32_t threads, const CagsRasterTargets* whole) {
+  const bool complete = half->rgb && whole->rgb && !half->alpha == !whole->alpha && !half->depth == !whole->depth &&
+                        (half->alpha || !half->depth);
   if (!complete || width < 1 || width > kMaxSide || height < 1 || height > kMaxSide || threads < 1) return CAGS_INVALID;
   return cags::guarded([&] {
     const cags::raster::UpsampleJob job{{half->rgb, half->alpha, half->depth, nullptr},
-                                        {whole->rgb, whole->alpha, whole->depth, nullptr}, width, height, void_alpha};
+                                        {whole->rgb, whole->alpha, whole->depth, nullptr}, width, height, void_alpha, brightest};
     const int workers = std::min(threads, cags::kMaxThreads), stripes = (height + kStripe - 1) / kStripe;
     const size_t pitch = size_t(width / 2 + 1 + 4) * 3;
     std::vector<float> rows(pitch * workers);

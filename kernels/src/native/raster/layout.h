@@ -91,11 +91,12 @@ struct Targets {
   const float* residual;          // [height, width, 3] for the adjoint
 };
 
-// A view at half the resolution and where the whole one goes; `width` and `height` are the whole one's.
+// A view at half the resolution and where the whole one goes, without alpha or depth where they are null; `width` and `height`
+// are the whole one's. No colour comes out above `brightest`.
 struct UpsampleJob {
   Targets half, whole;
   int width, height;
-  float void_alpha;
+  float void_alpha, brightest;
 };
 
 // Per-thread memory of the tile stage.

@@ -5,7 +5,6 @@
 #include "raster/stages/image.h"
 
 #include <cmath>
-#include <limits>
 
 namespace cags::raster {
 namespace {
@@ -68,7 +67,8 @@ inline void upsample_depth(const float* from, const float* alpha, int width, int
 
 void upsample(const UpsampleJob& job, int y, float* row) {
   const size_t at = size_t(y) * job.width;
-  upsample_cubic<3>(job.half.rgb, job.width, job.height, y, 0.0f, std::numeric_limits<float>::max(), row, job.whole.rgb + 3 * at);
+  upsample_cubic<3>(job.half.rgb, job.width, job.height, y, 0.0f, job.brightest, row, job.whole.rgb + 3 * at);
+  if (!job.half.alpha) return;
   upsample_cubic<1>(job.half.alpha, job.width, job.height, y, 0.0f, 1.0f, row, job.whole.alpha + at);
   if (job.half.depth)
     upsample_depth(job.half.depth, job.whole.alpha + at, job.width, job.height, y, job.void_alpha, job.whole.depth + at);
