@@ -15,17 +15,17 @@ from cags_protocol.cadence import EVERY_FRAME, LEAST_PERMILLE, next_displayed
 WINDOW_US = 1_000_000
 """Time over which drawn frames are counted before the share is chosen anew."""
 
-LEAST_COUNTED = 8
-"""A window with fewer frames to draw says nothing: the clip stood still, or was slow."""
+LEAST_DRAWN = 4
+"""A window is longer while it has fewer frames than these."""
 
 SLOW = 0.85
 """A client that draws all frames begins to choose among them where it managed less than this share of a window."""
 
-MET, MISSED = 0.97, 0.88
-"""Managed shares of the chosen frames above which more are chosen, and below which fewer."""
+HEADROOM = 1.03
+"""More frames are chosen than were possible, by this factor: drawing never waits for the next one for long."""
 
-RAISE, HEADROOM = 1.08, 1.03
-"""More by this factor; fewer: as many as were managed, and so much more."""
+STEADY = 0.06
+"""A share that would change by less stays: while it changes, references are of other frames than are displayed."""
 
 
 class Cadence:
@@ -37,7 +37,8 @@ class Cadence:
         self.counted_from = first_frame
         """The media frame that the newest Control named; each loop since takes a clip's frames off it."""
         self._since_us: int | None = None
-        self._due = self._chosen = self._drawn = 0
+        self._begun_us = 0  # the drawing of the newest frame
+        self._busy_us = self._due = self._chosen = self._drawn = 0  # in this window
 
     def next(self, frame: int, end_frame: int) -> int:
         """The first media frame to display from ``frame`` on; that before ``end_frame`` is displayed in any case."""
@@ -48,31 +49,35 @@ class Cadence:
         frame, missed = self.next(from_frame, end_frame), 0
         while (later := self.next(frame + 1, end_frame)) > frame and due_us(later) <= now_us:
             frame, missed = later, missed + 1
-        self._count(now_us, frame + 1 - from_frame, missed)
+        if self._since_us is None:
+            self._begin(now_us)
+        self._begun_us = now_us
+        self._due += frame + 1 - from_frame
+        self._chosen += 1 + missed
         return frame
+
+    def drawn(self, now_us: int) -> None:
+        """The frame that was handed out is drawn."""
+        if self._since_us is None:  # a Control came meanwhile
+            return
+        self._busy_us += now_us - self._begun_us
+        self._drawn += 1
+        if now_us - self._since_us >= WINDOW_US and self._drawn >= LEAST_DRAWN:
+            self._choose(now_us - self._since_us)
+            self._begin(now_us)
 
     def restart(self, frame: int) -> None:
         """A Control names ``frame``: the window that was under way counts for nothing."""
         self.counted_from, self._since_us = frame, None
 
-    def _count(self, now_us: int, due: int, missed: int) -> None:
-        """A frame begins to be drawn, ``due`` media frames after the one before; ``missed`` chosen ones are late."""
-        if self._since_us is None:
-            self._since_us, self._due, self._chosen, self._drawn = now_us, 0, 0, 0
-            return
-        self._due += due
-        self._drawn += 1
-        self._chosen += 1 + missed
-        if now_us - self._since_us >= WINDOW_US:
-            if self._chosen >= LEAST_COUNTED:
-                self._choose(self._drawn / self._chosen, self._drawn / self._due)
-            self._since_us, self._due, self._chosen, self._drawn = now_us, 0, 0, 0
+    def _begin(self, now_us: int) -> None:
+        self._since_us, self._busy_us, self._due, self._chosen, self._drawn = now_us, 0, 0, 0, 0
 
-    def _choose(self, managed: float, of_all: float) -> None:
-        """``managed``: share of the chosen frames that was drawn; ``of_all``: of all media frames."""
-        share = self.permille / EVERY_FRAME
-        if self.permille < EVERY_FRAME and managed >= MET:
-            share *= RAISE
-        elif managed < (MISSED if self.permille < EVERY_FRAME else SLOW):
-            share = of_all * HEADROOM
-        self.permille = min(max(round(share * EVERY_FRAME), LEAST_PERMILLE), EVERY_FRAME)
+    def _choose(self, window_us: int) -> None:
+        """As many as were drawn, or would have been in the time in which nothing was."""
+        if self.permille == EVERY_FRAME and self._drawn >= SLOW * self._chosen:
+            return
+        possible = self._drawn / self._due * window_us / max(self._busy_us, 1)
+        wanted = min(max(round(possible * HEADROOM * EVERY_FRAME), LEAST_PERMILLE), EVERY_FRAME)
+        if wanted == EVERY_FRAME or abs(wanted - self.permille) > STEADY * self.permille:
+            self.permille = wanted

@@ -38,8 +38,7 @@ from cags_protocol.limits import PROTOCOL_VERSION
 from cags_protocol.messages import Control, Hello, PoseSample, Refusal, RefusalCode, Welcome
 from cags_protocol.session import SessionTimers
 
-CODEBOOKS_BLOB = "codebooks"
-WEIGHTS_BLOB = "weights"
+CODEBOOKS_BLOB, WEIGHTS_BLOB = "codebooks", "weights"
 KEYFRAME_RETRY_US = 250_000
 """A lost reference video is asked for again after this long."""
 
@@ -100,8 +99,7 @@ class Player:
         self._codebooks: bytes | None = None
         self._weights: bytes | None = None
         self._arrivals = Arrivals()
-        self._presenting = False
-        self._next_frame = settings.start_frame
+        self._presenting, self._next_frame = False, settings.start_frame
         self._cadence = Cadence(settings.start_frame)
         self._due_us: int | None = None
         self._end_frame = settings.start_frame + 1
@@ -194,6 +192,7 @@ class Player:
         if isinstance(action, Present):
             assert isinstance(result, PresentedFrame)
             self._presenting = False
+            self._cadence.drawn(now_us)
             self.stats.frames += 1
             self.stats.missed += result.missed
             if self._next_frame >= self._end_frame:

@@ -53,7 +53,7 @@ def test_a_slow_client_gets_references_of_what_it_draws(scenario, looks, monkeyp
     assert not any(f["missed"] for f in late)
     assert len(fewer) <= 1.2 * len(late), "hardly a look at what nobody sees"
     looks.clear()
-    monkeypatch.setattr(Cadence, "_choose", lambda self, managed, of_all: None)
+    monkeypatch.setattr(Cadence, "_choose", lambda self, window_us: None)
     silent = [f for f in simulate(slow).frames if f["frame"] >= SETTLED]
     assert len(late) >= len(silent) - 2, "it draws as many as one that says nothing of it"
     assert len(settled(looks)) >= 1.3 * len(fewer)

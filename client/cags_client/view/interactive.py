@@ -119,6 +119,7 @@ class InteractivePlayer(Player):
             return
         assert isinstance(result, PresentedFrame)
         self._presenting = False
+        self._cadence.drawn(now_us)
         self.stats.frames += 1
         self.stats.missed += result.missed
         if self.playing and self._wanted_frame is None and self._next_frame >= self._end_frame:

@@ -16,6 +16,7 @@ def play(cadence: Cadence, draw_us: float, seconds: float, *, start_s: float = 0
         frame = cadence.newest_due(round(now), after, 10**9, due_us)
         shown.append(frame)
         after, now = frame + 1, now + draw_us
+        cadence.drawn(round(now))
     return shown
 
 
@@ -43,6 +44,7 @@ def test_one_stutter_changes_nothing():
     cadence = Cadence(0)
     play(cadence, 20e3, 3)
     assert cadence.newest_due(3_100_000, 90, 10**9, due_us) == 93, "a tenth of a second lost"
+    cadence.drawn(3_120_000)
     play(cadence, 20e3, 3, start_s=3.2)
     assert cadence.permille == EVERY_FRAME
 
@@ -51,8 +53,16 @@ def test_a_client_that_was_slow_displays_every_frame_again():
     cadence = Cadence(0)
     play(cadence, 60e3, 5)
     assert cadence.permille < 700
-    play(cadence, 15e3, 15, start_s=5)
+    play(cadence, 15e3, 3, start_s=5)
     assert cadence.permille == EVERY_FRAME
+
+
+def test_a_slow_beginning_is_made_good_in_a_few_seconds():
+    cadence = Cadence(0)
+    play(cadence, 150e3, 4)
+    assert cadence.permille < 300
+    play(cadence, 45e3, 3, start_s=4)
+    assert 700 < cadence.permille < 900
 
 
 def test_it_never_asks_for_less_than_the_protocol_counts_with():
