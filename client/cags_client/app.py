@@ -18,11 +18,12 @@ from typing import Any
 from cags_client.actions import Decode, Present
 from cags_client.dial import Dial
 from cags_client.interrupts import interrupts
-from cags_client.player import Player, PoseSource
+from cags_client.player import Player
 from cags_client.present.base import FrameSink
 from cags_client.presented import PresentedFrame
 from cags_client.report import frame_stats
 from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.viewpoint import PoseSource
 from cags_common.errors import CagsError, NetworkError
 from cags_common.transport import Transport
 from cags_protocol.client import ClientSession
@@ -106,7 +107,7 @@ class Shell:
         self.player = player
         self._on_frame = on_frame
         self._transport, self._sinks, self._connect = transport, sinks, connect
-        self._wake = asyncio.Event()
+        self._wake, self._caught_up = asyncio.Event(), asyncio.Event()
         self._decoder, self._drawer, self._writer = (ThreadPoolExecutor(1, name) for name in ("decode", "draw", "sink"))
         self._backlog = asyncio.Semaphore(SINK_BACKLOG)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -147,6 +148,8 @@ class Shell:
             self._start(self._come_back())
         while (action := self.player.next_action(now_us())) is not None:
             self._start(self._decode(action) if isinstance(action, Decode) else self._present(action))
+        if not self.player.backed_up:
+            self._caught_up.set()
         if self.player.finished:  # by a timer, or by what sending met: nothing would wake this up
             return
         await self._woken_by(self.player.next_timer_us())
@@ -176,6 +179,9 @@ class Shell:
                 data = await transport.recv()
                 self.player.receive(data, now_us())
                 self._wake.set()
+                if self.player.backed_up:
+                    self._caught_up.clear()
+                    await self._caught_up.wait()
         except NetworkError as error:
             self.player.lost(str(error), now_us())
         finally:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from cags_client.actions import DataEvent, Traffic
+from cags_client.actions import DataEvent, Restarted, Traffic
 from cags_protocol import events as ev
 from cags_protocol.messages import HeldTile
 
 DECODE_BATCH = 32
 """Messages decoded in one go: enough to dequantise a tile once for all its layers, few enough to stay prompt."""
+
+MAX_UNDECODED_BYTES = 32 << 20
+"""Media that may wait for its decoder; beyond it a client stops reading, and acknowledging, until it has caught up."""
 
 
 class Arrivals:
@@ -21,6 +24,12 @@ class Arrivals:
         """The batch that is being decoded."""
         self._waiting: deque[DataEvent] = deque()
         self._tile_bytes = self._reference_bytes = 0
+        self._waiting_bytes = self._decoding_bytes = 0
+
+    @property
+    def undecoded_bytes(self) -> int:
+        """Payloads that wait or are being decoded."""
+        return self._waiting_bytes + self._decoding_bytes
 
     @property
     def ready(self) -> bool:
@@ -30,6 +39,7 @@ class Arrivals:
     def add(self, event: DataEvent) -> None:
         """The next in line."""
         self._waiting.append(event)
+        self._waiting_bytes += _size(event)
         match event:
             case ev.TileReceived(_, payload):
                 self._tile_bytes += len(payload)
@@ -40,15 +50,19 @@ class Arrivals:
         """The next batch; :meth:`decoded` when it is done."""
         count = min(len(self._waiting), DECODE_BATCH)
         self.decoding = tuple(self._waiting.popleft() for _ in range(count))
+        self._decoding_bytes = sum(map(_size, self.decoding))
+        self._waiting_bytes -= self._decoding_bytes
         return self.decoding
 
     def decoded(self) -> None:
         """The batch that was out is in the store."""
         self.decoding = ()
+        self._decoding_bytes = 0
 
     def clear(self) -> None:
         """What waits is of no use any more."""
         self._waiting.clear()
+        self._waiting_bytes = 0
 
     @property
     def quiet(self) -> bool:
@@ -70,3 +84,7 @@ class Arrivals:
                 if event.message.from_lod <= lods.get(key, 0):
                     lods[key] = max(lods.get(key, 0), event.message.to_lod)
         return [HeldTile(frame, tile, count) for (frame, tile), count in lods.items()]
+
+
+def _size(event: DataEvent) -> int:
+    return 0 if isinstance(event, Restarted) else len(event.payload)

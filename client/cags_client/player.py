@@ -18,16 +18,16 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from concurrent.futures import Executor
-from typing import Protocol
 
 from cags_client.actions import Decode, DecodeResult, Present, Restarted
-from cags_client.arrivals import Arrivals
+from cags_client.arrivals import MAX_UNDECODED_BYTES, Arrivals
 from cags_client.cadence import Cadence
 from cags_client.pipeline import ClientPipeline
 from cags_client.play_stats import PlayStats
 from cags_client.presented import PresentedFrame
 from cags_client.reconnect import Reconnect
 from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.viewpoint import PoseSource, Viewpoint
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
@@ -35,7 +35,7 @@ from cags_protocol import events as ev
 from cags_protocol.client import ClientSession, ClientSessionSettings
 from cags_protocol.inventory import pack_inventory
 from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Control, Hello, PoseSample, Refusal, RefusalCode, Welcome
+from cags_protocol.messages import Control, Hello, Refusal, RefusalCode, Welcome
 from cags_protocol.session import SessionTimers
 
 CODEBOOKS_BLOB, WEIGHTS_BLOB = "codebooks", "weights"
@@ -45,19 +45,11 @@ KEYFRAME_RETRY_US = 250_000
 RESUMING = ClientSessionSettings(SessionTimers(handshake_us=3_000_000))
 """A server that takes over must answer soon, for there may be another."""
 
-FATAL_REFUSALS = frozenset(RefusalCode) - {RefusalCode.FULL, RefusalCode.TIMEOUT}
+FATAL_REFUSALS = frozenset(RefusalCode) - {RefusalCode.FULL, RefusalCode.TIMEOUT, RefusalCode.INTERNAL}
 """Refusals that another attempt would only meet again; any other code may be gone a moment later."""
 
 FATAL_ENDS = frozenset({"malformed", "unexpected"})
 """Ends of a session by a breach of the protocol: the same would follow again."""
-
-
-class PoseSource(Protocol):
-    """Where the viewer's head is. A :class:`~cags_common.poses.PoseTrace` is one; a mouse may be another."""
-
-    def pose_at(self, t_us: int) -> Pose:
-        """T_world_camera at a time of the walk: 0 when play is asked for, ``start_delay_ms`` at the first frame."""
-        ...
 
 
 class Player:
@@ -89,7 +81,8 @@ class Player:
         """Why it ended early, if it did."""
         self.finished = False
         self.stats = PlayStats()
-        self._session, self._poses, self._clock = session, poses, clock
+        self._session, self._clock = session, clock
+        self._viewpoint = Viewpoint(poses, settings.pose_rate, settings.start_delay_ms * 1000, now_us)
         self._made_us, self._near = now_us, near
         self._reconnect = Reconnect(round(settings.reconnect_s * 1e6), rng or random.Random(0))  # noqa: S311
         self._lost_us = 0
@@ -103,7 +96,6 @@ class Player:
         self._cadence = Cadence(settings.start_frame)
         self._due_us: int | None = None
         self._end_frame = settings.start_frame + 1
-        self._next_pose_us = now_us
         self._asked_idr_us: int | None = None
         session.hello(self._hello(settings.start_frame, poses.pose_at(0)), now_us=now_us)
 
@@ -116,16 +108,24 @@ class Player:
         self.stats.last_byte_us = now_us
         self._session.receive(data, now_us=now_us)
         self._pump(now_us)
+        if self.pipeline is None and self.backed_up:
+            self._fail(NetworkError("the server sends tiles without the codebooks that they need"))
+
+    @property
+    def backed_up(self) -> bool:
+        """Whether so much waits for its decoder that nothing more should be read from the connection."""
+        return self._arrivals.undecoded_bytes > MAX_UNDECODED_BYTES
 
     def data_to_send(self, now_us: int) -> list[bytes]:
         """Messages to write now."""
+        self._session.buffered_bytes = self._arrivals.undecoded_bytes
         return self._session.data_to_send(now_us)
 
     def next_timer_us(self) -> int | None:
         """When :meth:`handle_timer` and :meth:`next_action` want to be called at the latest; None: not by time."""
         if self.finished:
             return None
-        times = [self._session.next_timer_us(), self._next_pose_us, self._reconnect.next_timer_us()]
+        times = [self._session.next_timer_us(), self._viewpoint.next_us, self._reconnect.next_timer_us()]
         if not self._presenting:
             times.append(self._due_us)
         return min((t for t in times if t is not None), default=None)
@@ -137,7 +137,8 @@ class Player:
         if self._reconnect.expired(now_us):
             self._fail(self._why_away)
         self._session.handle_timer(now_us=now_us)
-        self._send_poses(now_us)
+        if samples := self._viewpoint.due(now_us):
+            self._session.send_poses(samples, now_us=now_us, cadence_permille=self._cadence.permille)
         self._pump(now_us)
 
     def lost(self, reason: str, now_us: int) -> None:
@@ -168,7 +169,7 @@ class Player:
         self._arrivals.add(Restarted())
         self._resume_at = self._state_of_play(now_us)
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
-        self._session.hello(self._hello(frame, self._pose(now_us)), now_us=now_us)
+        self._session.hello(self._hello(frame, self._viewpoint.pose_at(now_us)), now_us=now_us)
 
     def leave(self, now_us: int) -> None:
         """End the play here, with a goodbye."""
@@ -340,6 +341,7 @@ class Player:
             return
         at_us = now_us + self.settings.start_delay_ms * 1000
         self._due_us = self.stats.started_us = at_us
+        self._viewpoint.begin(at_us)
         self._ask_to_play(at_us, now_us)
 
     def _ask_to_play(self, at_us: int, now_us: int) -> None:
@@ -363,22 +365,7 @@ class Player:
         following = self._cadence.next(frame + 1, self._end_frame)
         self._due_us = self._frame_due_us(following) if following > frame else None
         assert self.pipeline is not None
-        return Present(frame, due_us, self._pose(due_us), self.pipeline, self._arrivals.traffic())
-
-    def _pose(self, t_us: int) -> Pose:
-        """The walk begins when play is asked for; until then the viewer waits at its beginning."""
-        if self.stats.started_us is None:
-            return self._poses.pose_at(0)
-        return self._poses.pose_at(max(t_us - self.stats.started_us + self.settings.start_delay_ms * 1000, 0))
-
-    def _send_poses(self, now_us: int) -> None:
-        period_us = round(1e6 / self.settings.pose_rate)
-        samples = []
-        while self._next_pose_us <= now_us:
-            samples.append(PoseSample(self._next_pose_us, self._pose(self._next_pose_us)))
-            self._next_pose_us += period_us
-        if samples:
-            self._session.send_poses(samples[-64:], now_us=now_us, cadence_permille=self._cadence.permille)
+        return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._arrivals.traffic())
 
     def _ask_idr(self, last_seq: int, now_us: int) -> None:
         if self._asked_idr_us is not None and now_us - self._asked_idr_us < KEYFRAME_RETRY_US:

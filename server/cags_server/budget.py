@@ -38,6 +38,8 @@ class ByteBudget:
         """``queue_ms``: delay that planned but undelivered data may cause."""
         self._queue_ms = queue_ms
         self._outstanding_bytes = 0
+        self.undecoded_bytes = 0
+        """What the client last said that it holds undecoded: to wait there is no better than to wait on the link."""
         self._saved_bytes = 0
         self._travelling: dict[int, int] = {}  # tiles queued and not settled: identity -> when, oldest first
         self._references, self._bases = _PerFrame(), _PerFrame()
@@ -64,7 +66,8 @@ class ByteBudget:
     def open(self, record: FrameRecord, allowed_bps: float, period_us: float) -> int:
         """What the tiles of ``record``'s frame may take; its reference is paid for first."""
         seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * period_us / 1e6
-        excess = max(0.0, self._outstanding_bytes - allowed_bps * self._queue_ms / 8e3)
+        waiting_bytes = self._outstanding_bytes + self.undecoded_bytes
+        excess = max(0.0, waiting_bytes - allowed_bps * self._queue_ms / 8e3)
         income = int(allowed_bps * seconds / 8 - record.reference_bytes - excess)
         return max(0, income + self._saved_bytes)
 

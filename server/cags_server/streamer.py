@@ -132,8 +132,9 @@ class Streamer:
             case ev.PosesReceived(samples, arrival_us, cadence_permille):
                 self._viewer.observe(samples, arrival_us)
                 self._schedule.cadence_permille = cadence_permille
-            case ev.Acknowledged(sample, _):
+            case ev.Acknowledged(sample, buffered_bytes):
                 self._estimator.on_ack(sample)
+                self._budget.undecoded_bytes = buffered_bytes
                 self.stats.rtt_us = sample.rtt_us
                 self._reference_budget.in_flight_bytes = sample.in_flight_bytes
                 self.stats.bandwidth_bps = self._estimator.estimate_bps(now_us)

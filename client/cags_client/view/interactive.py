@@ -84,7 +84,7 @@ class InteractivePlayer(Player):
         """See :meth:`Player.next_timer_us`."""
         if self._awaited is None or self.finished:
             return super().next_timer_us()
-        times = (self._session.next_timer_us(), self._next_pose_us, self._awaited[1])
+        times = (self._session.next_timer_us(), self._viewpoint.next_us, self._awaited[1])
         return min(t for t in times if t is not None)
 
     def handle_timer(self, now_us: int) -> None:
@@ -208,7 +208,7 @@ class InteractivePlayer(Player):
         assert self.info is not None
         assert self.pipeline is not None
         self._due_us = now_us + round(1e6 / self.info.fps)
-        pose = self._pose(now_us)
+        pose = self._viewpoint.pose_at(now_us)
         if pose == self._shown_pose and self._arrivals.quiet:
             return None
         self._shown_pose, self._presenting = pose, True

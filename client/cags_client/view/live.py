@@ -34,8 +34,9 @@ from cags_client.view.messages import (
 )
 from cags_client.view.page import Page
 from cags_client.view.pictures import NEED_TRUTH, PICTURES, Gallery
-from cags_client.view.poses import LivePoses, PoseSource
+from cags_client.view.poses import LivePoses
 from cags_client.view.settings import ViewSettings
+from cags_client.viewpoint import PoseSource
 from cags_common.errors import CagsError, ConfigError, NetworkError, ProtocolError
 from cags_common.transport.hosts import host_port
 

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from typing import Protocol
 
+from cags_client.viewpoint import PoseSource
 from cags_common.geometry import Pose
 
 REMEMBERED_POSES = 512
 """Poses whose number can still be told from a picture: at 60 a second more than eight seconds."""
-
-
-class PoseSource(Protocol):
-    """Anything that says where the camera is at a time of the client's clock."""
-
-    def pose_at(self, t_us: int) -> Pose:
-        """T_world_camera at ``t_us``."""
-        ...
 
 
 class LivePoses:

@@ -18,9 +18,9 @@ from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.view.controls import SplatDetail
 from cags_client.view.interactive import InteractivePlayer
 from cags_client.view.live import LiveView
-from cags_client.view.poses import PoseSource
 from cags_client.view.settings import ViewSettings
 from cags_client.view.sink import ViewSink, scene_info
+from cags_client.viewpoint import PoseSource
 from cags_common.bundle.manifest import Manifest
 from cags_common.geometry import F32, Camera
 from cags_protocol.client import ClientSession

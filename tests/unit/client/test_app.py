@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 
 import pytest
 
+from cags_client import player
 from cags_client.app import Shell, now_us
 from cags_client.player import Player
 from cags_client.settings import ClientSettings
+from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, NetworkError
 from cags_common.geometry import Pose
 from cags_common.transport import MemoryTransport, memory_pair
 from cags_protocol import ClientSession
 from cags_protocol.encoding import encode
-from cags_protocol.messages import Welcome
+from cags_protocol.messages import Fragment, TileLayers, Welcome
+
+MANIFEST = Manifest("t", 30.0, 3, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())
 
 
 class Still:
@@ -29,8 +34,8 @@ async def nowhere(attempt: int) -> MemoryTransport:
 def shell() -> tuple[Shell, MemoryTransport]:
     """A client's shell that has said Hello, and the server's end of its connection."""
     ours, theirs = memory_pair()
-    player = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us())
-    return Shell(ours, player, (), None, nowhere), theirs
+    made = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us())
+    return Shell(ours, made, (), None, nowhere), theirs
 
 
 async def test_a_manifest_that_cannot_be_read_ends_the_play_at_once() -> None:
@@ -53,4 +58,47 @@ async def test_a_fault_while_reading_is_raised_and_not_waited_for(monkeypatch: p
     with pytest.raises(RuntimeError, match="a fault of the program"):
         async with asyncio.timeout(5):
             await client.run()
+    client.close()
+
+
+def tiles(count: int, size: int) -> list[bytes]:
+    """Packets of a message each, as a server writes them."""
+    messages = [encode(TileLayers(0, number, 0, 1, (size,), (0,)), bytes(size)) for number in range(count)]
+    return [encode(Fragment(seq, seq), data) for seq, data in enumerate(messages, start=1)]
+
+
+async def test_tiles_without_codebooks_end_the_play_before_they_fill_the_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(player, "MAX_UNDECODED_BYTES", 10_000)
+    client, server = shell()
+    await server.send(encode(Welcome("s", 30.0, 3, False, MANIFEST.to_json())))
+    for packet in tiles(12, 1_000):
+        await server.send(packet)
+    async with asyncio.timeout(5):
+        await client.run()
+    client.close()
+    assert "without the codebooks" in str(client.player.error)
+
+
+async def test_a_client_whose_decoder_lags_stops_reading_until_it_has_caught_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    client, server = shell()
+    received: list[bytes] = []
+    behind = True
+    monkeypatch.setattr(client.player, "receive", lambda data, now_us: received.append(data))
+    monkeypatch.setattr(Player, "backed_up", property(lambda _: behind and len(received) >= 2))
+    running = asyncio.create_task(client.run())
+    for number in range(4):
+        await server.send(bytes([number]))
+    await asyncio.sleep(0.1)
+    assert len(received) == 2
+    behind = False
+    client._wake.set()  # as the end of any decoding does
+    await asyncio.sleep(0.1)
+    assert len(received) == 4
+    client.leave(signal.SIGINT)
+    async with asyncio.timeout(5):
+        await running
     client.close()

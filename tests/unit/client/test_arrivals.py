@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cags_client.actions import Traffic
+from cags_client.actions import Restarted, Traffic
 from cags_client.arrivals import DECODE_BATCH, Arrivals
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import events as ev
@@ -56,3 +56,17 @@ def test_what_waits_and_what_is_being_decoded_counts_as_held() -> None:
     assert set(arrivals.held(stored)) == {HeldTile(0, 1, 3), HeldTile(0, 3, 4)}
     arrivals.clear()
     assert set(arrivals.held(stored)) == {HeldTile(0, 1, 1), HeldTile(0, 3, 4)}
+
+
+def test_what_waits_and_what_is_being_decoded_is_undecoded() -> None:
+    arrivals = Arrivals()
+    for event in (tile(0, size=30), Restarted(), reference(12)):
+        arrivals.add(event)
+    assert arrivals.undecoded_bytes == 42
+    arrivals.take()
+    arrivals.add(tile(1, size=8))
+    assert arrivals.undecoded_bytes == 50
+    arrivals.decoded()
+    assert arrivals.undecoded_bytes == 8
+    arrivals.clear()
+    assert arrivals.undecoded_bytes == 0

@@ -42,6 +42,14 @@ def test_what_waits_beyond_the_allowed_queue_is_taken_off_until_it_settles() -> 
     assert budget.waiting_us(1_007) == 0
 
 
+def test_what_the_client_has_not_decoded_waits_as_well() -> None:
+    budget = ByteBudget(queue_ms=10.0)
+    budget.undecoded_bytes = 50_000
+    assert budget.open(record(), 8e6, PERIOD_US) == 100_000 - (50_000 - 10_000)
+    budget.undecoded_bytes = 0
+    assert budget.open(record(), 8e6, PERIOD_US) == 100_000
+
+
 def test_only_tiles_make_a_waiting_time() -> None:
     budget = ByteBudget(queue_ms=10.0)
     budget.planned(Outgoing(FrameEnd(0)), 0)
