@@ -32,13 +32,13 @@ from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
 from cags_protocol import events as ev
+from cags_protocol.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
 from cags_protocol.client import ClientSession, ClientSessionSettings
 from cags_protocol.inventory import pack_inventory
 from cags_protocol.limits import PROTOCOL_VERSION
 from cags_protocol.messages import Control, Hello, Refusal, RefusalCode, Welcome
 from cags_protocol.session import SessionTimers
 
-CODEBOOKS_BLOB, WEIGHTS_BLOB = "codebooks", "weights"
 KEYFRAME_RETRY_US = 250_000
 """A lost reference video is asked for again after this long."""
 

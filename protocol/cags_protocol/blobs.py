@@ -9,6 +9,9 @@ from cags_protocol import limits
 from cags_protocol.assembly import Partial
 from cags_protocol.messages import Blob
 
+CODEBOOKS_BLOB, WEIGHTS_BLOB = "codebooks", "weights"
+"""Names of the blobs that a server sends: ``codebooks.bin`` of the bundle, and the weights of a restorer."""
+
 MAX_BLOBS_AT_ONCE = 8
 """Blobs that a client keeps half received."""
 

@@ -11,14 +11,13 @@ from collections.abc import Callable, Iterable
 
 from cags_common.geometry import Camera, Pose
 from cags_protocol import events as ev
-from cags_protocol.blobs import blob_chunks
 from cags_protocol.messages import Control, HeldTile, Hello, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.budget import ByteBudget
 from cags_server.fov import widened
+from cags_server.joining import Joining
 from cags_server.library import SceneLibrary, VisibleTile
-from cags_server.opening import Opening
 from cags_server.pace import MARGIN_US
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
@@ -28,15 +27,9 @@ from cags_server.reference_video import ReferenceVideo
 from cags_server.schedule import Schedule
 from cags_server.settings import ServerSettings
 from cags_server.sight import Sight
-from cags_server.tiles import BASE_PRIORITY, TileSender
+from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
 from cags_server.viewer import Viewer
-
-BLOB_PRIORITY = 0
-"""Decoders' tables: nothing can be shown without them."""
-
-WEIGHTS_PRIORITY = 2
-"""A restorer's weights: playing goes on without them, so that base layers go first."""
 
 MESSAGE_OVERHEAD_BYTES = 160
 """Header of a tile message and its fragment, about."""
@@ -65,9 +58,8 @@ class Streamer:
         start = min(hello.start_frame, library.manifest.frames - 1)
         timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
         self._schedule = Schedule(settings, timeline, self._viewer.clock)
-        self._resumed = False
         self._budget = ByteBudget(settings.queue_ms)
-        self._opening: Opening | None = None
+        self._joining = Joining(library, self._tiles)
         self._video = ReferenceVideo()
         self._reference_budget = ReferenceBudget(settings.reference_most)
         self._sight = Sight(library, settings.visible_px)
@@ -82,46 +74,21 @@ class Streamer:
         return Welcome(session, manifest.fps, manifest.frames, resumed, manifest.public_json())
 
     def opening(self, now_us: int) -> list[ev.Outgoing]:
-        """What a client gets first: codebooks, then the base layers of the start frame, the ones in view first.
-
-        One that resumes has the codebooks: it could not hold a tile without them. A restorer's weights come last:
-        playing does not wait for them.
-        """
-        out = (
-            []
-            if self._resumed
-            else [
-                ev.Outgoing(blob, chunk, BLOB_PRIORITY)
-                for blob, chunk in blob_chunks("codebooks", self._library.reader.codebooks())
-            ]
-        )
+        """What a client gets first (:class:`~cags_server.joining.Joining`): enough to begin to play."""
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
-        frame = self._schedule.timeline.frame
-        tiles = self._tiles.beginning(frame, camera)
-        in_view = [
-            (m.frame, m.tile)
-            for each in tiles
-            if each.priority == BASE_PRIORITY and isinstance(m := each.message, TileLayers)
-        ]
-        self._opening = Opening(frame, in_view, now_us)
-        if self._library.weights is not None and not self._resumed:
-            chunks = blob_chunks("weights", self._library.weights)
-            tiles += [ev.Outgoing(blob, chunk, WEIGHTS_PRIORITY) for blob, chunk in chunks]
-        return self._counted(out + tiles, now_us)
+        return self._counted(self._joining.messages(self._schedule.timeline.frame, camera, now_us), now_us)
 
     def opening_due_us(self) -> int | None:
         """When :meth:`end_opening` has something to say."""
-        return self._opening.due_us() if self._opening else None
+        return self._joining.due_us()
 
     def end_opening(self, now_us: int) -> list[ev.Outgoing]:
         """The end of the first frame while the link is still busy with it, so that the play can begin."""
-        ends = self._opening.end(now_us) if self._opening else []
-        reader = self._library.reader
-        return self._counted([ev.Outgoing(e, reader.removed_payload(e.frame), BLOB_PRIORITY) for e in ends], now_us)
+        return self._counted(self._joining.end(now_us), now_us)
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles, and the codebooks, from an earlier session: they are not sent again."""
-        self._resumed = True
+        self._joining.resumed = True
         self._tiles.resume(inventory)
 
     # -------------------------------------------------------------------------------------------------------- events
@@ -167,8 +134,7 @@ class Streamer:
         message = outgoing.message
         if isinstance(message, TileLayers):
             (self._tiles.inventory.delivered if delivered else self._tiles.inventory.dropped)(message)
-            if self._opening is not None:
-                self._opening.settled(message)
+            self._joining.settled(message)
         elif isinstance(message, ReferenceFrame) and not delivered:
             self._video.dropped(message)
 
