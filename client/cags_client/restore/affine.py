@@ -50,8 +50,9 @@ EVIDENCE_MARGIN = 1.05
 NOISE_FLOOR = 2e-6
 """Variance of rounding to 8 bits, in the reference and in what it is compared with."""
 
-VEIL_WEIGHT = 4.0
-"""Weight of what veils one view alone against what the correction is worth; it acts by its square."""
+VEIL_WEIGHT = 2.2
+"""Weight of what veils one view alone against what the correction is worth. It acts by its fourth power: where the veil
+is the smaller, which it is nearly always in sound corrections, next to nothing is given up."""
 
 WINDOW_BLOCKS = 7
 """Side of the window over which an alignment is judged. A misplaced picture shifts whole areas; what differs at single
@@ -210,7 +211,7 @@ def registration(inputs: RestoreInput, own: F32, fields: F32, misregistration: f
     S P / (P + misregistration * e): P is the mean power of the correction, e that of the local disagreement, which is
     averaged over WINDOW_BLOCKS x WINDOW_BLOCKS before it is squared, so that detail that the reference cannot hold does
     not count.
-    S is 1 / (1 + (VEIL_WEIGHT v / P)^2), with v the power of the mean disagreement of the whole picture.
+    S is 1 / (1 + (VEIL_WEIGHT v / P)^4), with v the power of the mean disagreement of the whole picture.
     """
     aligned, block = inputs.aligned, inputs.aligned.geometry.block_px
     height, width = aligned.confidence.shape
@@ -232,7 +233,7 @@ def registration(inputs: RestoreInput, own: F32, fields: F32, misregistration: f
         .sum(axis=2)
     )
     veil = np.square(away[seen].mean(axis=0, dtype=np.float64)).sum() if seen.any() else 0.0
-    share = np.float32(1 / (1 + (VEIL_WEIGHT * veil / float(worth)) ** 2))
+    share = np.float32(1 / (1 + (VEIL_WEIGHT * veil / float(worth)) ** 4))
     weight = share * worth / (worth + np.float32(misregistration) * wrong)
     across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(block)
     down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(block)

@@ -50,6 +50,11 @@ def test_gain_kept_compares_an_error_with_none() -> None:
     assert not any("2/10" in name for name in judged)
 
 
+def test_gain_kept_is_judged_at_the_predicted_pose_too() -> None:
+    judged = _judged([_line("affine", 35.0), _line("affine", 32.0, error="predicted")])
+    assert judged["affine: gain kept at the predicted pose, base LoD"] == (pytest.approx(0.7), False)
+
+
 def test_a_full_frame_is_asked_for_more_than_an_object() -> None:
     room, thing = _judged([_line("affine", 28.0)]), _judged([_line("affine", 28.0, covered=0.4)])
     assert room["affine: gain where distorted is 24-29 dB, a full frame"] == (3.0, False)

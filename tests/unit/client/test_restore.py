@@ -198,6 +198,20 @@ def test_what_veils_the_reference_alone_is_not_corrected_away(affine: AffineRest
     assert psnr(affine.restore(veiled), truth) > psnr(weak, truth) + 3, "what is worth more than the veil stays"
 
 
+def test_a_veil_that_is_the_smaller_part_costs_next_to_nothing(affine: AffineRestorer) -> None:
+    """Two views of a sound scene differ on the average too: what a correction is worth is to stay."""
+    truth = smooth(120, 160, 6)
+    weak = np.clip(truth + 0.1 * (smooth(120, 160, 5, seed=1) - 0.5), 0, 1).astype(np.float32)
+    plain = inputs(truth, weak)
+    assert plain.own is not None
+    trusting = AffineRestorer(AffineSettings(misregistration=0.0))
+    veil = 0.5 * np.sqrt(np.square(trusting.restore(plain) - weak).mean())  # a quarter of the correction's power
+    seen = replace(plain, distorted=(weak + veil).astype(np.float32))
+    bare = trusting.restore(seen) - seen.distorted
+    kept = affine.restore(seen) - seen.distorted
+    assert np.square(kept).mean() > 0.85 * np.square(bare).mean()
+
+
 @pytest.mark.parametrize("size", [(120, 160), (61, 83), (3, 5)])
 def test_kernels_and_numpy_agree_on_what_the_alignment_gets_wrong(
     monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]

@@ -16,7 +16,7 @@ constexpr int kMaxRadius = 64;
 constexpr double kLeastPower = 1e-12;                // of a correction, where there is none
 constexpr int kEvidenceRows = 4;                     // every fourth row is looked at
 constexpr double kEvidenceMargin = 1.05;             // see cags_client.restore.affine
-constexpr double kVeilWeight = 4.0;
+constexpr double kVeilWeight = 2.2;
 
 bool side(int value) { return value >= 1 && value <= kMaxSide; }
 
@@ -115,8 +115,8 @@ Agreement mean_of(const std::vector<Agreement>& rows) {  // in one thread, so th
 // What veils one of the client's two views alone veils all of it: its difference stays when all of them are averaged.
 float own_share(const Agreement& all) {
   const double veil = all.away[0] * all.away[0] + all.away[1] * all.away[1] + all.away[2] * all.away[2];
-  const double ratio = kVeilWeight * veil / all.power;
-  return static_cast<float>(1.0 / (1.0 + ratio * ratio));
+  const double ratio = kVeilWeight * veil / all.power, square = ratio * ratio;
+  return static_cast<float>(1.0 / (1.0 + square * square));
 }
 
 // Weighs the correction by how well the client's own two views agree through the alignment. No blocks: all of it counts.
