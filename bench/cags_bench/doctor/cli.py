@@ -58,7 +58,8 @@ def _run(argv: Sequence[str]) -> int:
     findings = [*machine_findings(default_cache()), *part_findings()]
     broken = any(finding.verdict is Verdict.MISSING for finding in findings)
     timings = None
-    if not arguments.quick and not broken:
+    codec = any(finding.verdict is Verdict.MISSING and finding.matter == "H.264" for finding in findings)
+    if not arguments.quick and not codec:  # without kernels frames are drawn as well, slowly
         from cags_bench.doctor.timings import measure
 
         if sys.stderr.isatty():
@@ -107,16 +108,18 @@ def _print(findings: Sequence[Finding], timings: Timings | None) -> None:
         return
     console.print(_times(timings))
     advice = advise(timings)
-    console.print(f"recommended: [bold]cags-client {advice.flags}[/bold]\n  ({advice.reason})")
+    for command, flags in (("cags-server", advice.server), ("cags-client", advice.client)):
+        console.print(f"recommended: [bold]{command} {flags}[/bold]", soft_wrap=True)
+    console.print(f"  ({advice.reason})", soft_wrap=True)
 
 
 def _times(timings: Timings) -> Any:
     from rich.table import Table
 
     title = f"milliseconds a frame: {timings.splats:,} splats, {timings.backend}, {timings.threads} threads"
-    table = Table("picture", "draw", "align", "restore", "together", title=title)
+    table = Table("picture", "draw", "align", "own view", "restore", "together", title=title)
     for size in timings.sizes:
-        cells = (size.raster_ms, size.align_ms, size.restore_ms, size.total_ms)
+        cells = (size.raster_ms, size.align_ms, size.own_ms, size.restore_ms, size.total_ms)
         table.add_row(f"{size.width}x{size.height}", *(f"{value:.1f}" for value in cells))
     table.caption = f"server: reference {timings.reference_ms:.1f}, H.264 {timings.encode_ms:.1f}"
     return table

@@ -13,7 +13,7 @@ class Verdict(StrEnum):
     NOTE = "note"
     """Something optional is absent, or slower than it could be."""
     MISSING = "missing"
-    """Something that the program needs is absent: the doctor exits with 1."""
+    """Something is absent that commands need as the documentation has them: the doctor exits with 1."""
 
 
 @dataclass(frozen=True, slots=True)

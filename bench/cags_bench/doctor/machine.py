@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import http.client
+import json
 import os
 import shutil
 import socket
@@ -13,7 +16,10 @@ from pathlib import Path
 from cags_bench.doctor.findings import Finding, fine, missing, note
 
 OLDEST_PYTHON = (3, 11)
-PORTS = {8765: "cags-server", 9000: "cags-shaper", 8080: "live page"}
+PORTS = {8765: "cags-server", 9000: "cags-shaper", 8080: "the live page"}
+PORT_FLAGS = {"cags-server": "--port 0", "cags-shaper": "--listen 127.0.0.1:0", "the live page": "--view-port 0"}
+BUSY_SHARE = 0.5
+PROBE_S, PROBE_BYTES = 1.0, 2_000
 LEAST_MEMORY_GIB = 2.0
 LEAST_DISK_GIB = 2.0
 VECTOR_FLAGS = ("avx512f", "avx2", "asimd")
@@ -23,6 +29,7 @@ def machine_findings(cache: Path) -> Iterator[Finding]:
     """Everything that no package of ours is needed for. ``cache`` is where bundles are kept."""
     yield python_version(sys.version_info[:2])
     yield cores(usable_cores())
+    yield load(os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0, usable_cores())
     yield vectors(read_text(Path("/proc/cpuinfo")))
     yield memory(read_text(Path("/proc/meminfo")))
     yield disk(cache)
@@ -50,6 +57,16 @@ def cores(count: int) -> Finding:
     if count < 2:
         return note("cores", "1", "server and client on one core will miss frames; give them 2 or shrink the picture")
     return fine("cores", str(count))
+
+
+def load(average: float, count: int) -> Finding:
+    """What else runs here: times that are measured beside it say more of it than of the machine."""
+    found = f"{average:.1f} threads at work or waiting for the {count} cores, over the last minute"
+    if average > BUSY_SHARE * count:
+        return note(
+            "load", found, "times and settings found now are those of a slower machine: look again when it rests"
+        )
+    return fine("load", found)
 
 
 def vectors(cpuinfo: str) -> Finding:
@@ -98,16 +115,40 @@ def congestion_control(name: str) -> Finding:
 
 
 def free_port(port: int, purpose: str) -> Finding:
-    """Whether a command's default port can be listened on."""
+    """Whether a command's default port can be listened on, or is by a command of ours that runs already."""
     matter = f"port {port}"
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
-            what = "in use" if error.errno == errno.EADDRINUSE else str(error.strerror)
-            return note(matter, f"{what} (default of {purpose})", "give another with --port, or 0 for any free one")
+            if error.errno == errno.EADDRINUSE and is_ours(port):
+                return fine(matter, f"cags-stream runs there (default of {purpose})")
+            what = "in use by another program" if error.errno == errno.EADDRINUSE else str(error.strerror)
+            way_out = f"end that program, or give {purpose} another: {PORT_FLAGS[purpose]}"
+            return missing(matter, f"{what} (default of {purpose})", way_out)
     return fine(matter, f"free for {purpose}")
+
+
+def is_ours(port: int) -> bool:
+    """Whether a server of ours answers on a port of this machine, itself or through a shaper, or a client's page."""
+    try:
+        health, page = asked(port, "/healthz"), asked(port, "/")
+        with contextlib.suppress(ValueError):
+            return isinstance(json.loads(health).get("status"), str)
+    except (OSError, http.client.HTTPException, AttributeError):
+        return False
+    return b"<title>cags-stream" in page
+
+
+def asked(port: int, path: str) -> bytes:
+    """The beginning of what a port of this machine answers to a request."""
+    line = http.client.HTTPConnection("127.0.0.1", port, timeout=PROBE_S)
+    try:
+        line.request("GET", path)
+        return line.getresponse().read(PROBE_BYTES)
+    finally:
+        line.close()
 
 
 def browser(path: str | None) -> Finding:

@@ -43,7 +43,7 @@ def kernels() -> Finding:
 
     if not native_available():
         remedy = "install a C++20 compiler (apt-get install g++), then pip install --force-reinstall ./kernels"
-        return note("kernels", f"reference path only: {why_unavailable()}", remedy)
+        return missing("kernels", f"reference path only: {why_unavailable()}", remedy)
     ours, theirs = version("cags-stream"), version("cags-kernels")
     if ours != theirs:
         found = f"version {theirs}, where cags-stream is {ours}"
