@@ -84,7 +84,10 @@ class Splats:
             bad = ~np.isfinite(array.reshape(n, -1)).all(axis=1)
             if bad.any():
                 index = int(np.argmax(bad))
-                raise SceneError(f"{source}: {name}[{index}] = {array[index].tolist()} is not finite; repair the file")
+                found = f"{source}: {name}[{index}] = {array[index].tolist()} is not finite"
+                raise SceneError(
+                    f"{found}; repair the file, or leave such splats out by the scene's option repair=drop"
+                )
         out["quats"] = _canonical_quats(out["quats"], source)
         return Splats(**out)
 

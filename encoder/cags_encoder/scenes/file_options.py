@@ -20,6 +20,7 @@ _AXES: dict[str, Vec3] = {
     "+z": (0.0, 0.0, 1.0),
     "-z": (0.0, 0.0, -1.0),
 }
+_AXES |= {name[1]: axis for name, axis in _AXES.items() if name[0] == "+"}
 ROWS = ("auto", "keep", "mixed")
 
 

@@ -11,7 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from cags_encoder.formats import write_splats
+from cags_encoder.scenes import open_scene
 from cags_protocol.messages import RefusalCode
+from support.capture import three_balls
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
@@ -55,6 +58,19 @@ def test_shell_blocks_run_in_order(page: str, tmp_path: Path) -> None:
     )
     logs = "".join(f"\n{log.name}: {log.read_text()}" for log in tmp_path.glob("*.log"))
     assert result.returncode == 0, result.stdout + result.stderr + logs
+
+
+def test_scene_options_that_pages_tell_of_are_taken(tmp_path: Path) -> None:
+    capture = tmp_path / "a.ply"
+    write_splats(capture, three_balls(5, 5))
+    told = {
+        option
+        for page in PAGES
+        for option in re.findall(r"`[\w./]*:([a-z]+=[\w.+/-]+)`", (DOCS / page).read_text(encoding="utf-8"))
+    }
+    assert {"up=z", "repair=drop"} <= told
+    for option in told - {"size=60000"}:
+        assert len(open_scene(f"{capture}:{option}")) > 0, option
 
 
 def test_the_wire_page_lists_every_reason_of_a_refusal() -> None:

@@ -60,6 +60,12 @@ def test_options_reach_files_also_through_the_motion_tool(tmp_path: Path) -> Non
     assert (len(moved), moved.up, moved.focus, moved.name) == (9, (0, 0, 1), scene.focus, "a-bend")
 
 
+@pytest.mark.parametrize(("said", "up"), [("z", (0, 0, 1)), ("+z", (0, 0, 1)), ("-z", (0, 0, -1)), ("x", (1, 0, 0))])
+def test_an_axis_without_a_sign_is_the_positive_one(said: str, up: tuple[int, int, int], tmp_path: Path) -> None:
+    write_splats(tmp_path / "a.ply", random_splats())
+    assert open_scene(f"{tmp_path}:up={said}").up == up
+
+
 @pytest.mark.parametrize("focus", ["1/2/3", "a/b/c/d", "1/2/3/0", "1/2/3/inf"])
 def test_wrong_focus(focus: str, tmp_path: Path) -> None:
     write_splats(tmp_path / "a.ply", random_splats())
