@@ -7,7 +7,7 @@ Attribute names carry their activation: the drawn scale is ``exp(log_scales)``, 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from itertools import accumulate, pairwise
 from typing import Any, TypeAlias
@@ -71,13 +71,7 @@ class Splats:
         n = len(out["means"])
         if n == 0:
             raise SceneError(f"{source}: holds no splats; give a file with at least one")
-        shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "logit_opacities": (n,), "sh0": (n, 3)}
-        for name, shape in shapes.items():
-            if out[name].shape != shape:
-                raise SceneError(f"{source}: {name} has shape {out[name].shape}, expected {shape}")
-        rest = out["sh_rest"]
-        if rest.ndim != 3 or rest.shape[0] != n or rest.shape[2] != 3 or rest.shape[1] not in SH_REST_OF_DEGREE:
-            raise SceneError(f"{source}: sh_rest has shape {rest.shape}, expected ({n}, 0|3|8|15, 3)")
+        check_shapes(out, source)
         logits = out["logit_opacities"]
         out["logit_opacities"] = np.where(np.isinf(logits), np.sign(logits) * np.float32(20.0), logits)
         for name, array in out.items():
@@ -126,6 +120,18 @@ class Splats:
         """All splats of ``parts`` in order; every part must have the same SH degree."""
         columns = zip(*([array for _, array in part.arrays()] for part in parts), strict=True)
         return Splats(*(np.concatenate(column) for column in columns))
+
+
+def check_shapes(arrays: Mapping[str, F32], source: str) -> None:
+    """Raise :class:`SceneError` naming ``source`` unless the attributes' ``arrays`` are of N rows, as many as means."""
+    n = len(arrays["means"])
+    shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "logit_opacities": (n,), "sh0": (n, 3)}
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise SceneError(f"{source}: {name} has shape {arrays[name].shape}, expected {shape}")
+    rest = arrays["sh_rest"]
+    if rest.ndim != 3 or rest.shape[0] != n or rest.shape[2] != 3 or rest.shape[1] not in SH_REST_OF_DEGREE:
+        raise SceneError(f"{source}: sh_rest has shape {rest.shape}, expected ({n}, 0|3|8|15, 3)")
 
 
 def _canonical_quats(quats: F32, source: str) -> F32:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import hmac
+import math
 import ssl
 
 from cags_common.errors import ConfigError
+from cags_common.geometry import MAX_FOV_RAD, Intrinsics
 from cags_common.transport.hosts import same_host
+from cags_common.video.h264 import MAX_PIXELS
 from cags_protocol.messages import Hello
+from cags_server.fov.base import client_halves
 
 HANDSHAKES_BEYOND_CLIENTS = 16
 """Connections that may be shaking hands while all places are taken."""
@@ -35,6 +39,21 @@ def token_allowed(expected: str, hello: Hello, header: str | None) -> bool:
     by_hello = hmac.compare_digest(hello.token.encode(), expected.encode())
     by_header = hmac.compare_digest(shown.encode(errors="surrogateescape"), expected.encode())
     return by_hello or by_header
+
+
+def undrawable(view: Intrinsics, *, full_size: bool) -> str | None:
+    """Why no reference can be drawn for a client's ``view``, in a line; None where one can.
+
+    With ``full_size`` references are as large as the client's pictures.
+    """
+    widest_rad = 2 * max(client_halves(view))
+    if widest_rad > MAX_FOV_RAD:
+        widest, most = math.degrees(widest_rad), math.degrees(MAX_FOV_RAD)
+        return f"the view spans {widest:.2f} degrees; a pinhole camera draws {most:.0f} at most"
+    width, height = view.width_px // 2 * 2, view.height_px // 2 * 2
+    if full_size and not (width and height and width * height <= MAX_PIXELS):
+        return f"pictures of {view.width_px}x{view.height_px} cannot be coded; at most {MAX_PIXELS} pixels are"
+    return None
 
 
 def tls_context(certificate: str, key: str) -> ssl.SSLContext | None:

@@ -16,6 +16,7 @@ from cags_protocol.inventory import unpack_inventory
 from cags_protocol.messages import Buffer, Hello, RefusalCode
 from cags_protocol.server import ServerSessionSettings
 from cags_protocol.tracing import EventTrace
+from cags_server.admission import undrawable
 from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
 from cags_server.library import SceneLibrary
 from cags_server.looks import Looks
@@ -168,6 +169,10 @@ class Connection:
         refusal = self._admit(hello) if self._admit else None
         if refusal is not None:
             self.session.refuse(*refusal, now_us=now_us)
+            return
+        fault = undrawable(hello.intrinsics, full_size=self._settings.reference_full_size)
+        if fault is not None:
+            self.session.refuse(RefusalCode.MALFORMED, "intrinsics", fault, now_us=now_us)
             return
         resumed = hello.resume.startswith(f"{self._library.digest}-")
         try:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import F32, Camera
-from cags_common.splats import SH_REST_OF_DEGREE, Splats
+from cags_common.splats import Splats, check_shapes
 
 MAX_LOGIT = 20.0
 """Opacity logits are clamped to +-this: files hold infinite ones for opacities of exactly 0 and 1."""
@@ -28,7 +28,7 @@ def drawable(splats: Splats, source: str = "splats") -> Splats:
     Quaternions need not be unit.
     """
     arrays = {name: np.ascontiguousarray(array, dtype=np.float32) for name, array in splats.arrays()}
-    _check_shapes(arrays, source)
+    check_shapes(arrays, source)
     logits = arrays["logit_opacities"]
     if logits.size and not np.abs(logits).max() <= MAX_LOGIT:
         arrays["logit_opacities"] = np.where(np.isnan(logits), logits, np.clip(logits, -MAX_LOGIT, MAX_LOGIT))
@@ -98,17 +98,6 @@ def check_residual(residual: F32, camera: Camera) -> F32:
 def _check_rows(indices: NDArray[np.int64], count: int) -> None:
     if indices.size and (indices.min() < 0 or indices.max() >= count):
         raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {count} splats")
-
-
-def _check_shapes(arrays: dict[str, F32], source: str) -> None:
-    n = len(arrays["means"])
-    shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "logit_opacities": (n,), "sh0": (n, 3)}
-    for name, shape in shapes.items():
-        if arrays[name].shape != shape:
-            raise SceneError(f"{source}: {name} has shape {arrays[name].shape}, expected {shape}")
-    rest = arrays["sh_rest"]
-    if rest.ndim != 3 or rest.shape[0] != n or rest.shape[2] != 3 or rest.shape[1] not in SH_REST_OF_DEGREE:
-        raise SceneError(f"{source}: sh_rest has shape {rest.shape}, expected ({n}, 0|3|8|15, 3)")
 
 
 def _check_finite(name: str, array: F32, source: str) -> None:

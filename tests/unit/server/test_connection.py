@@ -1,12 +1,18 @@
 """Server and client sessions joined back to back: the whole server core without IO."""
 
-from cags_common.geometry import Pose
+from dataclasses import replace
+
+import pytest
+
+from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
 from cags_protocol.inventory import pack_inventory
 from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample, RefusalCode
+from cags_server.bandwidth import MeasuredEstimator
 from cags_server.connection import Connection
 from cags_server.looks import Looks
+from cags_server.streamer import Streamer
 from support.server_scene import SETTINGS, hello, library
 
 STEP_US = 5_000
@@ -85,6 +91,38 @@ def test_a_refused_client_is_told_why() -> None:
     assert pair.of(ev.Refused)[0].refusal.code == "full"
     assert pair.connection.closed
     assert pair.connection.streamer is None
+
+
+@pytest.mark.parametrize(
+    ("view", "full_size", "says"),
+    [
+        (Intrinsics(640, 480, 1e-3, 1e-3, 320, 240), False, "spans 180.00 degrees"),
+        (Intrinsics(640, 480, 500, 500, -1e6, 240), False, "spans 179.9"),
+        (Intrinsics(16384, 16384, 8000, 8000, 8192, 8192), True, "16384x16384 cannot be coded"),
+        (Intrinsics(1, 1, 1, 1, 0.5, 0.5), True, "1x1 cannot be coded"),
+    ],
+)
+def test_a_view_that_cannot_be_drawn_is_refused_and_not_met_when_it_is_drawn(
+    view: Intrinsics, full_size: bool, says: str
+) -> None:
+    connection = Connection(library(), replace(SETTINGS, reference_full_size=full_size), name="s", now_us=0)
+    client = ClientSession(now_us=0)
+    client.hello(replace(hello(), intrinsics=view), now_us=0)
+    for data in client.data_to_send(0):
+        connection.receive(data, 0)
+    assert connection.ending is not None
+    assert connection.ending.code == "malformed"
+    assert says in connection.ending.reason
+
+
+def test_any_other_view_is_drawn() -> None:
+    for view in (Intrinsics(16384, 16384, 8000, 8000, 8192, 8192), Intrinsics(1, 1, 1e6, 0.01, 0.5, 0.5)):
+        streamer = Streamer(library(), SETTINGS, replace(hello(), intrinsics=view), estimator=MeasuredEstimator())
+        streamer.opening(0)
+        streamer.on_event(ev.ControlReceived(Control("play", 0, 1_000_000), 900_000), 900_000)
+        job = streamer.begin(900_000)
+        assert job is not None
+        assert streamer.finish(job.run(), 950_000)
 
 
 def test_a_goodbye_of_the_server_reaches_the_client() -> None:
