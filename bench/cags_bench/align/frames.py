@@ -72,7 +72,7 @@ class Client:
 
 
 def frames(cases: Cases, settings: AlignBenchSettings) -> Iterator[JsonObject]:
-    """One line a size, LoD and accuracy, of the first view: stages interleaved, after a warm-up."""
+    """One line a size, LoD and accuracy, of the first view: accuracies interleaved, after a warm-up."""
     client = Client(settings.threads)
     for size in settings.size_list:
         for case in cases.ladder(size, settings.error_list[0]):
@@ -91,13 +91,18 @@ def _frame_lines(client: Client, case: Case, repetitions: int) -> Iterator[JsonO
             **case.labels,
             "splats": len(case.splats),
             **{f"{stage}_ms": median(t[stage] for t in times[accuracy]) for stage in stages},
-            "frame_ms": median(sum(t.values()) for t in times[accuracy]),
-            "frame_least_ms": min(sum(t.values()) for t in times[accuracy]),
+            "frame_ms": median(map(_frame_ms, times[accuracy])),
+            "frame_least_ms": min(map(_frame_ms, times[accuracy])),
             **scores(picture, case, None),
             "warm_up": 1 if repetitions else 0,
             "repetitions": repetitions,
             **provenance(),
         }
+
+
+def _frame_ms(stages: Milliseconds) -> float:
+    """Of a frame whose reference was there before: the own view is drawn once a reference."""
+    return sum(ms for stage, ms in stages.items() if stage != "own")
 
 
 def frame_checks(lines: Sequence[JsonObject]) -> Iterator[JsonObject]:
@@ -107,7 +112,7 @@ def frame_checks(lines: Sequence[JsonObject]) -> Iterator[JsonObject]:
         least = min((line["lod_share"] for line in found), default=0)
         for line in found:
             if line["lod_share"] == least:
-                title = f"client frame at {size}: rasterise, own view, align, affine; {line['frame']}"
+                title = f"client frame at {size}: rasterise, align, affine; {line['frame']}"
                 yield check(title, f"<= {limit_ms:g} ms", line["frame_ms"], line["frame_ms"] <= limit_ms)
 
 

@@ -17,7 +17,7 @@ from cags_bench.restore.checks import checks_of, gain, time_checks
 from cags_bench.restore.conditions import PREDICTED, Conditions
 from cags_common.errors import ConfigError
 
-STAGES = ("raster", "own", "align", "restore", "enlarge")
+STAGES = ("raster", "align", "restore", "enlarge")
 SMALL = ["--scene", "procedural:size=1500,seed=3,frames=1", "--sizes", "96x64", "--lods", "0", "--views", "1"]
 
 
