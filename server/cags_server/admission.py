@@ -13,6 +13,9 @@ from cags_common.video.h264 import MAX_PIXELS
 from cags_protocol.messages import Hello
 from cags_server.fov.base import client_halves
 
+MIN_FOV_RAD = math.radians(0.5)
+"""Narrowest view that is drawn: focal lengths of references of up to 4,096 pixels then fit the wire's bounds."""
+
 HANDSHAKES_BEYOND_CLIENTS = 16
 """Connections that may be shaking hands while all places are taken."""
 
@@ -46,7 +49,10 @@ def undrawable(view: Intrinsics, *, full_size: bool) -> str | None:
 
     With ``full_size`` references are as large as the client's pictures.
     """
-    widest_rad = 2 * max(client_halves(view))
+    narrowest_rad, widest_rad = (2 * half for half in sorted(client_halves(view)))
+    if narrowest_rad < MIN_FOV_RAD:
+        narrowest, least = math.degrees(narrowest_rad), math.degrees(MIN_FOV_RAD)
+        return f"the view spans {narrowest:.2g} degrees; at least {least:g} are drawn"
     if widest_rad > MAX_FOV_RAD:
         widest, most = math.degrees(widest_rad), math.degrees(MAX_FOV_RAD)
         return f"the view spans {widest:.2f} degrees; a pinhole camera draws {most:.0f} at most"

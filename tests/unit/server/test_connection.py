@@ -98,6 +98,7 @@ def test_a_refused_client_is_told_why() -> None:
     [
         (Intrinsics(640, 480, 1e-3, 1e-3, 320, 240), False, "spans 180.00 degrees"),
         (Intrinsics(640, 480, 500, 500, -1e6, 240), False, "spans 179.9"),
+        (Intrinsics(1, 1, 1.0, 1e6, 0.5, 0.5), False, "spans 5.7e-05 degrees"),
         (Intrinsics(16384, 16384, 8000, 8000, 8192, 8192), True, "16384x16384 cannot be coded"),
         (Intrinsics(1, 1, 1, 1, 0.5, 0.5), True, "1x1 cannot be coded"),
     ],
@@ -116,7 +117,7 @@ def test_a_view_that_cannot_be_drawn_is_refused_and_not_met_when_it_is_drawn(
 
 
 def test_any_other_view_is_drawn() -> None:
-    for view in (Intrinsics(16384, 16384, 8000, 8000, 8192, 8192), Intrinsics(1, 1, 1e6, 0.01, 0.5, 0.5)):
+    for view in (Intrinsics(16384, 16384, 8000, 8000, 8192, 8192), Intrinsics(1, 1, 50, 0.01, 0.5, 0.5)):
         streamer = Streamer(library(), SETTINGS, replace(hello(), intrinsics=view), estimator=MeasuredEstimator())
         streamer.opening(0)
         streamer.on_event(ev.ControlReceived(Control("play", 0, 1_000_000), 900_000), 900_000)
