@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+from cags_protocol.encoding import printable
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -57,8 +59,10 @@ class Board:
     def table(self) -> Table:
         """The rows as a table."""
         from rich.table import Table
+        from rich.text import Text
 
-        table = Table(title=self._title, show_header=False, title_justify="left", min_width=36)
+        # A clip's name comes from the server: neither markup nor a terminal's control characters.
+        table = Table(title=Text(printable(self._title)), show_header=False, title_justify="left", min_width=36)
         table.add_column(style="cyan")
         table.add_column(justify="right")
         for name, value in self.rows():

@@ -235,20 +235,20 @@ class _Fields:
     def integer(self, name: str, low: int, high: int) -> int:
         value, path = self._get(name)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise BundleError(f"manifest: {path} = {str(value)[:40]} must be a whole number in [{low}, {high}]")
+            raise BundleError(f"manifest: {path} = {repr(value)[:40]} must be a whole number in [{low}, {high}]")
         return value
 
     def number(self, name: str, low: float, high: float) -> float:
         value, path = self._get(name)
         if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
-            raise BundleError(f"manifest: {path} = {str(value)[:40]} must be a number in [{low}, {high}]")
+            raise BundleError(f"manifest: {path} = {repr(value)[:40]} must be a number in [{low}, {high}]")
         return float(value)
 
     def vector(self, name: str) -> Vec3:
         value, path = self._get(name)
         parts = self.many(name, lambda f: f.number("", -1e30, 1e30), 3)
         if len(parts) != 3 or not all(map(math.isfinite, parts)):
-            raise BundleError(f"manifest: {path} must be three numbers, not {str(value)[:40]}")
+            raise BundleError(f"manifest: {path} must be three numbers, not {repr(value)[:40]}")
         return parts[0], parts[1], parts[2]
 
     def sequence(self, name: str) -> list[Any]:

@@ -54,7 +54,7 @@ def test_unknown_fields_are_left_alone() -> None:
         ({"version": 1}, "version 1 is unknown; this program reads 2, encode again"),
         ({"format": "zip"}, "is not a cags-bundle"),
         ({"frames": 0}, "frames = 0"),
-        ({"frames": "5"}, "frames = 5 must be a whole number"),
+        ({"frames": "5"}, "frames = '5' must be a whole number"),
         ({"frames": True}, "frames"),
         ({"fps": 1e9}, "fps"),
         ({"gof_starts": [1, 3]}, "gof_starts"),
@@ -93,3 +93,9 @@ def test_more_levels_than_the_wire_carries_are_refused_when_the_bundle_is_opened
     with pytest.raises(BundleError, match="lod_order has 64 entries"):
         Manifest.from_json(changed(lod_order=[*order, ["scale", MAX_LODS]], lod_gains_db=[]))
     assert decode(encode(TileLayers(0, 0, 0, MAX_LODS, (0,) * MAX_LODS, (0,) * MAX_LODS)))[0].to_lod == MAX_LODS
+
+
+def test_what_a_manifest_says_cannot_reach_a_terminal_as_control_characters() -> None:
+    with pytest.raises(BundleError) as caught:
+        Manifest.from_json(changed(frames="\x1b[31m"))
+    assert str(caught.value).isprintable()

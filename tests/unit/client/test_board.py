@@ -57,3 +57,10 @@ def test_the_table_is_drawn_while_the_context_lasts() -> None:
 def test_without_a_terminal_nobody_watches() -> None:
     assert not watched(headless=False)
     assert not watched(headless=True)
+
+
+def test_a_clip_may_have_any_name() -> None:
+    board = Board("walk[/1] \x1b[31m", 3)
+    out = io.StringIO()
+    Console(file=out, width=80).print(board.table())
+    assert "walk[/1] ?[31m" in out.getvalue()
