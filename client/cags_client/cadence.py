@@ -21,7 +21,7 @@ LEAST_DRAWN = 4
 SLOW = 0.85
 """A client that draws all frames begins to choose among them where it managed less than this share of a window."""
 
-HEADROOM = 1.03
+HEADROOM = 1.05
 """More frames are chosen than were possible, by this factor: drawing never waits for the next one for long."""
 
 STEADY = 0.06

@@ -29,6 +29,7 @@ MESSAGES: list[tuple[str, m.Message, bytes]] = [
         b"",
     ),
     ("poses", m.PoseBatch((m.PoseSample(1_000_000, POSE), m.PoseSample(1_027_777, Pose.identity()))), b""),
+    ("poses of a client that draws six frames in ten", m.PoseBatch((m.PoseSample(1_000_000, POSE),), 600), b""),
     ("ack", m.Ack((m.SeqRange(9, 12), m.SeqRange(1, 7)), 2**40, 1200, 4096, (m.HeldTile(3, 4, 0),)), b""),
     ("ack, short", m.Ack((m.SeqRange(1, 300),), 5), b""),
     ("control", m.Control("play", 0, 1_500_000), b""),
@@ -85,6 +86,7 @@ REFUSED: list[tuple[str, bytes]] = [
     ("a payload where none belongs", raw({"type": "ping", "t_us": 5}, b"x")),
     ("sizes that do not add up", raw({**TILE, "sizes": [9], "crcs": [0]}, b"x")),
     ("a crc that does not match", raw({"type": "ping", "t_us": 5})[:-1] + b"\0"),
+    ("a cadence that is too slow", raw({"type": "poses", "samples": [], "cadence_permille": 249})),
     ("no crc", msgpack.packb({"type": "ping", "t_us": 5})),
 ]  # fmt: skip
 
