@@ -131,6 +131,10 @@ class Shell:
         """A signal asks for the end: say goodbye and stop."""
         self.ended_by = number
         self.player.leave(now_us())
+        self.wake()
+
+    def wake(self) -> None:
+        """The player has been told something: look what follows from it."""
         self._wake.set()
 
     def close(self) -> None:

@@ -118,6 +118,11 @@ class ClientPipeline:
         """The last reference picture that was decoded; 0 before any."""
         return self._references.last_decoded
 
+    @property
+    def on_display(self) -> GofStore | None:
+        """What is held of the group of frames on display; None before any."""
+        return self._store.on_display
+
     def keeps(self, frame: int) -> bool:
         """Whether a jump to ``frame`` can go on from what is held, of whatever quality."""
         return self._store.keeps and self._store.in_group(frame)

@@ -98,6 +98,11 @@ class TileStore:
         return store, Committed(gof, rows, fresh, not whole)
 
     @property
+    def on_display(self) -> GofStore | None:
+        """The group of frames on display; None before any."""
+        return self._shown
+
+    @property
     def keeps(self) -> bool:
         """Whether every frame of the group on display that was sent once can be shown again."""
         return self._shown is None or self._shown.keeps

@@ -65,13 +65,17 @@ class PictureSpool:
         self._file.seek(self._end)
         return data.reshape(spooled.shape)
 
+    def close(self) -> None:
+        """Drop the pictures."""
+        self._file.close()
+
     def __enter__(self) -> PictureSpool:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        self.close()
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:

@@ -46,7 +46,7 @@ class ScoringSpool:
     def close(self, *, completed: bool) -> None:
         """Keep what is spooled for :meth:`scores` if ``completed``."""
         if not completed:
-            self._spool.__exit__(None, None, None)
+            self._spool.close()
 
     def scores(self, truth: Truth) -> Iterator[tuple[int, dict[str, Any], NDArray[np.uint8]]]:
         """Frame, its scores and the true picture as bytes, in the order of display. The spool is used up."""

@@ -121,7 +121,7 @@ class PlayerControls:
     def detail(self) -> SplatDetail | None:
         """What is held of the splats on display."""
         pipeline = self._player.pipeline
-        store = pipeline._store._shown if pipeline is not None else None
+        store = pipeline.on_display if pipeline is not None else None
         if pipeline is None or store is None:
             return None
         shown = store.shown
@@ -172,7 +172,7 @@ async def watch_live(
                 on_frame(record)
 
         shell = Shell(transport, player, [ViewSink(view), *sinks], kept, dial.again)
-        view.attach(scene_info(info), PlayerControls(player, live, truth, shell._wake.set))
+        view.attach(scene_info(info), PlayerControls(player, live, truth, shell.wake))
 
         with interrupts(shell.leave):
             try:

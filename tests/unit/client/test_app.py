@@ -95,7 +95,7 @@ async def test_a_client_whose_decoder_lags_stops_reading_until_it_has_caught_up(
     await asyncio.sleep(0.1)
     assert len(received) == 2
     behind = False
-    client._wake.set()  # as the end of any decoding does
+    client.wake()  # as the end of any decoding does
     await asyncio.sleep(0.1)
     assert len(received) == 4
     client.leave(signal.SIGINT)
