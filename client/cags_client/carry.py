@@ -92,7 +92,7 @@ def _local_power(picture: F32) -> F32:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class OnDisplay:
     """What the client holds at the moment, and two numbers by which to tell whether that has changed."""
 
     scene: RasterScene
@@ -131,7 +131,7 @@ class ReferenceViews:
             return True
         return store.past.knows(reference.frame) or self._earlier.knows(reference.frame)
 
-    def now(self, reference: ReferencePicture, held: Held, options: RenderOptions) -> RenderedView:
+    def now(self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions) -> RenderedView:
         """As the scene is. A reference's first view has the splats' contributions, which take a fifth of its time."""
         key = (held.changes, options)
         if self._now is None or not self._now.still(reference, key):
@@ -143,7 +143,7 @@ class ReferenceViews:
         return self._now.picture
 
     def carried(
-        self, reference: ReferencePicture, held: Held, options: RenderOptions
+        self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions
     ) -> tuple[ReferencePicture, RenderedView]:
         """``reference`` as it would look now, and the client's own view of that. Only for a :meth:`usable` one.
 
@@ -154,7 +154,7 @@ class ReferenceViews:
         age = max(held.store.shown_frame - reference.frame, 1)
         return replace(reference, rgb=carried(reference.rgb, then.rgb, own.rgb, age, options.threads)), own
 
-    def _as_of_reference(self, reference: ReferencePicture, held: Held, options: RenderOptions) -> RenderedView:
+    def _as_of_reference(self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions) -> RenderedView:
         key, known = self._quality(held, options), held.store.past.knows(reference.frame)
         then = self._then
         if then is None or then.reference is not reference or (known and then.key != key):
@@ -162,7 +162,7 @@ class ReferenceViews:
             then = self._then = _View(reference, key, draw(reference, held, options))
         return then.picture
 
-    def _undone(self, reference: ReferencePicture, held: Held, options: RenderOptions) -> RenderedView:
+    def _undone(self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions) -> RenderedView:
         before = held.store.past.as_of(reference.frame)
         assert before is not None, "now() keeps the view of a reference after which nothing has changed"
         rows, splats = before
@@ -172,11 +172,11 @@ class ReferenceViews:
         finally:
             held.restore(rows)
 
-    def _of_earlier_group(self, reference: ReferencePicture, _: Held, options: RenderOptions) -> RenderedView:
+    def _of_earlier_group(self, reference: ReferencePicture, _: OnDisplay, options: RenderOptions) -> RenderedView:
         scene = self._rasteriser.load(self._earlier.as_of(reference.frame))
         return scene.render(reference.camera, options)
 
     @staticmethod
-    def _quality(held: Held, options: RenderOptions) -> tuple[int | RenderOptions, ...]:
+    def _quality(held: OnDisplay, options: RenderOptions) -> tuple[int | RenderOptions, ...]:
         """What a view as of some frame depends on: how well the splats are held, not which frame is on display."""
         return (held.store.improved, held.corrections, options)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cags_client import align, restore
 from cags_client.adapt import AdapterStep, SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture
-from cags_client.carry import Held, ReferenceViews
+from cags_client.carry import OnDisplay, ReferenceViews
 from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival
 from cags_client.presented import PresentedFrame
@@ -298,14 +298,14 @@ class ClientPipeline:
         self._adapted(drawn.store, must_end=True)
         return self._views.carried(reference, self._held(drawn), options)
 
-    def _held(self, drawn: _Drawn) -> Held:
+    def _held(self, drawn: _Drawn) -> OnDisplay:
         def restore_rows(rows: NDArray[np.intp]) -> None:
             splats = drawn.store.splats.take(rows)
             if self._adapter is not None:
                 splats = replace(splats, sh0=self._adapter.corrected(splats.sh0, rows))
             drawn.scene.update(rows, splats)
 
-        return Held(drawn.scene, drawn.store, self._changes, self._corrections, restore_rows)
+        return OnDisplay(drawn.scene, drawn.store, self._changes, self._corrections, restore_rows)
 
     def _begun(
         self, adapter: SirtAdapter, work: tuple[RasterScene, ReferencePicture, RenderedView, RenderOptions]

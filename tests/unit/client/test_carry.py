@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cags_bench.align.ages import COMINGS, AgeCase, AgedPlay, gains
 from cags_client.align import ReferencePicture
-from cags_client.carry import Held, ReferenceViews, carried, carried_as_defined
+from cags_client.carry import OnDisplay, ReferenceViews, carried, carried_as_defined
 from cags_client.past import EarlierGroups
 from cags_client.settings import ClientSettings
 from cags_common import raster
@@ -146,6 +146,6 @@ def test_contributions_are_counted_once_a_reference() -> None:
     camera = Camera(Intrinsics.of_fov(8, 6, 1.0, 0.8), Pose.identity())
     references = [ReferencePicture(picture(i, 6, 8), camera, frame=i) for i in range(2)]
     for changes, which in enumerate((0, 0, 0, 1, 1)):
-        held = Held(Scene(), SimpleNamespace(past=past), changes, 0, lambda _: None)  # type: ignore[arg-type]
+        held = OnDisplay(Scene(), SimpleNamespace(past=past), changes, 0, lambda _: None)  # type: ignore[arg-type]
         views.now(references[which], held, RenderOptions())
     assert counted == [True, False, False, True, False]
