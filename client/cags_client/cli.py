@@ -248,7 +248,7 @@ def _check_json(path: str | None) -> None:
 def _report(path: str | None, records: list[dict[str, Any]], clip_frames: int) -> None:
     """Write the report, or tell people what it comes to."""
     from cags_client.report import json_text
-    from cags_client.telling import told
+    from cags_client.summary_text import summary_rows
 
     if path == "-":
         sys.stdout.write(json_text(records))
@@ -257,7 +257,7 @@ def _report(path: str | None, records: list[dict[str, Any]], clip_frames: int) -
 
         write_whole(Path(path), json_text(records).encode())
     else:
-        for name, value in told(records[-1], clip_frames):
+        for name, value in summary_rows(records[-1], clip_frames):
             print(f"{name:12} {value}")
 
 

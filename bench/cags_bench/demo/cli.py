@@ -62,13 +62,13 @@ def _tell(summary: dict[str, Any], out: str) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from cags_client.telling import told
+    from cags_client.summary_text import summary_rows
 
     table = Table(show_header=False, box=None, pad_edge=False)
     rate = f"{100 * summary['share']:g} % of its rate"
     rows = [
         ("link", f"{summary['trace']} at {rate}, {summary['delay_ms']:g} ms each way"),
-        *told(summary, summary["clip_frames"]),
+        *summary_rows(summary, summary["clip_frames"]),
         ("pictures", f"{Path(out) / 'strip.png'}: what restoration does, where it did most"),
         ("over time", f"{Path(out) / 'timeline.png'}; every figure: {Path(out) / 'frames.jsonl'}"),
     ]

@@ -10,7 +10,7 @@ from cags_client.report import STAGE
 Row = tuple[str, str]
 
 
-def told(summary: Mapping[str, Any], clip_frames: int) -> list[Row]:
+def summary_rows(summary: Mapping[str, Any], clip_frames: int) -> list[Row]:
     """Names and values of a summary (:func:`cags_client.report.summary`) of a clip of ``clip_frames`` media frames."""
     rows = [("shown", _shown(summary, clip_frames))]
     if summary.get("psnr_distorted_db") is not None:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from cags_client.telling import told
+from cags_client.summary_text import summary_rows
 
 PLAIN: dict[str, Any] = {
     "summary": True,
@@ -27,7 +27,7 @@ PLAIN: dict[str, Any] = {
 
 
 def words(**more: Any) -> dict[str, str]:
-    return dict(told({**PLAIN, **more}, 90))
+    return dict(summary_rows({**PLAIN, **more}, 90))
 
 
 def test_a_plain_play_is_told_in_a_few_lines() -> None:
@@ -64,4 +64,4 @@ def test_the_prediction_is_told_where_there_was_one() -> None:
 def test_a_play_without_a_frame_is_told() -> None:
     none = {key: value for key, value in PLAIN.items() if not key.startswith("ms_")}
     none |= {"frames": 0, "lod_mean": None, "latency_ms": None, "latency_p95_ms": None}
-    assert dict(told(none, 90))["shown"] == "0 of 90 frames"
+    assert dict(summary_rows(none, 90))["shown"] == "0 of 90 frames"
