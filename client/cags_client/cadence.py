@@ -24,6 +24,9 @@ SLOW = 0.85
 HEADROOM = 1.05
 """More frames are chosen than were possible, by this factor: drawing never waits for the next one for long."""
 
+MOST_FALL = 0.5
+"""A share falls by no more than this factor at once: one long hitch, as at the beginning, says little of what follows."""
+
 STEADY = 0.06
 """A share that would change by less stays: while it changes, references are of other frames than are displayed."""
 
@@ -78,6 +81,7 @@ class Cadence:
         if self.permille == EVERY_FRAME and self._drawn >= SLOW * self._chosen:
             return
         possible = self._drawn / self._due * window_us / max(self._busy_us, 1)
-        wanted = min(max(round(possible * HEADROOM * EVERY_FRAME), LEAST_PERMILLE), EVERY_FRAME)
+        wanted = max(round(possible * HEADROOM * EVERY_FRAME), round(self.permille * MOST_FALL), LEAST_PERMILLE)
+        wanted = min(wanted, EVERY_FRAME)
         if wanted == EVERY_FRAME or abs(wanted - self.permille) > STEADY * self.permille:
             self.permille = wanted

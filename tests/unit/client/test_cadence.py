@@ -71,6 +71,14 @@ def test_it_never_asks_for_less_than_the_protocol_counts_with():
     assert cadence.permille == LEAST_PERMILLE
 
 
+def test_a_long_hitch_at_the_beginning_costs_half_the_frames_at_most_and_for_a_second():
+    cadence = Cadence(0)
+    play(cadence, 400e3, 1.3)
+    assert cadence.permille == EVERY_FRAME // 2
+    play(cadence, 20e3, 2.5, start_s=1.7)
+    assert cadence.permille == EVERY_FRAME
+
+
 def test_a_jump_is_no_sign_of_slowness():
     cadence = Cadence(0)
     play(cadence, 20e3, 0.9)

@@ -15,3 +15,13 @@ def test_frames_left_are_those_until_the_media_replaces_a_splat() -> None:
     assert left[1, 0] == 3.0, "splat 1, which comes again in frame 4"
     of_key_frame = [value for (frame, _), value in left.items() if frame == 0]
     assert sorted(of_key_frame) in ([1.0, 2.0], [1.5]), "splat 0 goes in frame 3, splat 2 in frame 2"
+
+
+def test_a_loop_is_traced_once_however_many_frames_it_has(monkeypatch) -> None:
+    scene = library(splats=40, frames=150, gof=150)
+    every = np.ones(scene.manifest.capacity[0], np.float32)
+    first = [scene.visible_tiles(frame, every, 0.5) for frame in range(150)]
+    traced: list[int] = []
+    monkeypatch.setattr(scene, "_trace_owners", lambda gof, frame, known: traced.append(frame))
+    assert [scene.visible_tiles(frame, every, 0.5) for frame in range(150)] == first
+    assert traced == []

@@ -237,3 +237,33 @@ def test_a_slow_client_is_served_blind_at_its_own_frames_too() -> None:
     for k in range(3, 8):
         ends += [e.frame for e in of(FrameEnd, rig.streamer.catch_up(round(due + k * PERIOD_US)))]
     assert ends == [1, 2, 3, 4, 5, 6]
+
+
+def test_the_last_frame_of_a_clip_is_planned_in_any_case() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 250), OFFSET_US)
+    looked = [r.frame for _ in range(4) for r in of(ReferenceFrame, rig.step())]
+    assert looked == [0, 4, 8, 11]
+    assert rig.streamer.next_due_us() is None
+
+
+def test_a_late_look_of_a_slow_client_does_not_go_past_the_end() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 250), OFFSET_US)
+    rig.step()
+    assert [r.frame for r in of(ReferenceFrame, rig.step(late_us=int(9.5 * PERIOD_US)))] == [11]
+    assert rig.streamer.next_due_us() is None
+
+
+def test_frames_are_counted_on_through_a_loop() -> None:
+    rig = Rig()
+    rig.poses(0, 20_000)
+    rig.control("play", loop=True)
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 400), OFFSET_US)
+    planned = []
+    for _ in range(10):
+        rig.step()
+        planned.append(rig.streamer.stats.records[-1].tick)
+    assert planned == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23]
