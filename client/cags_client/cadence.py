@@ -25,7 +25,7 @@ HEADROOM = 1.05
 """More frames are chosen than were possible, by this factor: drawing never waits for the next one for long."""
 
 MOST_FALL = 0.5
-"""A share falls by no more than this factor at once: one long hitch, as at the beginning, says little of what follows."""
+"""A share falls by no more than this factor at once: a long hitch, as at the beginning, says little of what follows."""
 
 STEADY = 0.06
 """A share that would change by less stays: while it changes, references are of other frames than are displayed."""
