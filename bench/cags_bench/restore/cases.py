@@ -40,6 +40,9 @@ LEAST_COVERED, GLANCE_PX = 0.05, 64
 HISTORY_US = 1_500_000
 POSE_PERIOD_US = 1_000_000 // 60
 
+HISTORY_PERIOD_US = 100_000
+"""Time between references that the adapter has learnt from before."""
+
 
 @dataclass(frozen=True, eq=False)
 class Case:
@@ -59,6 +62,8 @@ class Case:
     """As the paper renders references."""
     own_options: RenderOptions
     """How the client draws its own splats from the reference's camera."""
+    before: tuple[ReferencePicture, ...] = ()
+    """References of the walk until then, the oldest first."""
 
     def own(self, depth: DepthKind = DepthKind.NONE) -> RenderedView:
         """The client's splats as the reference would show them."""
@@ -123,6 +128,7 @@ class Cases:
         there = Camera(self._reference_view(camera), self._pose(view, t_us, camera.pose, error), camera.near)
         seen = self._truth.render(camera, self._options)
         plain, _, _ = self._reference(camera, there, "plain")
+        before = tuple(self._before(camera, view, t_us, error))
         for kind in self._conditions.reference_list:
             reference, options, size_bytes = self._reference(camera, there, kind)
             labels = {
@@ -147,16 +153,24 @@ class Cases:
                     reference=reference,
                     plain=plain,
                     own_options=options,
+                    before=before,
                 )
+
+    def _before(self, camera: Camera, view: int, t_us: int, error: tuple[float, float]) -> Iterator[ReferencePicture]:
+        """References of the last moments of the walk, each with an error of its own direction."""
+        for ago in range(self._conditions.history, 0, -1):
+            then_us = max(t_us - ago * HISTORY_PERIOD_US, 0)
+            pose = self._pose(view, then_us, self._walk.pose_at(then_us), error, ago)
+            yield self._reference(camera, Camera(self._reference_view(camera), pose, camera.near), "footprint")[0]
 
     def _reference_view(self, camera: Camera) -> Intrinsics:
         margin = self._conditions.margin
         return widened(camera.intrinsics, (margin, margin), *REFERENCE_PX)
 
-    def _pose(self, view: int, t_us: int, pose: Pose, error: tuple[float, float]) -> Pose:
+    def _pose(self, view: int, t_us: int, pose: Pose, error: tuple[float, float], ago: int = 0) -> Pose:
         if error is PREDICTED:
             return predicted_pose(self._walk, t_us, self._manifest.fps)
-        rng = np.random.default_rng((self._conditions.seed, view))
+        rng = np.random.default_rng((self._conditions.seed, view, ago) if ago else (self._conditions.seed, view))
         return moved(pose, math.radians(error[0]), error[1] / 100, _unit(rng), _unit(rng))
 
     def _reference(self, client: Camera, there: Camera, kind: str) -> tuple[ReferencePicture, RenderOptions, int]:

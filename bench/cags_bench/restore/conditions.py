@@ -34,6 +34,9 @@ class Conditions:
     views: int = setting(2, "moments of the walk", low=1, high=1000)
     margin: float = setting(0.1, "widening of the reference's field of view", low=0, high=2)
     crf: float = setting(20.0, "H.264 crf of references", low=0, high=51)
+    history: int = setting(
+        0, "references of the walk before this one that the adapter has learnt from, 100 ms apart", low=0, high=100
+    )
     fov: float = setting(60.0, "client's horizontal field of view in degrees", low=1, high=170)
     threads: int = setting(2, "threads of rasteriser and networks", low=1, high=256)
     repetitions: int = setting(

@@ -25,7 +25,7 @@ from cags_common.raster.base import DepthKind, RenderedView, RenderOptions
 Milliseconds = dict[str, float]
 
 ADAPTER_STEPS = 6
-"""References that the adapter has seen of a view: a fifth of a second's."""
+"""Steps with the view's own reference where the walk before it is not looked at."""
 
 DEPTH_TOLERANCE = 0.03
 """A pixel is hidden where it lies this share of the depth behind all that is drawn around it from the reference."""
@@ -85,12 +85,12 @@ class Method:
 
 
 def adapted(case: Case) -> Case:
-    """``case`` after some steps of the colour adapter with its reference."""
+    """``case`` after a step of the colour adapter with each reference until then, or some with its own alone."""
     scene, adapter = raster.create("auto").load(case.splats), SirtAdapter(len(case.splats))
     options = replace(case.own_options, depth=DepthKind.NONE)
-    for _ in range(ADAPTER_STEPS):
-        own = scene.render(case.reference.camera, options)
-        adapter.adapt(scene, case.splats, case.reference, own, options)
+    for reference in (*case.before, case.reference) if case.before else [case.reference] * ADAPTER_STEPS:
+        own = scene.render(reference.camera, options)
+        adapter.adapt(scene, case.splats, reference, own, options)
     drawn = scene.render(case.camera, RenderOptions(threads=case.own_options.threads))
     return replace(case, held=scene, distorted=drawn)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from cags_bench.restore import cases
 from cags_bench.restore.cases import spread
 from cags_bench.restore.checks import checks_of, gain, time_checks
 from cags_bench.restore.conditions import PREDICTED, Conditions
+from cags_bench.restore.methods import adapted
 from cags_common.errors import ConfigError
 
 STAGES = ("raster", "align", "restore", "enlarge")
@@ -163,6 +165,19 @@ def test_the_papers_client_table_on_a_device(tmp_path: Path, capsys: pytest.Capt
     assert last["device"] == torch.cuda.get_device_name()
     assert {"render at 1600x1200 on " + last["device"]} <= {c["name"] for c in last["checks"]}
     assert len(lines) == 4
+
+
+def test_references_of_the_walk_before_come_oldest_first_each_with_an_error_of_its_own(tmp_path: Path) -> None:
+    settings = Conditions(scene=SMALL[1], sizes="96x64", lods="0", views=1, cache=str(tmp_path), threads=1, history=3)
+    every = cases.Cases(settings)
+    case = every.first((96, 64), (5.0, 20.0))
+    assert len(case.before) == 3
+    places = np.array([r.camera.pose.position for r in (*case.before, case.reference)])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert (steps > 0.02).all(), "errors of other directions, not the walk's own steps alone"
+    assert adapted(case).distorted.rgb.shape == case.distorted.rgb.shape
+    alone = adapted(replace(case, before=()))
+    assert not np.array_equal(adapted(case).distorted.rgb, alone.distorted.rgb)
 
 
 def test_views_lie_over_all_moments_that_see_the_scene() -> None:
