@@ -103,6 +103,8 @@ def _draw(curve: dict[int, int], path: Path) -> None:
     axes = figure.subplots()
     axes.plot(list(curve), list(curve.values()), "o-", label="carried")
     axes.plot(list(curve), [n * curve[1] for n in curve], "--", color="grey", label="N times one server")
+    axes.set(xlim=0, ylim=0, xticks=list(curve))
+    axes.grid(alpha=0.3)
     axes.set_xlabel("servers")
     axes.set_ylabel("sessions")
     axes.legend()
