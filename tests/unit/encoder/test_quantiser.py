@@ -70,20 +70,26 @@ def test_nearest_centre_agrees_with_comparing_all(dim: int) -> None:
     assert np.array_equal(NearestCentre(centres)(points), expected)
 
 
-def test_paper_66_spends_66_bits_and_has_16_base_clusters() -> None:
+@pytest.fixture(scope="module")
+def paper_66() -> tuple[Splats, CodebookSet]:
+    """Splats of every attribute, and the paper's quantiser trained on them."""
+    splats = cloud(4000, 0, 3)
+    return splats, train(splats, quantiser_config("paper-66"), 0)
+
+
+def test_paper_66_spends_66_bits_and_has_16_base_clusters(paper_66: tuple[Splats, CodebookSet]) -> None:
     config = quantiser_config("paper-66")
     assert sum(a.tree_bits for a in config.attributes) == 66
     assert sum(a.tree_bits for a in quantiser_config("paper-76").attributes) == 76
-    quantiser = train(cloud(4000, 0, 3), config, 0)
+    _, quantiser = paper_66
     assert {book.layer_bits[0] for book in quantiser.books} == {4}
     assert all(bits <= 2 for book in quantiser.books for bits in book.layer_bits[1:])
     with pytest.raises(ConfigError, match="known: layered, paper-66"):
         quantiser_config("paper-6")
 
 
-def test_more_layers_are_nearer() -> None:
-    splats = cloud(4000, 1, 1)
-    quantiser = train(splats, quantiser_config("paper-66"), 0)
+def test_more_layers_are_nearer(paper_66: tuple[Splats, CodebookSet]) -> None:
+    splats, quantiser = paper_66
     codes, values = quantiser.encode(splats), split_attributes(splats)
     for book in quantiser.books:
         name = book.attribute
