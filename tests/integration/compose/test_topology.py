@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -108,11 +108,25 @@ def balance(tmp_path: Path) -> Iterator[Any]:
         process.wait()
 
 
-def watch(port: int, report: Path) -> subprocess.Popen[str]:
-    arguments = ["--url", f"ws://127.0.0.1:{port}/stream", "--width", "160", "--height", "120", "--json", str(report)]
-    arguments += ["--threads", "1", "--restore", "none"]
-    command = [sys.executable, "-m", "cags_client", *arguments]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+Watch = Callable[[int, Path], subprocess.Popen[str]]
+
+
+@pytest.fixture
+def watch() -> Iterator[Watch]:
+    """Starts a client at a port that writes a report; none outlives the test."""
+    running: list[subprocess.Popen[str]] = []
+
+    def start(port: int, report: Path) -> subprocess.Popen[str]:
+        arguments = ["--url", f"ws://127.0.0.1:{port}/stream", "--width", "160", "--height", "120"]
+        arguments += ["--json", str(report), "--threads", "1", "--restore", "none"]
+        command = [sys.executable, "-m", "cags_client", *arguments]
+        running.append(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
+        return running[-1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
 
 
 def finished(client: subprocess.Popen[str], report: Path) -> dict[str, Any]:
@@ -132,7 +146,7 @@ def joined(port: int) -> int:
 
 
 def test_two_servers_on_one_store_share_the_clients_and_one_may_die(
-    store: str, group: ProcessGroup, balance: Any, tmp_path: Path
+    store: str, group: ProcessGroup, balance: Any, watch: Watch, tmp_path: Path
 ) -> None:
     bundle = f"{store}/scene"
     encode = [sys.executable, "-m", "cags_encoder", "procedural:size=1500,frames=15", bundle]
@@ -160,7 +174,7 @@ def sent_tiles(port: int) -> int:
 
 
 def test_sessions_of_a_killed_server_go_on_at_another_which_sends_nothing_they_hold(
-    group: ProcessGroup, balance: Any, tmp_path: Path
+    group: ProcessGroup, balance: Any, watch: Watch, tmp_path: Path
 ) -> None:
     bundle = tmp_path / "scene"
     encode = [sys.executable, "-m", "cags_encoder", "procedural:size=1500,frames=180", str(bundle)]
