@@ -11,7 +11,7 @@ import cags_kernels
 from cags_client import restore
 from cags_client.align import Aligned, ReferencePicture, create
 from cags_client.restore import RESTORERS, RestoreInput
-from cags_client.restore.affine import AffineRestorer, AffineSettings, average_down, corrected_there
+from cags_client.restore.affine import AffineRestorer, AffineSettings, average_down, corrected_there, fields_of
 from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.metrics import MAX_PSNR_DB, psnr
@@ -90,6 +90,23 @@ def test_where_the_reference_says_nothing_the_distorted_picture_stays(affine: Af
     restored = affine.restore(inputs(truth, distorted, aligned=aligned))
     np.testing.assert_array_equal(restored[:, :80], distorted[:, :80])
     assert np.abs(restored[:, 100:] - distorted[:, 100:]).mean() > 0.1
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (2, 70), (33, 64), (70, 65), (96, 130)])
+@pytest.mark.parametrize("radius", [1, 2, 9])
+def test_the_local_fit_of_any_size_is_as_defined(
+    height: int, width: int, radius: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernels fit 64 pixels of 32 rows at a time: no seams, and the picture's ends are mirrored."""
+    if not cags_kernels.native_available():
+        pytest.skip(cags_kernels.why_unavailable())
+    own, theirs = (RNG.random((height, width, 3), dtype=np.float32) for _ in range(2))
+    camera = Camera(Intrinsics.of_fov(width, height, 1.0, 0.8), Pose.identity())
+    reference, settings = ReferencePicture(theirs, camera, 0), AffineSettings(radius_cells=radius, threads=2)
+    native = fields_of(own, reference, settings).copy()
+    np.testing.assert_array_equal(native, fields_of(own, reference, replace(settings, threads=5)))
+    monkeypatch.setattr(cags_kernels, "native_available", lambda: False)
+    np.testing.assert_allclose(native, fields_of(own, reference, settings), atol=2e-4)
 
 
 def test_kernels_and_numpy_agree(monkeypatch: pytest.MonkeyPatch) -> None:

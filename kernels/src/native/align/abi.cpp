@@ -14,9 +14,9 @@ namespace {
 constexpr int kMaxSide = 16384;  // pixels
 constexpr int kMaxRadius = 64;
 constexpr double kLeastPower = 1e-12;                // of a correction, where there is none
-constexpr int kEvidenceRows = 4;                     // every fourth row is looked at
 constexpr double kEvidenceMargin = 1.05;             // see cags_client.restore.affine
 constexpr double kVeilWeight = 2.2;
+constexpr int kRowsAFit = 32;  // the rows around them, of which the sums are made twice, are few beside them
 
 bool side(int value) { return value >= 1 && value <= kMaxSide; }
 
@@ -84,11 +84,9 @@ void align(const CagsAlignInput& in, const CagsAlignOutput& out) {
   if (fills) fill(in, out, occlusion.shared, *scratch);
 }
 
-Evidence weigh(const CagsCorrectInput& in, const float* sums, int threads) {
-  std::vector<Evidence> rows((in.view.reference_height + kEvidenceRows - 1) / kEvidenceRows);
-  for_rows(threads, static_cast<int>(rows.size()), [&](int i, int) { stages().weigh(in, i * kEvidenceRows, sums, rows[i]); });
+Evidence sum_of(const std::vector<Evidence>& rows) {  // in one thread, so that the sums do not depend on their number
   Evidence all{};
-  for (const Evidence& row : rows) {  // in one thread, so that the sums do not depend on their number
+  for (const Evidence& row : rows) {
     for (int c = 0; c < 3; c++) all.fine[c] += row.fine[c], all.broad[c] += row.broad[c], all.noise[c] += row.noise[c];
     all.shown += row.shown;
   }
@@ -146,18 +144,23 @@ struct Fitted {
 };
 
 void fit(const CagsCorrectInput& in, Scratch& scratch, int threads, const Fitted& out) {
-  const int w = in.view.reference_width, h = in.view.reference_height;
-  const size_t line = size_t(w + 2 * in.radius_cells) * kMoments;
-  float* lines = scratch.lines.reserve(line * threads);
-  float* sums = scratch.sums.reserve(size_t(w) * h * kMoments);
-  for_rows(threads, h, [&](int row, int worker) { stages().moments(in, row, lines + line * worker, sums); });
-  const Evidence evidence = weigh(in, sums, threads);
-  float trust[6];
+  const int w = in.view.reference_width, h = in.view.reference_height, window = 2 * in.radius_cells + 1;
+  const size_t ring = size_t(window) * kMoments * kRun, line = size_t(kRun + window - 1) * kMoments;
+  float* sums = scratch.sums.reserve((ring + line) * threads);
+  float* parts = scratch.parts.reserve(size_t(w) * h * kParts);
+  std::vector<Evidence> rows((h + kEvidenceRows - 1) / kEvidenceRows);
+  parallel_for(threads, (h + kRowsAFit - 1) / kRowsAFit, [&](int piece, int worker) {
+    float* own = sums + (ring + line) * worker;
+    const int begin = piece * kRowsAFit;
+    stages().fit(in, begin, std::min(h, begin + kRowsAFit), {own, own + ring}, parts, rows.data());
+  });
+  const Evidence evidence = sum_of(rows);
+  float share[6];
   for (int c = 0; c < 3; c++) {
-    trust[c] = trust_of(evidence.fine[c], evidence.noise[c]);
-    trust[3 + c] = trust_of(evidence.broad[c], static_cast<double>(evidence.shown) * (kNoiseFloor + in.broad_noise[c]));
+    share[c] = trust_of(evidence.fine[c], evidence.noise[c]);
+    share[3 + c] = trust_of(evidence.broad[c], static_cast<double>(evidence.shown) * (kNoiseFloor + in.broad_noise[c]));
   }
-  for_rows(threads, h, [&](int row, int) { stages().fit(in, row, sums, trust, out.fields, out.own); });
+  for_rows(threads, h, [&](int row, int) { stages().trust(in, row, parts, share, out.fields, out.own); });
 }
 
 Fitted fitted(const CagsCorrectInput& in, Scratch& scratch, int threads) {
@@ -190,12 +193,12 @@ void correct(const CagsCorrectInput& in, float* restored) {
 // The fields alone, without their border.
 void fields_of(const CagsCorrectInput& in, float* out) {
   ScratchLease scratch;
-  const int w = in.view.reference_width, h = in.view.reference_height;
-  const auto [fields, own] = fitted(in, *scratch, std::min(in.threads, kMaxThreads));
-  for (int row = 0; row < h; row++) {
+  const int w = in.view.reference_width, threads = std::min(in.threads, kMaxThreads);
+  const Padded fields = fitted(in, *scratch, threads).fields;
+  for_rows(threads, in.view.reference_height, [&](int row, int) {
     const float* from = fields.data + ((int64_t{row} + 1) * (w + 2) + 1) * kFieldLanes;
     std::copy_n(from, w * kFieldLanes, out + int64_t{row} * w * kFieldLanes);
-  }
+  });
 }
 
 }  // namespace

@@ -23,7 +23,7 @@ inline const Stages& stages() {
 }
 
 struct Scratch {
-  AlignedArray<float> nearest_depth, reference, sums, fields, lines, disagreement, weight, means;
+  AlignedArray<float> nearest_depth, reference, sums, parts, fields, lines, disagreement, weight, means;
   AlignedArray<uint8_t> shared;
   AlignedArray<uint64_t> bits;
   AlignedArray<Nearest> nearest;

@@ -15,6 +15,9 @@ struct Padded {
 constexpr int kColourLanes = 4;  // r, g, b, unused
 constexpr int kFieldLanes = 4;   // factor, offsets r, g, b
 constexpr int kMoments = 13;     // see stages/fit.h
+constexpr int kParts = 7;        // see stages/fit.h
+constexpr int kRun = 64;         // pixels worked on at a time: what is known of them stays in the nearest cache
+constexpr int kEvidenceRows = 4; // every fourth row is looked at
 constexpr int kPowers = 3;       // see stages/carry.h
 constexpr float kLeastCarried = 1e-12f;  // power that stands for none
 constexpr float kNoiseFloor = 2e-6f;  // variance of rounding to 8 bits
@@ -33,6 +36,12 @@ struct Occlusion {
   const Nearest* nearest;      // [cells]
   const float* nearest_depth;  // [cells]: the depth of `nearest`, +inf where nobody is
   uint8_t* shared;             // [cells], or null: 1 where a hidden pixel lies. Rows write it side by side, the same value
+};
+
+// A worker's scratch of the local fit.
+struct Ring {
+  float* sums;  // [2 radius + 1, kMoments, kRun], of rows in turn
+  float* line;  // [kMoments, kRun + 2 radius]
 };
 
 // Sums over a picture, luma and the two chromas.
@@ -64,13 +73,13 @@ struct Stages {
   void (*resolve)(const CagsAlignInput&, const Padded& reference, const Occlusion&, int row, const CagsAlignOutput&);
   // Up to 64 pixels of a row, as bits: seen, and not in front of an occluded one (`shared` cells). `occluded` is the run's.
   uint64_t (*clean)(const CagsAlignInput&, const uint8_t* occluded, const uint8_t* shared, int row, int first, int count);
-  // One row of the reference: horizontal sums [height, kMoments, width] of the moments that the local fit needs.
-  void (*moments)(const CagsCorrectInput&, int row, float* line, float* sums);
-  // One row of the reference: adds its power of difference and its noise, by component, to `evidence`.
-  void (*weigh)(const CagsCorrectInput&, int row, const float* sums, Evidence& evidence);
-  // One row of the reference: factor and offset of the correction, and the client's own view, clipped; `trust` [6] scales luma and chromas, fine and broad.
-  void (*fit)(const CagsCorrectInput&, int row, const float* sums, const float* trust, const Padded& fields,
-              const Padded& own);
+  // Rows of the reference from `begin` to `end`: parts [height, kParts, width] of the correction, and what every
+  // kEvidenceRows-th row tells of the picture.
+  void (*fit)(const CagsCorrectInput&, int begin, int end, const Ring&, float* parts, Evidence* evidence);
+  // One row of the reference: factor and offset of the correction, and the client's own view, clipped; `share` [6] is the
+  // trust in luma and chromas, fine and broad.
+  void (*trust)(const CagsCorrectInput&, int row, const float* parts, const float* share, const Padded& fields,
+                const Padded& own);
   // One row of the reference: the fields that are given, and the client's own view, clipped.
   void (*take)(const CagsCorrectInput&, int row, const Padded& fields, const Padded& own);
   // One row of blocks: disagreement, and its sums and the correction's power's added to `agreement`.

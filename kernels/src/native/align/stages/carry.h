@@ -25,7 +25,7 @@ void carry_powers(const CagsCarryInput& in, int row, float* line, float* sums) {
   }
   float* out = sums + int64_t{row} * kPowers * w;
   for (int power = 0; power < kPowers; power++, line += stride, out += w) {
-    mirror_ends(line + r, w, r);
+    mirror_ends(line, -r, w + 2 * r, w);
     add_lines([line](int j) { return line + j; }, 2 * r + 1, w, 1.0f, out);
   }
 }

@@ -7,8 +7,6 @@
 namespace cags::align {
 namespace {
 
-constexpr int kRun = 64;  // pixels projected at a time: their coordinates stay in the nearest cache
-
 struct Projected {
   float x[kRun], y[kRun], z[kRun];  // 0, 0, 0 where not inside
   int32_t cell[kRun];               // row and column of the reference pixel, as one index

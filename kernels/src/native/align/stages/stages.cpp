@@ -7,6 +7,6 @@
 
 namespace cags::align {
 
-extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, moments, weigh, fit, take, compare, settle, carry_powers, carry_means, carry, correct};
+extern const Stages CAGS_ALIGN_STAGES{nearest, resolve, clean, fit, trust, take, compare, settle, carry_powers, carry_means, carry, correct};
 
 }  // namespace cags::align
