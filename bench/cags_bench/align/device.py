@@ -17,8 +17,9 @@ from cags_bench.jsonl import JsonObject, check, provenance, summary
 from cags_bench.restore.cases import Case, Cases
 from cags_client import align
 from cags_client.align import AlignSettings
-from cags_client.restore import RestoreInput, networks
+from cags_client.restore import RestoreInput, Restorer, networks
 from cags_common import raster
+from cags_common.geometry import F32
 from cags_common.raster.base import RenderOptions
 
 BACKENDS = {"cpu": ("cpu", "auto", ""), "cuda": ("cuda", "cuda", "@cuda")}
@@ -88,8 +89,12 @@ def _stages(case: Case, settings: AlignBenchSettings) -> dict[str, Callable[[], 
     return {
         "render": lambda: scene.render(case.camera, draw),
         "PRPA": lambda: aligner.align(case.reference, depth, case.camera, colours=True),
-        **{name: partial(restorer.restore, inputs) for name, restorer in restorers.items()},
+        **{name: partial(_restored, restorer, inputs) for name, restorer in restorers.items()},
     }
+
+
+def _restored(restorer: Restorer, inputs: RestoreInput) -> F32:
+    return restorer.restore(inputs.afresh())
 
 
 def timed(stages: dict[str, Callable[[], object]], repetitions: int) -> dict[str, list[float]]:

@@ -118,7 +118,7 @@ def _at_size(scene: object, camera: Camera, reference: Camera, threads: int) -> 
         median_ms(lambda: drawn.render(camera, options)),
         median_ms(lambda: aligner.align(picture, depth, camera)),
         median_ms(lambda: drawn.render(reference, as_seen)),
-        median_ms(lambda: restorer.restore(inputs)),
+        median_ms(lambda: restorer.restore(inputs.afresh())),
     )
 
 

@@ -26,6 +26,7 @@ splats, haze): the correction counts as far as it is worth more than the veil.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import cv2
@@ -36,6 +37,7 @@ import cags_kernels
 from cags_client.align.base import ReferencePicture
 from cags_client.align.fast import sample
 from cags_client.restore.base import COMPARED, RestoreInput
+from cags_client.restore.pair import OncePerPair
 from cags_common.geometry import F32
 from cags_common.settings import check_settings, setting
 from cags_common.video.noise import VOID_POWER, YCC_OF_RGB
@@ -90,10 +92,14 @@ class AffineRestorer:
 
     def __init__(self, settings: AffineSettings | None = None) -> None:
         self._settings = settings or AffineSettings()
+        self._fields = OncePerPair(partial(fields_of, settings=self._settings))
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""
-        return corrected(inputs, own_view(inputs), self._settings)
+        own = own_view(inputs)
+        # the kernel makes and applies fields in one go, which is the quicker way for those that no later frame uses
+        fields = self._fields.of(inputs, own) if self._fields.repeats(inputs) else None
+        return corrected(inputs, own, self._settings, fields)
 
 
 def own_view(inputs: RestoreInput) -> F32:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from cags_client.align.base import Aligned, ReferencePicture
@@ -26,6 +26,10 @@ class RestoreInput:
     """As it came, for restorers that work at its resolution."""
     own: RenderedView | None = None
     """The client's own splats seen from the reference's camera through the client's footprint [h, w]."""
+
+    def afresh(self) -> RestoreInput:
+        """The same, for timing: a restorer that keeps what it made of an own view makes it again."""
+        return self if self.own is None else replace(self, own=replace(self.own))
 
 
 class Restorer(Protocol):

@@ -90,14 +90,15 @@ def test_single_stages_are_judged_by_their_own_time() -> None:
 
 
 def test_frames_are_judged_at_the_lowest_lod_at_every_accuracy() -> None:
+    rest = {"new_reference_frame_ms": 50.0, "psnr_covered_db": 30.0}
     lines = [
-        {"frame": name, "size": "1600x1200", "lod_share": lod, "frame_ms": ms + 10 * lod, "psnr_covered_db": 30.0}
+        {"frame": name, "size": "1600x1200", "lod_share": lod, "frame_ms": ms + 10 * lod, **rest}
         for lod in (0.25, 0.0)
         for name, ms in (("whole", 40.0), ("half", 20.0))
     ]
     judged = {c["name"].rpartition("; ")[2]: (c["value"], c["ok"]) for c in frame_checks(lines)}
     assert judged == {"whole": (40.0, False), "half": (20.0, True)}
-    assert frame_table(lines)["1600x1200, LoD 0"]["half"] == {"ms": 20.0, "psnr_covered_db": 30.0}
+    assert frame_table(lines)["1600x1200, LoD 0"]["half"] == {"frame_ms": 20.0, **rest}
 
 
 def _run(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:

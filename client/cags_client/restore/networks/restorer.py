@@ -9,6 +9,7 @@ from cags_client.restore.affine import AffineSettings, corrected, fields_of, own
 from cags_client.restore.base import ALIGNED, COMPARED, RestoreInput
 from cags_client.restore.networks.inputs import even, filled, noise_features, reach
 from cags_client.restore.networks.runtimes import Runtime
+from cags_client.restore.pair import OncePerPair
 from cags_common.geometry import F32
 
 
@@ -21,18 +22,20 @@ class LiteRestorer:
         self.name = name
         self._runtime = runtime
         self._settings = AffineSettings(threads=threads) if threads else AffineSettings()
+        self._fields = OncePerPair(self._made)
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.restore.base.Restorer`."""
         if not inputs.aligned.confidence.any():
             return inputs.distorted
         own = own_view(inputs)
-        fields = fields_of(own, inputs.reference, self._settings)
-        if fields.any():
-            fields = self._improved(own, inputs.reference, fields)
-        return corrected(inputs, own, self._settings, fields)
+        return corrected(inputs, own, self._settings, self._fields.of(inputs, own))
 
-    def _improved(self, own: F32, reference: ReferencePicture, fields: F32) -> F32:
+    def _made(self, own: F32, reference: ReferencePicture) -> F32:
+        """The closed form's fields [h, w, 4], improved where they change anything."""
+        fields = fields_of(own, reference, self._settings)
+        if not fields.any():
+            return fields
         images = (even(image) for image in (own, reference.rgb, fields))
         h, w = fields.shape[:2]
         return self._runtime.run(*images, noise_features(reference.noise)[None, None])[:h, :w]
