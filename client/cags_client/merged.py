@@ -72,10 +72,11 @@ class MergedSplats:
         held.owned += len(claimed)
         self.past.record(held.frame, claimed, self.splats)
         self.improved += bool(mine.any())
-        write = mine | newer
-        rows: Ids = ids[write]
-        for (_, target), (_, values) in zip(self.splats.arrays(), splats.arrays(), strict=True):
-            target[rows] = values[write]
+        write = np.nonzero(mine | newer)[0]
+        rows: Ids = ids.take(write)
+        chosen = splats if len(write) == len(ids) else splats.take(write)
+        for (_, target), (_, values) in zip(self.splats.arrays(), chosen.arrays(), strict=True):
+            target[rows] = values
         held.shown_lod = lod
         if not held.owned:
             self._on_replaced(held)
