@@ -15,16 +15,18 @@ from cags_common.errors import CagsError, ConfigError
 FULL = Path("/dev/full")
 
 SCRIPT = """
-import sys, time
+import signal, sys, time
 from cags_common.cli import run_command
+signal.signal(signal.SIGHUP, signal.{hangup})
 def body(argv):
     {body}
 sys.exit(run_command("cags-try", body, []))
 """
 
 
-def start(body: str, **named: object) -> subprocess.Popen[str]:
-    text = SCRIPT.format(body=body.replace("\n", "\n    "))
+def start(body: str, hangup: str = "SIG_DFL", **named: object) -> subprocess.Popen[str]:
+    """A command of its own; ``hangup`` is what it finds when it starts, whatever these tests were started under."""
+    text = SCRIPT.format(body=body.replace("\n", "\n    "), hangup=hangup)
     return subprocess.Popen([sys.executable, "-c", text], text=True, stderr=subprocess.PIPE, **named)  # type: ignore[call-overload,no-any-return]
 
 
@@ -70,6 +72,14 @@ def test_a_request_to_end_tidies_up(number, tmp_path):
     assert running.returncode == 128 + number
     assert said == ""
     assert left.exists()
+
+
+def test_nohup_is_respected():
+    with start("print('up', flush=True)\ntime.sleep(0.2)", "SIG_IGN", stdout=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline() == "up\n"
+        running.send_signal(signal.SIGHUP)
+        assert running.wait(timeout=20) == 0
 
 
 def test_a_reader_that_goes_away_is_no_error():
