@@ -70,7 +70,7 @@ class Dial:
         )
 
 
-def fetch_info(url: str) -> Manifest:
+def fetch_info(url: str, token: str = "") -> Manifest:
     """The public manifest of the first server of ``url`` that answers, by HTTP: walks are placed before a session.
 
     Raises :class:`NetworkError` where there is no such server, :class:`BundleError` for another version's manifest.
@@ -78,18 +78,18 @@ def fetch_info(url: str) -> Manifest:
     last = NetworkError(f"{url}: no server answers")
     for address in addresses(url):
         try:
-            return _info(address)
+            return _info(address, token)
         except NetworkError as error:
             last = error
     raise last
 
 
-def _info(url: str) -> Manifest:
+def _info(url: str, token: str) -> Manifest:
     parts = urlsplit(url)
     kind = http.client.HTTPSConnection if parts.scheme == "wss" else http.client.HTTPConnection
     connection = kind(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S)
     try:
-        connection.request("GET", "/bundle")
+        connection.request("GET", "/bundle", headers={"Authorization": f"Bearer {token}"} if token else {})
         response = connection.getresponse()
         data = response.read(MAX_MANIFEST_BYTES + 1)
     except (OSError, http.client.HTTPException) as error:
@@ -97,6 +97,8 @@ def _info(url: str) -> Manifest:
         raise NetworkError(f"{url}: no server answers ({reason}); start cags-server or check the address") from error
     finally:
         connection.close()
+    if response.status == http.HTTPStatus.UNAUTHORIZED:
+        raise NetworkError(f"{url}: the token is missing or wrong; give the server's with --token")
     if response.status != 200:
         raise NetworkError(f"{url}: the server answers {response.status} {response.reason} for its bundle")
     return Manifest.from_json(data)

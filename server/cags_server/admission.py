@@ -34,14 +34,25 @@ def origin_allowed(origin: str | None, host: str | None, allowed: str) -> bool:
 
 def token_allowed(expected: str, hello: Hello, header: str | None) -> bool:
     """Whether the token of the Hello, or of an ``Authorization: Bearer`` header, is the one asked for."""
-    if not expected:
-        return True
-    shown = header.removeprefix("Bearer ") if header and header.startswith("Bearer ") else ""
-    # Compared in constant time, both of them, so that nothing is learnt from how long a refusal takes.
-    # Bytes of a header that are not UTF-8 come as lone surrogates.
-    by_hello = hmac.compare_digest(hello.token.encode(), expected.encode())
-    by_header = hmac.compare_digest(shown.encode(errors="surrogateescape"), expected.encode())
+    by_hello, by_header = (
+        _same(hello.token, expected),
+        header_allowed(expected, header),
+    )  # both are compared in any case
     return by_hello or by_header
+
+
+def header_allowed(expected: str, header: str | None) -> bool:
+    """Whether an ``Authorization: Bearer`` header alone opens: what is asked before there is a Hello."""
+    shown = header.removeprefix("Bearer ") if header and header.startswith("Bearer ") else ""
+    return not expected or _same(shown, expected)
+
+
+def _same(shown: str, expected: str) -> bool:
+    """In constant time, so that nothing is learnt from how long a refusal takes.
+
+    Bytes of a header that are not UTF-8 come as lone surrogates.
+    """
+    return hmac.compare_digest(shown.encode(errors="surrogateescape"), expected.encode())
 
 
 def undrawable(view: Intrinsics, *, full_size: bool) -> str | None:

@@ -18,7 +18,13 @@ from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from cags_protocol.messages import Hello, RefusalCode
-from cags_server.admission import HANDSHAKES_BEYOND_CLIENTS, origin_allowed, tls_context, token_allowed
+from cags_server.admission import (
+    HANDSHAKES_BEYOND_CLIENTS,
+    header_allowed,
+    origin_allowed,
+    tls_context,
+    token_allowed,
+)
 from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
 from cags_server.event_file import EventFile
@@ -94,6 +100,8 @@ class App:
         return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 
     async def _bundle(self, request: web.Request) -> web.Response:
+        if not header_allowed(self._settings.token, request.headers.get("Authorization")):
+            return web.json_response({"error": "the token is missing or wrong"}, status=401)
         return web.Response(body=self._library.manifest.public_json(), content_type="application/json")
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:

@@ -20,6 +20,7 @@ from cryptography.x509.oid import NameOID
 
 from cags_bench.network.clients import watch_all
 from cags_bench.network.plot import plot_session
+from cags_client.dial import fetch_info
 from cags_common.errors import NetworkError
 from cags_common.geometry import Pose
 from cags_common.transport.websocket import connect
@@ -238,6 +239,25 @@ async def test_the_bundle_is_described_before_the_stream() -> None:
         manifest = json.loads(await answer.text())
     assert manifest["frames"] == 12
     assert manifest["gofs"] == []
+
+
+@pytest.mark.parametrize(("shown", "status"), [(None, 401), ("wrong", 401), ("secret", 200)])
+async def test_the_bundle_asks_for_the_token_too(shown: str | None, status: int) -> None:
+    headers = {"Authorization": f"Bearer {shown}"} if shown else {}
+    async with (
+        serving(token="secret") as (_, server),
+        aiohttp.ClientSession() as http,
+        http.get(server.make_url("/bundle"), headers=headers) as answer,
+    ):
+        assert answer.status == status
+
+
+async def test_a_client_shows_its_token_for_the_bundle() -> None:
+    async with serving(token="secret") as (_, server):
+        url = stream_url(server)
+        assert (await asyncio.to_thread(fetch_info, url, "secret")).frames == 12
+        with pytest.raises(NetworkError, match="--token"):
+            await asyncio.to_thread(fetch_info, url)
 
 
 async def test_a_session_is_logged(tmp_path: Path) -> None:
