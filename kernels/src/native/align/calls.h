@@ -12,15 +12,7 @@ namespace cags::align {
 
 constexpr int kRowsAPiece = 16;
 
-inline const Stages& stages() {
-  switch (active_instruction_set()) {
-#ifdef CAGS_X86
-    case InstructionSet::avx512: return stages_avx512;
-    case InstructionSet::avx2: return stages_avx2;
-#endif
-    default: return stages_portable;
-  }
-}
+inline const Stages& stages() { return in_use(CAGS_VARIANTS(stages)); }
 
 struct Scratch {
   AlignedArray<float> nearest_depth, reference, sums, parts, fields, lines, disagreement, weight, means;

@@ -14,15 +14,7 @@ namespace {
 constexpr int kMaxSide = 16384;  // pixels
 constexpr int kMaxLayers = 64;
 
-const Stages& stages() {
-  switch (active_instruction_set()) {
-#ifdef CAGS_X86
-    case InstructionSet::avx512: return stages_avx512;
-    case InstructionSet::avx2: return stages_avx2;
-#endif
-    default: return stages_portable;
-  }
-}
+const Stages& stages() { return in_use(CAGS_VARIANTS(stages)); }
 
 struct Scratch {
   AlignedArray<float> features, inner, power, runs, lines;

@@ -39,16 +39,7 @@ class Stopwatch {
 
 }  // namespace
 
-const Stages& active_stages() {
-#ifdef CAGS_X86
-  switch (active_instruction_set()) {
-    case InstructionSet::avx512: return stages_avx512;
-    case InstructionSet::avx2: return stages_avx2;
-    default: break;
-  }
-#endif
-  return stages_portable;
-}
+const Stages& active_stages() { return in_use(CAGS_VARIANTS(stages)); }
 
 View make_view(const CagsCamera& camera, const CagsRasterOptions& options) {
   View view{};
