@@ -14,11 +14,12 @@ from cags_client import align, restore
 from cags_client.adapt import SirtAdapter
 from cags_client.align import Aligned, Aligner, AlignSettings
 from cags_client.align.fast import sample
-from cags_client.restore import RestoreInput, Restorer, networks
+from cags_client.restore import RESTORERS, RestoreInput, Restorer, networks
 from cags_client.restore.affine import AffineRestorer, AffineSettings
 from cags_client.restore.base import ALIGNED
 from cags_common import raster
 from cags_common.effects import Effect
+from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 from cags_common.raster.base import DepthKind, RenderedView, RenderOptions
 
@@ -129,9 +130,13 @@ def _method(name: str, threads: int) -> Method:
     }
     if name in special:
         return special[name]()
-    is_network = name.partition("@")[0] in networks.NETWORKS
-    restorer = networks.create(name, threads) if is_network else restore.create(name)
-    return Method(name, restorer, prpa())
+    base = name.partition("@")[0]
+    if base in networks.NETWORKS:
+        return Method(name, networks.create(name, threads), prpa())
+    if base not in RESTORERS:
+        known = ", ".join([*dict.fromkeys([*RESTORERS, *networks.NETWORKS, *special])])
+        raise ConfigError(f"method {name!r} is unknown; known: {known}")
+    return Method(name, restore.create(name), prpa())
 
 
 @dataclass(eq=False)

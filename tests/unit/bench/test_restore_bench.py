@@ -196,3 +196,11 @@ def _write_walk(path: Path) -> None:
     from cags_common.poses import Focus, synthetic_walk, write_poses
 
     write_poses(synthetic_walk("walking", Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)), seed=5), path)
+
+
+def test_an_unknown_method_is_told_with_all_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["restore", "--methods", "affine,swap"]) == 2
+    said = capsys.readouterr().err
+    assert "method 'swap' is unknown" in said
+    assert all(known in said for known in ("lite", "sirt + affine", "paper", "cr-no-ref"))
+    assert said.count("\n") == 1
