@@ -29,11 +29,11 @@ from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
 from cags_server.event_file import EventFile
 from cags_server.library import SceneLibrary
-from cags_server.looks import Looks
 from cags_server.metrics import Totals, exposition
 from cags_server.quota import Quotas
 from cags_server.records import StreamStats
 from cags_server.render_pool import RenderPool
+from cags_server.render_slots import RenderSlots
 from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
 
@@ -45,7 +45,7 @@ class App:
 
     def __init__(self, library: SceneLibrary, settings: ServeSettings) -> None:
         self._library, self._settings = library, settings
-        self._looks = Looks(settings.workers)
+        self._render_slots = RenderSlots(settings.workers)
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
         self._executor = RenderPool(settings.workers, self._served)
@@ -158,7 +158,7 @@ class App:
             now_us=now_us(),
             session_settings=session,
             admit=admit,
-            looks=self._looks,
+            render_slots=self._render_slots,
             trace=None if events is None else events.trace,
             quotas=Quotas(messages=settings.max_message_rate, poses=settings.max_pose_rate),
         )

@@ -19,15 +19,15 @@ from cags_protocol.tracing import EventTrace
 from cags_server.admission import undrawable
 from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
 from cags_server.library import SceneLibrary
-from cags_server.looks import Looks
 from cags_server.quota import ClientQuota, Quotas
 from cags_server.records import StreamStats
 from cags_server.reference import FrameJob, FrameRender
+from cags_server.render_slots import RenderSlots
 from cags_server.settings import ServerSettings
 from cags_server.streamer import Streamer
 
 Admission = Callable[[Hello], tuple[RefusalCode, str, str] | None]
-"""Looks at a Hello: None lets the client in, (code, field, message) refuses it."""
+"""Judges a Hello: None lets the client in, (code, field, message) refuses it."""
 
 
 class Connection:
@@ -44,10 +44,10 @@ class Connection:
         session_settings: ServerSessionSettings | None = None,
         admit: Admission | None = None,
         quotas: Quotas | None = None,
-        looks: Looks | None = None,
+        render_slots: RenderSlots | None = None,
         trace: EventTrace | None = None,
     ) -> None:
-        """``looks``: the renderer's places, shared with other clients; without them there is always room.
+        """``render_slots``: the renderer's places, shared with other clients; without them there is always room.
 
         ``trace`` hears of every step of sending.
         """
@@ -58,7 +58,7 @@ class Connection:
         """How the session ended; None while it goes on."""
         self._library, self._settings, self._admit = library, settings, admit
         self._estimator = estimator or MeasuredEstimator()
-        self._looks, self._looking = looks, False
+        self._render_slots, self._rendering = render_slots, False
         self._quota = ClientQuota(quotas or Quotas(), now_us)
 
     @property
@@ -102,14 +102,14 @@ class Connection:
     def next_job(self, now_us: int) -> FrameJob | None:
         """The next frame to render, if one is due and none is being rendered."""
         job = None if self.closed or self.streamer is None else self.streamer.begin(now_us)
-        if job is not None and self._looks is not None:
-            self._looks.begun(self.name)
-            self._looking = True
+        if job is not None and self._render_slots is not None:
+            self._render_slots.begun(self.name)
+            self._rendering = True
         return job
 
     def job_done(self, render: FrameRender, now_us: int) -> None:
         """A job has ended well."""
-        self._look_ended()
+        self._render_ended()
         if self.streamer is not None and not self.closed:
             self._recall(self.streamer, now_us)
             self._queue(self.streamer.finish(render, now_us), now_us)
@@ -117,23 +117,23 @@ class Connection:
 
     def job_failed(self, job: FrameJob) -> None:
         """A job has raised; the stream goes on with the next frame."""
-        self._look_ended()
+        self._render_ended()
         if self.streamer is not None:
             self.streamer.abandon(job)
 
-    def _may_look(self, now_us: int) -> bool:
-        return self._looks is None or self._looks.may(self.name, now_us)
+    def _may_render(self, now_us: int) -> bool:
+        return self._render_slots is None or self._render_slots.may(self.name, now_us)
 
-    def _look_ended(self) -> None:
-        if self._looks is not None and self._looking:
-            self._looks.ended()
-        self._looking = False
+    def _render_ended(self) -> None:
+        if self._render_slots is not None and self._rendering:
+            self._render_slots.ended()
+        self._rendering = False
 
     def release(self) -> None:
         """Give back the renderer's place and turn: the client is gone, and what is rendered for it is for nobody."""
-        self._look_ended()
-        if self._looks is not None:
-            self._looks.left(self.name)
+        self._render_ended()
+        if self._render_slots is not None:
+            self._render_slots.left(self.name)
 
     def connection_lost(self, reason: str, now_us: int) -> None:
         """The transport ended by itself."""
@@ -180,7 +180,9 @@ class Connection:
         except ProtocolError as error:
             self.session.refuse(RefusalCode.MALFORMED, "inventory", str(error), now_us=now_us)
             return
-        streamer = Streamer(self._library, self._settings, hello, estimator=self._estimator, may_look=self._may_look)
+        streamer = Streamer(
+            self._library, self._settings, hello, estimator=self._estimator, may_render=self._may_render
+        )
         if resumed:
             streamer.resume(inventory)
         self.streamer = streamer

@@ -17,7 +17,7 @@ frames end after their display; references are no later for it (docs/network.md)
 
 
 class RenderPool(Executor):
-    """Runs looks at the scene. With few clients as anything else: a lone client on the same cores needs its references
+    """Runs reference renders. With few clients as anything else: a lone client on the same cores needs its references
     in time (36.9 dB in the demo's restored pictures, 33.4 behind the loop). Niceness cannot be taken back, hence two
     sets of threads; those that are not needed are never started.
     """

@@ -1,8 +1,8 @@
-"""When one client's frames are planned: a lead before their display, with a look at the scene or without.
+"""When one client's frames are planned: a lead before their display, with a reference render or without.
 
 Frames are counted by *ticks* of the timeline. A client that cannot draw them all says how many it displays; the others
-are skipped: nobody would see their references or what their tiles change. One look (a job that renders) is out at a
-time. A frame whose look is overdue is served blind, so that media never waits for the renderer: soon where its group of
+are skipped: nobody would see their references or what their tiles change. One reference render is out at a time. A
+frame whose render is overdue is served blind, so that media never waits for the renderer: soon where its group of
 frames has been seen before, later where nothing has, since tiles are then chosen by their bounds alone.
 """
 
@@ -15,8 +15,8 @@ from cags_server.pace import Pace
 from cags_server.settings import ServerSettings
 from cags_server.timeline import Timeline
 
-LOOK_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
-"""How long a frame waits for a look that is out before it goes without: the frame that is looked at, one that follows
+RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
+"""How long a frame waits for a render that is out before it goes without: the frame that is rendered, one that follows
 it, and either in a group of which nothing was seen. Periods, but no longer than such a share of the lead.
 """
 
@@ -33,17 +33,17 @@ class Schedule:
         """Counts controls: what was planned before one is void after it."""
         self.cadence_permille = EVERY_FRAME
         """How many of 1,000 media frames the client displays (:mod:`cags_protocol.cadence`)."""
-        self.looking = False
-        """Whether a job is out."""
+        self.rendering = False
+        """Whether a reference render is out."""
         self.pace = Pace()
-        """How long looks take."""
-        self._lead_frames, self._look_every = settings.lead_frames, settings.reference_every
+        """How long reference renders take."""
+        self._lead_frames, self._reference_every = settings.lead_frames, settings.reference_every
         self._clock = clock
         self._controlled = False
         self._from_tick = 0  # first tick that is neither planned nor skipped
-        self._blind_tick = -1  # newest frame that was served without looking
-        self._looked_tick: int | None = None  # newest frame that was looked at
-        self._look_covers = 1
+        self._blind_tick = -1  # newest frame that was served without a render
+        self._rendered_tick: int | None = None  # newest frame that a render was begun for
+        self._render_covers = 1
 
     def controlled(self, control: Control, now_us: int, rtt_us: int) -> None:
         """The viewer plays, pauses, seeks or changes speed: ticks are counted anew."""
@@ -52,7 +52,7 @@ class Schedule:
         self.timeline = self.timeline.controlled(control)
         self._controlled = True
         self.generation += 1
-        self._from_tick, self._blind_tick, self._looked_tick = 0, -1, None
+        self._from_tick, self._blind_tick, self._rendered_tick = 0, -1, None
 
     def lead_us(self, rtt_us: int) -> float:
         """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
@@ -80,62 +80,62 @@ class Schedule:
         return self.timeline.period_us * EVERY_FRAME / self.cadence_permille
 
     @property
-    def _unserved_look(self) -> int | None:
-        """The tick of the look that is out, while nothing has been sent for it."""
-        out = self.looking and self._looked_tick is not None and self._looked_tick > self._blind_tick
-        return self._looked_tick if out else None
+    def _unserved_render(self) -> int | None:
+        """The tick of the render that is out, while nothing has been sent for it."""
+        out = self.rendering and self._rendered_tick is not None and self._rendered_tick > self._blind_tick
+        return self._rendered_tick if out else None
 
     @property
     def next_frame(self) -> int | None:
         """Media frame of the tick to be served next; None while there is none."""
-        look = self._unserved_look
-        return self.media_frame(self.next_tick if look is None else look) if self._controlled else None
+        unserved = self._unserved_render
+        return self.media_frame(self.next_tick if unserved is None else unserved) if self._controlled else None
 
     def next_due_us(self, rtt_us: int, *, seen: bool) -> int | None:
         """When the next frame must be planned, or served blind; None while there is none.
 
-        ``seen``: the group of frames that it is of has been looked at.
+        ``seen``: the group of frames that it is of has been rendered.
         """
         if self.next_frame is None:
             return None
-        look, lead_us, period_us = self._unserved_look, self.lead_us(rtt_us), self.timeline.period_us
-        tick = self.next_tick if look is None else look
+        unserved, lead_us, period_us = self._unserved_render, self.lead_us(rtt_us), self.timeline.period_us
+        tick = self.next_tick if unserved is None else unserved
         due_us = self._clock.to_server(round(self.timeline.display_us(tick) - lead_us))
-        if not self.looking:
+        if not self.rendering:
             return due_us
         if not seen:
             return due_us + round(UNSEEN_GRACE_LEADS * lead_us)
-        periods, leads = SEEN_GRACE if look is None else LOOK_GRACE
+        periods, leads = SEEN_GRACE if unserved is None else RENDER_GRACE
         return due_us + round(min(periods * period_us, leads * lead_us))
 
-    def between_looks(self, *, seen: bool) -> bool:
-        """Whether the next frame is one of those that get no look of their own."""
-        if self.looking or self._looked_tick is None or self.next_frame is None:
+    def between_references(self, *, seen: bool) -> bool:
+        """Whether the next frame is one of those that get no reference of their own."""
+        if self.rendering or self._rendered_tick is None or self.next_frame is None:
             return False
-        return seen and self.next_tick < self._looked_tick + self._look_every
+        return seen and self.next_tick < self._rendered_tick + self._reference_every
 
-    def look(self, late_us: int) -> tuple[int, int, int]:
-        """Begin a look at the newest frame that is due; its tick, media frame and how many ticks it covers.
+    def begin_render(self, late_us: int) -> tuple[int, int, int]:
+        """Begin to render the newest frame that is due; its tick, media frame and how many ticks it covers.
 
         The next one became due ``late_us`` ago. Those between are skipped: their references would come too late.
         """
         newest = last_displayed(self.next_tick + int(late_us // self.timeline.period_us), self.cadence_permille)
         tick = max(self.next_tick, self._up_to_the_end(newest))
         frame = self.media_frame(tick)
-        assert frame is not None, "a look begins at a frame that is due"
-        self._look_covers = self._cover(tick)
-        self._looked_tick, self.looking = tick, True
-        return tick, frame, self._look_covers
+        assert frame is not None, "a render begins at a frame that is due"
+        self._render_covers = self._cover(tick)
+        self._rendered_tick, self.rendering = tick, True
+        return tick, frame, self._render_covers
 
     def go_blind(self) -> tuple[int, int]:
-        """Serve the next frame without what a look would tell; its tick and how many ticks it covers.
+        """Serve the next frame without what a render would tell; its tick and how many ticks it covers.
 
-        That may be the frame whose look is out: its reference still comes, its tiles do not wait for it.
+        That may be the frame whose render is out: its reference still comes, its tiles do not wait for it.
         """
-        look = self._unserved_look
-        if look is not None:
-            self._blind_tick = look
-            return look, self._look_covers
+        unserved = self._unserved_render
+        if unserved is not None:
+            self._blind_tick = unserved
+            return unserved, self._render_covers
         self._blind_tick = self.next_tick
         return self._blind_tick, self._cover(self._blind_tick)
 
@@ -146,9 +146,9 @@ class Schedule:
         return covered
 
     def is_out(self, tick: int) -> bool:
-        """Whether a look at ``tick`` is out."""
-        return self.looking and tick == self._looked_tick
+        """Whether the render of ``tick`` is out."""
+        return self.rendering and tick == self._rendered_tick
 
     def overtaken(self, tick: int) -> bool:
-        """Whether the frame of a look, or a later one, was served while the look was out."""
+        """Whether the frame of a render, or a later one, was served while the render was out."""
         return tick <= self._blind_tick

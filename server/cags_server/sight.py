@@ -1,4 +1,4 @@
-"""What one client sees of the scene: by its last look, or by tiles' bounds where it has not looked yet."""
+"""What one client sees of the scene: by its last reference render, or by tiles' bounds where there is none yet."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ class Sight:
         self._library, self._visible_px = library, visible_px
         self._last: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
 
-    def looked(self, frame: int, contribution: F32) -> None:
-        """A look at ``frame`` found ``contribution`` [capacity], pixels a splat."""
+    def rendered(self, frame: int, contribution: F32) -> None:
+        """The reference render of ``frame`` found ``contribution`` [capacity], pixels a splat."""
         self._last = self._library.manifest.gof_of(frame), contribution
 
     def tells_of(self, frame: int) -> bool:
-        """Whether the last look says what ``frame`` shows: not in another group of frames."""
+        """Whether the last render says what ``frame`` shows: not in another group of frames."""
         return self._last is not None and self._last[0] == self._library.manifest.gof_of(frame)
 
     def tiles(self, frame: int) -> tuple[VisibleTile, ...]:
-        """What the last look showed, at ``frame`` of its group."""
-        assert self._last is not None, "nothing was looked at"
+        """What the last render showed, at ``frame`` of its group."""
+        assert self._last is not None, "nothing was rendered"
         return self._library.visible_tiles(frame, self.lingering.added_to(self._last[1], frame), self._visible_px)
 
     def guessed_tiles(self, frame: int, camera: Camera, pixels: int) -> tuple[VisibleTile, ...]:
-        """What a look of ``pixels`` pixels from ``camera`` would show, guessed from the tiles' bounds."""
+        """What a render of ``pixels`` pixels from ``camera`` would show, guessed from the tiles' bounds."""
         return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
 
     def served(self, frame: int, contribution: F32, inventory: ClientInventory) -> None:

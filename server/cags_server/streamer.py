@@ -45,12 +45,12 @@ class Streamer:
         hello: Hello,
         *,
         estimator: BandwidthEstimator,
-        may_look: Callable[[int], bool] = lambda now_us: True,
+        may_render: Callable[[int], bool] = lambda now_us: True,
     ) -> None:
-        """``may_look(now_us)``: whether the renderer has room for this client; asked when a look is due."""
+        """``may_render(now_us)``: whether the renderer has room for this client; asked when a reference is due."""
         self.stats = StreamStats()
         self._library, self._settings, self._hello = library, settings, hello
-        self._estimator, self._may_look = estimator, may_look
+        self._estimator, self._may_render = estimator, may_render
         self._viewer = Viewer(settings, hello)
         self._policy = create_rate_policy(settings.abr)
         self._encoder = ReferenceEncoder(settings, hello.intrinsics, library.manifest.fps)
@@ -63,8 +63,8 @@ class Streamer:
         self._video = ReferenceVideo()
         self._reference_budget = ReferenceBudget(settings.reference_most)
         self._sight = Sight(library, settings.visible_px)
-        self._look: FramePlan | None = None  # the newest
-        self._went_ahead: FrameRecord | None = None  # what was sent for the look that is out
+        self._render_plan: FramePlan | None = None  # the newest
+        self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
 
     # ------------------------------------------------------------------------------------------------------- joining
 
@@ -150,10 +150,10 @@ class Streamer:
         Frames that became due before it and were not begun are skipped: their references would come too late.
         """
         due_us = self.next_due_us()
-        if self._schedule.looking or due_us is None or now_us < due_us or self._between_looks(now_us):
+        if self._schedule.rendering or due_us is None or now_us < due_us or self._between_references(now_us):
             return None
-        tick, frame, covered = self._schedule.look(now_us - due_us)
-        plan = self._look = self._plan(tick, frame, covered, now_us)
+        tick, frame, covered = self._schedule.begin_render(now_us - due_us)
+        plan = self._render_plan = self._plan(tick, frame, covered, now_us)
         self._video.needs_idr = False
         self._encoder.follow(self._estimator.estimate_bps(now_us))
         size = self._encoder.width_px, self._encoder.height_px
@@ -170,7 +170,7 @@ class Streamer:
         )
 
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
-        """Between two looks, and while a job takes long: tiles and ends of frames, chosen by what was seen last.
+        """Between two references, and while a job takes long: tiles and ends of frames, chosen by what was seen last.
 
         Media goes on without new references; only they wait for the renderer. Where nothing was seen yet, the tiles'
         bounds say what is in view.
@@ -178,15 +178,15 @@ class Streamer:
         due_us, frame = self.next_due_us(), self._schedule.next_frame
         if frame is None or due_us is None or now_us < due_us:
             return []
-        between = self._between_looks(now_us)
-        if not (self._schedule.looking or between):
+        between = self._between_references(now_us)
+        if not (self._schedule.rendering or between):
             return []
         seen = self._next_is_seen()
         tick, covered = self._schedule.go_blind()
         plan = self._blind_plan(tick, frame, covered, now_us)
         record = self._record(plan)
         if self._schedule.is_out(tick):
-            self._went_ahead = record  # of the look, whose reference is not late yet
+            self._went_ahead = record  # of the render that is out, whose reference is not late yet
         else:
             record.reference_late = not between
             self.stats.references_late += record.reference_late
@@ -195,9 +195,9 @@ class Streamer:
         return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
 
     def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
-        """Of a frame that is served without a look; the look's own where that is out."""
-        if self._look is not None and self._schedule.is_out(tick):
-            return self._look
+        """Of a frame that is served without a render; the render's own where that is out."""
+        if self._render_plan is not None and self._schedule.is_out(tick):
+            return self._render_plan
         self._viewer.ensure_pose(now_us)
         display_us = self._schedule.timeline.display_us(tick)
         predicted = self._viewer.predict(display_us)
@@ -208,14 +208,14 @@ class Streamer:
         camera = Camera(self._hello.intrinsics, pose, self._hello.near)
         return self._sight.guessed_tiles(frame, camera, self._encoder.width_px * self._encoder.height_px)
 
-    def _between_looks(self, now_us: int) -> bool:
+    def _between_references(self, now_us: int) -> bool:
         """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
         seen = self._next_is_seen()
         spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
         affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), spare_us)
-        if seen and not self._schedule.looking and not (affordable and self._may_look(now_us)):
+        if seen and not self._schedule.rendering and not (affordable and self._may_render(now_us)):
             return True
-        return not self._video.needs_idr and self._schedule.between_looks(seen=seen)
+        return not self._video.needs_idr and self._schedule.between_references(seen=seen)
 
     def _next_is_seen(self) -> bool:
         """Whether what was seen last says what the next media frame will show: not in another group of frames."""
@@ -245,13 +245,13 @@ class Streamer:
 
     def abandon(self, job: FrameJob) -> None:
         """A job failed or was given up: its picture never existed."""
-        self._schedule.looking = False
+        self._schedule.rendering = False
         self._video.broken()
 
     def finish(self, render: FrameRender, now_us: int) -> list[ev.Outgoing]:
         """Turn a finished job into messages: the reference, the tiles that the rate policy chose, the frame's end."""
         plan = render.plan
-        self._schedule.looking = False
+        self._schedule.rendering = False
         work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
         self._schedule.pace.observe(work_us, len(render.access_unit), rate_bps)
         self.stats.render_ns += render.render_ns
@@ -259,7 +259,7 @@ class Streamer:
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []
-        self._sight.looked(plan.frame, render.contribution)
+        self._sight.rendered(plan.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
         if not overtaken:
             self._tiles.enter(plan.frame)

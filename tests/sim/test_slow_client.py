@@ -25,7 +25,7 @@ def scenario(tmp_path_factory) -> Scenario:
 
 
 @pytest.fixture
-def looks(monkeypatch) -> list[int]:
+def renders(monkeypatch) -> list[int]:
     """Frames that the server rendered references of."""
     frames: list[int] = []
     next_job = Connection.next_job
@@ -44,19 +44,19 @@ def settled(frames):
     return [frame for frame in frames if frame >= SETTLED]
 
 
-def test_a_slow_client_gets_references_of_what_it_draws(scenario, looks, monkeypatch):
+def test_a_slow_client_gets_references_of_what_it_draws(scenario, renders, monkeypatch):
     slow = replace(scenario, draw_us=52_000)
     shown = simulate(slow).frames
     late = [f for f in shown if f["frame"] >= SETTLED]
-    fewer = settled(looks)
+    fewer = settled(renders)
     assert sum(f["reference_frame"] == f["frame"] for f in late) >= 0.9 * len(late)
     assert not any(f["missed"] for f in late)
-    assert len(fewer) <= 1.2 * len(late), "hardly a look at what nobody sees"
-    looks.clear()
+    assert len(fewer) <= 1.2 * len(late), "hardly a render of what nobody sees"
+    renders.clear()
     monkeypatch.setattr(Cadence, "_choose", lambda self, window_us: None)
     silent = [f for f in simulate(slow).frames if f["frame"] >= SETTLED]
     assert len(late) >= len(silent) - 2, "it draws as many as one that says nothing of it"
-    assert len(settled(looks)) >= 1.3 * len(fewer)
+    assert len(settled(renders)) >= 1.3 * len(fewer)
     mean = [sum(f["psnr_restored_db"] for f in frames) / len(frames) for frames in (late, silent)]
     assert mean[0] >= mean[1], "and its link carries nothing for nobody"
 

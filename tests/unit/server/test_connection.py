@@ -11,7 +11,7 @@ from cags_protocol.inventory import pack_inventory
 from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample, RefusalCode
 from cags_server.bandwidth import MeasuredEstimator
 from cags_server.connection import Connection
-from cags_server.looks import Looks
+from cags_server.render_slots import RenderSlots
 from cags_server.streamer import Streamer
 from support.server_scene import SETTINGS, hello, library
 
@@ -179,16 +179,16 @@ def test_a_damaged_inventory_is_refused() -> None:
 
 
 def test_a_client_that_goes_gives_its_place_at_the_renderer_back() -> None:
-    looks = Looks(workers=1)
-    pair = Pair(looks=looks)
+    slots = RenderSlots(workers=1)
+    pair = Pair(render_slots=slots)
     pair.run(100)
     pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
     pair.run(150)
-    assert looks._out == 0, "looks that came back"
+    assert slots._out == 0, "renders that came back"
     due_us = pair.connection.streamer.next_due_us()
     assert pair.connection.next_job(due_us) is not None
-    assert looks._out == 1
+    assert slots._out == 1
     pair.connection.connection_lost("cut", due_us)
     pair.connection.release()
     pair.connection.release()
-    assert looks._out == 0
+    assert slots._out == 0

@@ -42,7 +42,7 @@ def test_nothing_in_view_waits_for_nothing() -> None:
     assert Opening(0, [], 0).due_us() is None
 
 
-def test_without_a_look_splats_in_view_share_the_picture_and_near_ones_take_more() -> None:
+def test_without_a_render_splats_in_view_share_the_picture_and_near_ones_take_more() -> None:
     scene = library()
     shares = []
     for pose in (Pose.identity(), Pose.looking_at((0, 0, 0), (0, 0, -5))):

@@ -1,4 +1,4 @@
-"""Which tiles a frame shows that gets no look of its own."""
+"""Which tiles a frame shows that gets no reference render of its own."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ def seen(*ids: int) -> np.ndarray:
     return out
 
 
-def test_a_look_tells_of_its_own_group_of_frames_alone() -> None:
+def test_a_render_tells_of_its_own_group_of_frames_alone() -> None:
     sight = Sight(library(), LEAST)
     assert not sight.tells_of(0)
-    sight.looked(2, seen(8))
+    sight.rendered(2, seen(8))
     assert sight.tells_of(0) and sight.tells_of(5) and not sight.tells_of(6)
     assert [(tile.frame, tile.tile) for tile in sight.tiles(2)] == [(0, 0)]
-    sight.looked(7, seen(8))
+    sight.rendered(7, seen(8))
     assert not sight.tells_of(5)
 
 
 def test_a_splat_that_left_the_picture_while_it_changed_stays_in_sight() -> None:
     sight = Sight(library(), LEAST)
-    sight.looked(3, seen(3, 8))
+    sight.rendered(3, seen(3, 8))
     sight.served(3, seen(3, 8), ClientInventory())  # nothing is held yet: both are owed
-    sight.looked(4, seen(35))
+    sight.rendered(4, seen(35))
     shown = {(tile.frame, tile.tile) for tile in sight.tiles(4)}
     assert len(shown) > 1, "more than the tile that is in the picture"
-    sight.looked(6, seen(35))
+    sight.rendered(6, seen(35))
     assert len(sight.tiles(6)) == 1, "another group has other splats"
 
 
-def test_without_a_look_the_tiles_bounds_say_what_is_in_view() -> None:
+def test_without_a_render_the_tiles_bounds_say_what_is_in_view() -> None:
     sight = Sight(library(), LEAST)
     ahead = Camera(hello().intrinsics, Pose.identity(), 0.1)
     behind = Camera(hello().intrinsics, Pose.looking_at((0, 0, 0), (0, 0, -3), (0, -1, 0)), 0.1)

@@ -60,7 +60,7 @@ def test_at_a_low_rate_media_does_not_wait_a_whole_frame_for_a_slow_job() -> Non
     due = rig.streamer.next_due_us()
     assert rig.streamer.begin(due) is not None
     lead_us = SETTINGS.lead_frames * PERIOD_US
-    assert 0 < rig.streamer.next_due_us() - due <= lead_us / 2, "the frame looked at still reaches its display"
+    assert 0 < rig.streamer.next_due_us() - due <= lead_us / 2, "the rendered frame still reaches its display"
     out = rig.streamer.catch_up(rig.streamer.next_due_us())
     assert [e.frame for e in of(FrameEnd, out)] == [1]
     following_us = rig.streamer.next_due_us() - (due + 6 * PERIOD_US)
@@ -116,12 +116,12 @@ def test_media_goes_on_while_a_picture_is_being_rendered() -> None:
     assert of(TileLayers, late) == []
     assert [record.frame for record in rig.streamer.stats.records] == [0, 1, 2, 3], "each frame once"
     assert [record.reference_bytes > 0 for record in rig.streamer.stats.records] == [True, True, False, False]
-    looked_at = rig.streamer.stats.records[1]
-    assert (looked_at.predicted, looked_at.margins) == (job.plan.predicted.pose, job.plan.margins)
+    rendered = rig.streamer.stats.records[1]
+    assert (rendered.predicted, rendered.margins) == (job.plan.predicted.pose, job.plan.margins)
     assert [r.frame for r in of(ReferenceFrame, rig.step())] == [4]
 
 
-def test_frames_between_two_looks_get_tiles_and_ends_without_a_reference() -> None:
+def test_frames_between_two_references_get_tiles_and_ends_without_a_reference() -> None:
     rig = Rig(replace(SETTINGS, reference_every=3))
     rig.play()
     kinds = []
@@ -130,18 +130,18 @@ def test_frames_between_two_looks_get_tiles_and_ends_without_a_reference() -> No
         assert rig.streamer.catch_up(due - 1) == []
         out = rig.streamer.catch_up(due)
         rig.deliver(out)
-        kinds.append("between" if out else "look")
+        kinds.append("between" if out else "render")
         if not out:
             out = rig.step()
         assert of(FrameEnd, out) or len(kinds) == 1  # the opening held that of the first frame
-        assert bool(of(ReferenceFrame, out)) == (kinds[-1] == "look")
-    assert kinds == ["look", "between", "between"] * 2
+        assert bool(of(ReferenceFrame, out)) == (kinds[-1] == "render")
+    assert kinds == ["render", "between", "between"] * 2
     assert rig.streamer.stats.references_late == 0
     rig.streamer.on_event(ev.KeyframeRequested(99), 0)
     assert of(ReferenceFrame, rig.step())[0].idr
 
 
-def test_a_new_group_is_entered_without_looking_when_its_frames_cannot_wait_longer() -> None:
+def test_a_new_group_is_entered_without_a_render_when_its_frames_cannot_wait_longer() -> None:
     rig = Rig()
     rig.play()
     for _ in range(5):
@@ -150,7 +150,7 @@ def test_a_new_group_is_entered_without_looking_when_its_frames_cannot_wait_long
     job = rig.streamer.begin(due)
     rig.deliver(rig.streamer.catch_up(rig.streamer.next_due_us()))
     overdue_us = rig.streamer.next_due_us() - round(due + PERIOD_US)
-    assert PERIOD_US < overdue_us <= SETTINGS.lead_frames * PERIOD_US / 2, "a look would choose better"
+    assert PERIOD_US < overdue_us <= SETTINGS.lead_frames * PERIOD_US / 2, "a render would choose better"
     assert rig.streamer.catch_up(round(due + 2 * PERIOD_US)) == []
     blind = rig.streamer.catch_up(rig.streamer.next_due_us())
     rig.deliver(blind)
@@ -162,7 +162,7 @@ def test_a_new_group_is_entered_without_looking_when_its_frames_cannot_wait_long
     assert not [t for t in of(TileLayers, again) if t.frame == 6 and t.from_lod == 0], "held"
 
 
-def test_the_first_look_of_a_session_holds_no_frame_up() -> None:
+def test_the_first_render_of_a_session_holds_no_frame_up() -> None:
     """With all cores rendering, the first frames of sixteen clients once came after their display."""
     rig = Rig()
     rig.play()
@@ -181,7 +181,7 @@ def test_the_first_look_of_a_session_holds_no_frame_up() -> None:
     assert [r.frame for r in of(ReferenceFrame, rig.streamer.finish(job.run(), due + 50_000))] == [0]
 
 
-def test_a_viewer_who_jumps_back_while_a_look_is_out_is_given_a_beginning() -> None:
+def test_a_viewer_who_jumps_back_while_a_render_is_out_is_given_a_beginning() -> None:
     rig = Rig()
     rig.play()
     for _ in range(4):
@@ -194,16 +194,16 @@ def test_a_viewer_who_jumps_back_while_a_look_is_out_is_given_a_beginning() -> N
     assert rig.streamer.finish(job.run(), OFFSET_US) == [], "of the play before the seek"
 
 
-def test_only_frames_that_the_client_displays_are_looked_at_and_planned() -> None:
+def test_only_frames_that_the_client_displays_are_rendered_and_planned() -> None:
     rig = Rig()
     rig.play()
     rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 600), OFFSET_US)
-    due, looked, ends = rig.streamer.next_due_us(), [], []
+    due, rendered, ends = rig.streamer.next_due_us(), [], []
     for _ in range(5):
         out = rig.step()
-        looked += [r.frame for r in of(ReferenceFrame, out)]
+        rendered += [r.frame for r in of(ReferenceFrame, out)]
         ends.append([e.frame for e in of(FrameEnd, out)])
-    assert looked == [0, 2, 4, 5, 7]
+    assert rendered == [0, 2, 4, 5, 7]
     assert ends == [[], [1, 2], [3, 4], [5], [6, 7]]
     assert [r.ticks_covered for r in rig.streamer.stats.records] == [1, 2, 2, 1, 2], "each earns the bytes of its time"
     assert rig.streamer.next_due_us() - due == pytest.approx(9 * PERIOD_US, abs=2)
@@ -218,7 +218,7 @@ def test_a_client_that_displays_every_frame_again_is_planned_every_frame_at_once
     assert [r.frame for r in of(ReferenceFrame, rig.step())] == [1]
 
 
-def test_late_looks_of_a_slow_client_are_at_frames_that_it_displays() -> None:
+def test_late_renders_of_a_slow_client_are_of_frames_that_it_displays() -> None:
     rig = Rig()
     rig.play()
     rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 500), OFFSET_US)
@@ -243,12 +243,12 @@ def test_the_last_frame_of_a_clip_is_planned_in_any_case() -> None:
     rig = Rig()
     rig.play()
     rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 250), OFFSET_US)
-    looked = [r.frame for _ in range(4) for r in of(ReferenceFrame, rig.step())]
-    assert looked == [0, 4, 8, 11]
+    rendered = [r.frame for _ in range(4) for r in of(ReferenceFrame, rig.step())]
+    assert rendered == [0, 4, 8, 11]
     assert rig.streamer.next_due_us() is None
 
 
-def test_a_late_look_of_a_slow_client_does_not_go_past_the_end() -> None:
+def test_a_late_render_of_a_slow_client_does_not_go_past_the_end() -> None:
     rig = Rig()
     rig.play()
     rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 250), OFFSET_US)

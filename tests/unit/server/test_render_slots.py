@@ -8,63 +8,63 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
-from cags_server.looks import LOOKS_A_WORKER, PATIENCE_US, Looks
+from cags_server.render_slots import PATIENCE_US, RENDERS_PER_WORKER, RenderSlots
 from support.streamer_rig import Rig, of
 
 
-def test_only_as_many_look_as_will_be_done_soon() -> None:
-    looks = Looks(workers=2)
-    for number in range(2 * LOOKS_A_WORKER):
-        assert looks.may(f"c{number}", 0)
-        looks.begun(f"c{number}")
-    assert not looks.may("late", 0)
-    looks.ended()
-    assert looks.may("late", 0)
+def test_only_as_many_are_rendered_as_will_be_done_soon() -> None:
+    slots = RenderSlots(workers=2)
+    for number in range(2 * RENDERS_PER_WORKER):
+        assert slots.may(f"c{number}", 0)
+        slots.begun(f"c{number}")
+    assert not slots.may("late", 0)
+    slots.ended()
+    assert slots.may("late", 0)
 
 
 def test_who_was_turned_away_goes_first() -> None:
-    looks = Looks(workers=1)
+    slots = RenderSlots(workers=1)
     for name in ("a", "b"):
-        looks.begun(name)
-    assert not looks.may("c", 1)
-    assert not looks.may("d", 2)
-    looks.ended()
-    assert not looks.may("a", 3), "c has waited longer"
-    assert not looks.may("d", 3)
-    assert looks.may("c", 3)
-    looks.begun("c")
-    looks.ended()
-    looks.left("d")
-    assert looks.may("a", 4), "nobody else waits any more"
+        slots.begun(name)
+    assert not slots.may("c", 1)
+    assert not slots.may("d", 2)
+    slots.ended()
+    assert not slots.may("a", 3), "c has waited longer"
+    assert not slots.may("d", 3)
+    assert slots.may("c", 3)
+    slots.begun("c")
+    slots.ended()
+    slots.left("d")
+    assert slots.may("a", 4), "nobody else waits any more"
 
 
 def test_a_turn_that_nobody_takes_is_lost() -> None:
-    looks = Looks(workers=1)
+    slots = RenderSlots(workers=1)
     for name in ("a", "b"):
-        looks.begun(name)
-    assert not looks.may("gone", 0)
-    looks.ended()
-    assert not looks.may("a", PATIENCE_US)
-    assert looks.may("a", PATIENCE_US + 1)
+        slots.begun(name)
+    assert not slots.may("gone", 0)
+    slots.ended()
+    assert not slots.may("a", PATIENCE_US)
+    assert slots.may("a", PATIENCE_US + 1)
 
 
 @settings(max_examples=15)
 @given(st.integers(1, 3), st.integers(2, 20), st.integers(20, 90))
-def test_under_any_load_everybody_looks_about_as_often(workers: int, clients: int, work_ms: int) -> None:
-    """Clients that are due in the same order every 200 ms; each look takes a worker ``work_ms``."""
-    looks, served = Looks(workers), Counter[str]()
+def test_under_any_load_everybody_is_rendered_for_about_as_often(workers: int, clients: int, work_ms: int) -> None:
+    """Clients that are due in the same order every 200 ms; each render takes a worker ``work_ms``."""
+    slots, served = RenderSlots(workers), Counter[str]()
     ends: list[int] = []
     for now_ms in range(0, 8000, 5):
         for _ in [end for end in ends if end <= now_ms]:
-            looks.ended()
+            slots.ended()
         ends = [end for end in ends if end > now_ms]
         for number in range(clients):
-            if (now_ms - 5 * number) % 200 == 0 and looks.may(f"c{number}", now_ms * 1000):
-                looks.begun(f"c{number}")
+            if (now_ms - 5 * number) % 200 == 0 and slots.may(f"c{number}", now_ms * 1000):
+                slots.begun(f"c{number}")
                 served[f"c{number}"] += 1
                 start_ms = now_ms if len(ends) < workers else sorted(ends)[len(ends) - workers]
                 ends.append(start_ms + work_ms)
-        assert len(ends) <= LOOKS_A_WORKER * workers
+        assert len(ends) <= RENDERS_PER_WORKER * workers
     counts = [served[f"c{number}"] for number in range(clients)]
     assert min(counts) >= 0.5 * max(counts) - 2
 
@@ -72,7 +72,7 @@ def test_under_any_load_everybody_looks_about_as_often(workers: int, clients: in
 def test_a_frame_without_a_place_is_served_by_what_was_seen() -> None:
     rig = Rig()
     room = [True]
-    rig.streamer._may_look = lambda now_us: room[0]
+    rig.streamer._may_render = lambda now_us: room[0]
     rig.play()
     rig.step()
     room[0] = False
