@@ -10,8 +10,10 @@ The rules, whatever the order in which tiles are written:
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_client.past import SplatPast
 from cags_client.shown import Held, Shown
@@ -22,24 +24,47 @@ ABSENT_LOGIT = np.float32(-30.0)
 
 
 class MergedSplats:
-    """Rows are splat ids. One thread writes, another may add tiles meanwhile."""
+    """Rows are splat ids. One thread writes, another may add tiles meanwhile.
+
+    Memory for ``capacity`` rows is taken when the group is first shown: one that only arrives costs what has come of it.
+    """
 
     def __init__(self, capacity: int, sh_degree: int, past: SplatPast, on_replaced: Callable[[Held], None]) -> None:
         """``past`` is told what is about to change; ``on_replaced`` hears of each tile of which nothing is shown."""
-        quats = np.zeros((capacity, 4), np.float32)
-        quats[:, 0] = 1.0
-        zeros = np.zeros((capacity, 3), np.float32)
-        rest = np.zeros((capacity, SH_REST_OF_DEGREE[sh_degree], 3), np.float32)
-        self.splats = Splats(zeros, quats, zeros - 10, np.full(capacity, ABSENT_LOGIT), zeros.copy(), rest)
+        self._capacity, self._sh_degree = capacity, sh_degree
         self.past = past
         self.improved = 0
         """Times that layers made splats better without a change of what they show."""
         self.tiles: list[Held] = []
         """Every tile that was added, by :attr:`Held.index`."""
         self._on_replaced = on_replaced
-        self._owner = np.full(capacity, -1, np.int32)  # index of the tile that a row is from
-        self._source = np.full(capacity, -1, np.int32)  # and its source frame
-        self._removed_at = np.full(capacity, -1, np.int32)  # newest source frame that removed the row
+
+    @cached_property
+    def splats(self) -> Splats:
+        """Those on display; rows without a splat are absent (:data:`ABSENT_LOGIT`)."""
+        quats = np.zeros((self._capacity, 4), np.float32)
+        quats[:, 0] = 1.0
+        zeros = np.zeros((self._capacity, 3), np.float32)
+        rest = np.zeros((self._capacity, SH_REST_OF_DEGREE[self._sh_degree], 3), np.float32)
+        return Splats(zeros, quats, zeros - 10, np.full(self._capacity, ABSENT_LOGIT), zeros.copy(), rest)
+
+    def _unset(self) -> NDArray[np.int32]:
+        return np.full(self._capacity, -1, np.int32)
+
+    @cached_property
+    def _owner(self) -> NDArray[np.int32]:
+        """Index of the tile that a row is from."""
+        return self._unset()
+
+    @cached_property
+    def _source(self) -> NDArray[np.int32]:
+        """The source frame that a row is from."""
+        return self._unset()
+
+    @cached_property
+    def _removed_at(self) -> NDArray[np.int32]:
+        """The newest source frame that removed the row."""
+        return self._unset()
 
     @property
     def shown(self) -> Shown:

@@ -267,8 +267,8 @@ class Player:
         self._welcome = welcome
         if self.pipeline is None:
             try:
-                self.info = Manifest.from_json(welcome.info)
-            except BundleError as error:
+                self.info = _affordable(Manifest.from_json(welcome.info), self.settings.max_splats)
+            except (BundleError, NetworkError) as error:
                 self._fail(error)
                 return
             self._open(now_us)
@@ -386,3 +386,11 @@ class Player:
 def _refused(refusal: Refusal) -> NetworkError:
     where = f" ({refusal.field})" if refusal.field else ""
     return NetworkError(f"the server refused{where}: {refusal.message}")
+
+
+def _affordable(info: Manifest, most: int) -> Manifest:
+    """``info``, unless a group of frames in it takes more memory than the viewer gives. Raises :class:`NetworkError`."""
+    largest = max(info.capacity, default=0)
+    if largest > most:
+        raise NetworkError(f"the stream has groups of {largest} splats, and this client takes {most}; see --max-splats")
+    return info

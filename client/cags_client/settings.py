@@ -9,6 +9,7 @@ from typing import ClassVar
 from cags_common.effects import NEEDED, POLICIES
 from cags_common.geometry import Intrinsics
 from cags_common.settings import check_settings, setting
+from cags_common.splats import MAX_SPLATS
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,12 @@ class ClientSettings:
         "media frames after which a reference is too old to restore from; it fades over the last half",
         low=0,
         high=1000,
+    )
+    max_splats: int = setting(
+        4_000_000,
+        "largest group of frames that is taken on, in splats; each takes about 0.5 kB of memory at SH degree 3",
+        low=1,
+        high=MAX_SPLATS,
     )
     start_frame: int = setting(0, "media frame to join at", low=0)
     duration: float | None = setting(None, "seconds to play; the whole clip if not given", low=0.001)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+from dataclasses import replace
 
 import pytest
 
@@ -45,6 +46,16 @@ async def test_a_manifest_that_cannot_be_read_ends_the_play_at_once() -> None:
         await client.run()
     client.close()
     assert isinstance(client.player.error, BundleError)
+
+
+async def test_groups_larger_than_the_viewer_gives_memory_for_end_the_play_at_once() -> None:
+    client, server = shell()
+    huge = replace(MANIFEST, capacity=(ClientSettings().max_splats + 1,))
+    await server.send(encode(Welcome("s", 30.0, 3, False, huge.to_json())))
+    async with asyncio.timeout(5):
+        await client.run()
+    client.close()
+    assert "4000001 splats, and this client takes 4000000; see --max-splats" in str(client.player.error)
 
 
 async def test_a_fault_while_reading_is_raised_and_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:

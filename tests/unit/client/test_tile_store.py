@@ -1,6 +1,8 @@
 """The store's rules, under every order of arrival that a link can make."""
 
 import itertools
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -232,3 +234,22 @@ def test_what_has_come_whole_ahead_of_the_display_is_told(store: TileStore) -> N
     store.commit(0)
     assert store.ahead(0) == 4
     assert store.ahead(5) == 0
+
+
+def test_groups_that_only_arrive_cost_the_memory_of_what_has_come_of_them() -> None:
+    rows, groups = 1_000_000, 12
+    claimed = replace(manifest(groups, tuple(range(groups))), capacity=(rows,) * groups)
+    store = TileStore(claimed, SvqTileCodec(claimed, books().to_bytes()))
+    tracemalloc.start()
+    try:
+        for frame in range(groups):
+            store.add(frame, 0, 0, [base([rows - 1], frame)])
+            store.end(frame, removed())
+        arrived = tracemalloc.get_traced_memory()[1]
+        shown, _ = store.commit(0)
+        assert shown.splats.means[rows - 1, 0] == 0
+        taken = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert arrived < 1_000_000, "bytes, with a tile of each group"
+    assert taken > 50 * rows, "of the group on display, whose every row may be drawn"
