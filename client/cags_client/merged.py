@@ -26,7 +26,7 @@ ABSENT_LOGIT = np.float32(-30.0)
 class MergedSplats:
     """Rows are splat ids. One thread writes, another may add tiles meanwhile.
 
-    Memory for ``capacity`` rows is taken when the group is first shown: one that only arrives costs what has come of it.
+    Memory for ``capacity`` rows is taken when the group is first shown: one that only arrives costs what came of it.
     """
 
     def __init__(self, capacity: int, sh_degree: int, past: SplatPast, on_replaced: Callable[[Held], None]) -> None:

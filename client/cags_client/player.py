@@ -389,7 +389,7 @@ def _refused(refusal: Refusal) -> NetworkError:
 
 
 def _affordable(info: Manifest, most: int) -> Manifest:
-    """``info``, unless a group of frames in it takes more memory than the viewer gives. Raises :class:`NetworkError`."""
+    """``info``. Raises :class:`NetworkError` where a group of frames takes more memory than the viewer gives."""
     largest = max(info.capacity, default=0)
     if largest > most:
         raise NetworkError(f"the stream has groups of {largest} splats, and this client takes {most}; see --max-splats")

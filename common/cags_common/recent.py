@@ -14,6 +14,8 @@ class Recent(Generic[K, V]):
     """Keeps values until others were used more recently and ``max_bytes`` are full. Not thread-safe.
 
     Media is played in loops: bounded by a number of frames, a clip with one frame more would be made anew every time.
+    The newest values stay whatever their size, which caches that refuse a value larger than themselves (``cachetools``)
+    would not keep.
     """
 
     def __init__(self, max_bytes: int, *, least: int = 1) -> None:
@@ -43,6 +45,10 @@ class Recent(Generic[K, V]):
         """Forget everything."""
         self._values.clear()
         self.bytes = 0
+
+    def __contains__(self, key: object) -> bool:
+        """Whether there is a value of ``key``, which does not count as used by that."""
+        return key in self._values
 
     def __iter__(self) -> Iterator[K]:
         """Keys, the one that was not used for longest first."""

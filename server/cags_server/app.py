@@ -158,6 +158,7 @@ class App:
             now_us=now_us(),
             session_settings=session,
             admit=admit,
+            fetches=True,
             render_slots=self._render_slots,
             trace=None if events is None else events.trace,
             quotas=Quotas(messages=settings.max_message_rate, poses=settings.max_pose_rate),

@@ -10,8 +10,11 @@ import asyncio
 import contextlib
 import logging
 import time
+from collections.abc import Coroutine
 from concurrent.futures import Executor
+from typing import Any
 
+from cags_common.errors import CagsError
 from cags_common.transport.base import ConnectionEndedError, Transport
 from cags_protocol.messages import RefusalCode
 from cags_server.connection import Connection
@@ -38,7 +41,7 @@ class ClientTask:
         self._slow_s = slow_s
         self._to_send = asyncio.Event()
         self._to_plan = asyncio.Event()
-        self._job: asyncio.Task[None] | None = None
+        self._work = set[asyncio.Task[None]]()  # jobs and reads, off the loop
 
     async def run(self) -> None:
         """Serve until the client or the server leaves."""
@@ -53,8 +56,7 @@ class ClientTask:
                 self._connection.connection_lost("the connection ended", now_us())
             await self._flush()
         finally:
-            if self._job is not None:
-                tasks.append(self._job)
+            tasks += self._work
             for task in tasks:
                 task.cancel()
             results = await asyncio.gather(*tasks, return_exceptions=True)
@@ -102,11 +104,28 @@ class ClientTask:
             if timer is not None and timer <= now:
                 self._connection.handle_timer(now)
                 self._to_send.set()
+            frame = self._connection.next_fetch()
+            if frame is not None:
+                self._begin(self._fetch(frame))
             job = self._connection.next_job(now)
             if job is not None:
-                self._job = asyncio.create_task(self._run(job, loop))
+                self._begin(self._run(job, loop))
                 continue
             await self._sleep_until(self._connection.next_timer_us())
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._work.add(task)
+        task.add_done_callback(self._work.discard)
+
+    async def _fetch(self, frame: int) -> None:
+        """Read from the store, which may take seconds, while the loop serves others."""
+        try:
+            await asyncio.to_thread(self._connection.fetch, frame)
+        except CagsError as error:
+            log.warning("%s: frame %d was not read: %s", self._connection.name, frame, error)
+        self._connection.fetched(frame, now_us())
+        self._wake()
 
     async def _run(self, job: FrameJob, loop: asyncio.AbstractEventLoop) -> None:
         try:

@@ -2,7 +2,8 @@
 
 The owner moves bytes (``receive`` in, ``data_to_send`` out), runs the jobs that ``next_job`` gives and reports them
 by ``job_done`` or ``job_failed``, and calls ``handle_timer`` when ``next_timer_us`` is reached. The server's shell
-does that in real time, the simulator in virtual time.
+does that in real time, the simulator in virtual time. An owner that must not wait for the bundle's store says so
+(``fetches``), and reads elsewhere what ``next_fetch`` names.
 """
 
 from __future__ import annotations
@@ -46,10 +47,12 @@ class Connection:
         quotas: Quotas | None = None,
         render_slots: RenderSlots | None = None,
         trace: EventTrace | None = None,
+        fetches: bool = False,
     ) -> None:
         """``render_slots``: the renderer's places, shared with other clients; without them there is always room.
 
-        ``trace`` hears of every step of sending.
+        ``trace`` hears of every step of sending. ``fetches``: the owner asks :meth:`next_fetch` and reads; else what is
+        needed is read from the store when it is needed.
         """
         self.name = name
         self.session = ServerSession(session_settings, now_us=now_us, trace=trace)
@@ -60,6 +63,9 @@ class Connection:
         self._estimator = estimator or MeasuredEstimator()
         self._render_slots, self._rendering = render_slots, False
         self._quota = ClientQuota(quotas or Quotas(), now_us)
+        self._fetches, self._unopened = fetches, False
+        self._fetching: int | None = None  # media frame
+        self._fetched: int | None = None
 
     @property
     def closed(self) -> bool:
@@ -86,7 +92,7 @@ class Connection:
     def next_timer_us(self) -> int | None:
         """When ``handle_timer`` (and then ``next_job``) should be called next."""
         times = [self.session.next_timer_us()]
-        if self.streamer is not None:
+        if self.streamer is not None and self._needed() is None:
             times += [self.streamer.next_due_us(), self.streamer.opening_due_us()]
         known = [t for t in times if t is not None]
         return min(known) if known and not self.closed else None
@@ -94,14 +100,46 @@ class Connection:
     def handle_timer(self, now_us: int) -> None:
         """Do what is due."""
         self.session.handle_timer(now_us=now_us)
-        if self.streamer is not None and not self.closed:
+        if self.streamer is not None and not self.closed and self._needed() is None:
             self._recall(self.streamer, now_us)
             self._queue(self.streamer.end_opening(now_us) + self.streamer.catch_up(now_us), now_us)
         self._settle(now_us)
 
+    def next_fetch(self) -> int | None:
+        """A media frame to read from the store (:meth:`fetch`, on any thread) before the stream can go on.
+
+        One at a time; its end is told to :meth:`fetched`.
+        """
+        if self.closed or self._fetching is not None:
+            return None
+        self._fetching = self._needed()
+        return self._fetching
+
+    def fetch(self, frame: int) -> None:
+        """Read ``frame``: what planning it and sending its tiles needs."""
+        self._library.fetch(frame)
+
+    def fetched(self, frame: int, now_us: int) -> None:
+        """``frame`` was read, or could not be: then reading it where it is needed tells why."""
+        self._fetching, self._fetched = None, frame
+        if self.streamer is not None and self._unopened and not self.closed:
+            self._open(self.streamer, now_us)
+            self._settle(now_us)
+
+    def _needed(self) -> int | None:
+        """The media frame that the stream waits for; None where it can go on."""
+        if not self._fetches or self.streamer is None:
+            return None
+        frame = self.streamer.first_frame if self._unopened else self.streamer.next_frame
+        if frame is None or frame == self._fetched or self._library.at_hand(frame):
+            return None
+        return frame
+
     def next_job(self, now_us: int) -> FrameJob | None:
         """The next frame to render, if one is due and none is being rendered."""
-        job = None if self.closed or self.streamer is None else self.streamer.begin(now_us)
+        if self.streamer is None or self.closed or self._needed() is not None:
+            return None
+        job = self.streamer.begin(now_us)
         if job is not None and self._render_slots is not None:
             self._render_slots.begun(self.name)
             self._rendering = True
@@ -190,7 +228,14 @@ class Connection:
         # Any server of this bundle can take a session over: its name says of which bundle the client holds tiles.
         session = f"{self._library.digest}-{self.name}"
         self.session.accept(streamer.welcome(session, resumed=resumed), now_us=now_us)
-        self._queue(streamer.opening(now_us), now_us)
+        self._open(streamer, now_us)
+
+    def _open(self, streamer: Streamer, now_us: int) -> None:
+        """The first picture, as soon as it is there to be sent."""
+        self._unopened = True
+        if self._needed() is None:
+            self._unopened = False
+            self._queue(streamer.opening(now_us), now_us)
 
     def _recall(self, streamer: Streamer, now_us: int) -> None:
         """Take back tiles that waited past the frame that they were chosen for, before the next ones are chosen."""

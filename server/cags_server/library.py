@@ -69,12 +69,23 @@ class SceneLibrary:
         """Get ready what rendering ``frame`` will need; clients' frames come in order."""
         self.scenes.prepare(frame)
         if frame < self.manifest.frames:
-            self.owners(frame)
+            self.fetch(frame)
 
     def warm(self) -> None:
         """Load what the first viewer of the first frame will need."""
         self.scenes.warm(0)
-        self.owners(0)
+        self.fetch(0)
+
+    def at_hand(self, frame: int) -> bool:
+        """Whether ``frame`` can be planned and its tiles sent without a read from the store."""
+        with self._lock:
+            known = (self.manifest.gof_of(frame), frame) in self._owners and frame in self._stays
+        return known and self.reader.at_hand(frame)
+
+    def fetch(self, frame: int) -> None:
+        """Read what :meth:`at_hand` asks for."""
+        self.reader.removed_ids(frame)
+        self._frames_left(frame)
 
     def owners(self, frame: int) -> NDArray[np.int32]:
         """[capacity] for each splat id the tile that holds its newest version at ``frame``; -1 where none does.

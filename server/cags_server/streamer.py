@@ -78,6 +78,16 @@ class Streamer:
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
         return self._counted(self._joining.messages(self._schedule.timeline.frame, camera, now_us), now_us)
 
+    @property
+    def first_frame(self) -> int:
+        """The media frame that :meth:`opening` begins with."""
+        return self._schedule.timeline.frame
+
+    @property
+    def next_frame(self) -> int | None:
+        """The media frame to be planned next; None while there is none."""
+        return self._schedule.next_frame
+
     def opening_due_us(self) -> int | None:
         """When :meth:`end_opening` has something to say."""
         return self._joining.due_us()

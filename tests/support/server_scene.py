@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -61,6 +61,9 @@ class FakeReader:
 
     def frame(self, frame: int) -> FrameEntry:
         return self._entries[frame]
+
+    def at_hand(self, frame: int) -> bool:
+        return True
 
     def payload(self, frame: int, tile: int, lod: int) -> bytes:
         return bytes([frame % 251, tile, lod]) * (40 if lod == 0 else 10)
@@ -127,7 +130,7 @@ class FakeScene:
         return RenderedView(image, image[..., 0], None, seen.astype(np.float32))
 
 
-def library(**options: int) -> SceneLibrary:
-    reader: Any = FakeReader(**options)
+def library(reader: FakeReader | None = None, **options: int) -> SceneLibrary:
+    reader = reader or FakeReader(**options)
     rasteriser: Any = SimpleNamespace(name="fake", load=FakeScene)
-    return SceneLibrary(reader, rasteriser)
+    return SceneLibrary(cast(Any, reader), rasteriser)

@@ -95,6 +95,11 @@ class BundleReader:
         gof = self.manifest.gof_of(frame)
         return self._tile_index(gof)[frame - self.manifest.gof_starts[gof]]
 
+    def at_hand(self, frame: int) -> bool:
+        """Whether :meth:`frame`, :meth:`payload` and :meth:`removed_ids` of ``frame`` answer from memory."""
+        with self._lock:
+            return self.manifest.gof_of(frame) in self._index and frame in self._frames
+
     def payload(self, frame: int, tile: int, lod: int) -> bytes:
         """Payload of one LoD of one tile, its CRC-32 checked. Raises :class:`BundleError` or :class:`DecodeError`."""
         entry = self.frame(frame)

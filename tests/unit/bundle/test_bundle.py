@@ -211,3 +211,15 @@ def test_a_slow_read_holds_up_nobody_who_wants_something_else(url: str, slow: st
         finally:
             store.gate.set()
         waits.result(10)
+
+
+def test_what_answers_from_memory_is_told(url: str) -> None:
+    reader = BundleReader(UrlStore(url), write(url), BOOKS.to_bytes())
+    assert not reader.at_hand(2)
+    reader.frame(2)
+    assert not reader.at_hand(2), "its bytes are not there"
+    reader.payload(2, 0, 0)
+    assert reader.at_hand(2)
+    assert not reader.at_hand(0)
+    reader.close()
+    assert not reader.at_hand(2)

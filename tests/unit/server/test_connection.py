@@ -1,5 +1,7 @@
 """Server and client sessions joined back to back: the whole server core without IO."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
@@ -11,9 +13,10 @@ from cags_protocol.inventory import pack_inventory
 from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample, RefusalCode
 from cags_server.bandwidth import MeasuredEstimator
 from cags_server.connection import Connection
+from cags_server.reference import FrameJob, FrameRender
 from cags_server.render_slots import RenderSlots
 from cags_server.streamer import Streamer
-from support.server_scene import SETTINGS, hello, library
+from support.server_scene import SETTINGS, FakeReader, hello, library
 
 STEP_US = 5_000
 
@@ -35,7 +38,7 @@ class Pair:
             self.connection.handle_timer(now)
         job = self.connection.next_job(now)
         if job is not None:
-            self.connection.job_done(job.run(), now)
+            self.connection.job_done(self.rendered(job), now)
         for data in self.connection.data_to_send(now):
             self.client.receive(data, now_us=now)
         self.client.handle_timer(now_us=now)
@@ -44,6 +47,9 @@ class Pair:
         while (event := self.client.next_event()) is not None:
             self.events.append(event)
         self.now_us += STEP_US
+
+    def rendered(self, job: FrameJob) -> FrameRender:
+        return job.run()
 
     def run(self, ms: int) -> None:
         for _ in range(ms * 1000 // STEP_US):
@@ -192,3 +198,78 @@ def test_a_client_that_goes_gives_its_place_at_the_renderer_back() -> None:
     pair.connection.release()
     pair.connection.release()
     assert slots._out == 0
+
+
+class ColdReader(FakeReader):
+    """A bundle in a store: what was not read into memory yet must not be asked for by the stream."""
+
+    def __init__(self) -> None:
+        self.known, self.reading = set[int](), True
+        super().__init__()
+        self.known.clear()
+        self.reading = False
+
+    def at_hand(self, frame: int) -> bool:
+        return frame in self.known
+
+    def removed_ids(self, frame: int):
+        assert self.reading or frame in self.known
+        self.known.add(frame)
+        return super().removed_ids(frame)
+
+
+class FetchingPair(Pair):
+    """Reads from the store elsewhere; ``fetched`` are the frames that were."""
+
+    def __init__(self) -> None:
+        super().__init__(fetches=True)
+        self.reader, self.fetched = ColdReader(), []
+        self.connection._library = library(self.reader)
+
+    def rendered(self, job: FrameJob) -> FrameRender:
+        with self.elsewhere():
+            return super().rendered(job)
+
+    @contextmanager
+    def elsewhere(self) -> Iterator[None]:
+        """In an executor, where reading is right."""
+        self.reader.reading = True
+        yield
+        self.reader.reading = False
+
+    def read(self) -> None:
+        frame = self.connection.next_fetch()
+        if frame is not None:
+            assert self.connection.next_fetch() is None, "one at a time"
+            with self.elsewhere():
+                self.connection.fetch(frame)
+            self.connection.fetched(frame, self.now_us)
+            self.fetched.append(frame)
+
+
+def test_a_stream_waits_for_its_frames_to_be_read_and_asks_for_each_once() -> None:
+    pair = FetchingPair()
+    pair.run(100)
+    assert pair.of(ev.Welcomed), "whoever waits for a picture has been let in"
+    assert not pair.of(ev.FrameEnded)
+    assert not pair.of(ev.TileReceived)
+    pair.read()
+    pair.run(100)
+    assert [e.message.frame for e in pair.of(ev.FrameEnded)] == [0]
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    for _ in range(200):
+        pair.read()
+        pair.run(5)
+    assert [e.message.frame for e in pair.of(ev.FrameEnded)] == list(range(12))
+    assert pair.fetched == sorted(set(pair.fetched))
+    assert {0, 6} <= set(pair.fetched), "a group's first frame brings its others along"
+
+
+def test_a_frame_that_could_not_be_read_ends_the_wait() -> None:
+    pair = FetchingPair()
+    pair.run(50)
+    frame = pair.connection.next_fetch()
+    assert frame == 0
+    with pytest.raises(AssertionError):  # the store still fails: the shell ends this session
+        pair.connection.fetched(frame, pair.now_us)
+    assert pair.connection.next_fetch() is None
