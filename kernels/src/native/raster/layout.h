@@ -12,7 +12,6 @@ inline constexpr int kBlocks = kBlocksPerSide * kBlocksPerSide;
 inline constexpr int kBlockPixels = kBlock * kBlock;
 inline constexpr int kBatch = 256;           // splats of a tile that are covered and blended together
 inline constexpr int kWordBits = 64;
-inline constexpr int kBatchWords = kBatch / kWordBits;
 inline constexpr int kLanes = 16;            // splats a block of the scene's arrays, whatever the vector width
 
 inline constexpr float kAlphaMax = 0.99f;            // Kerbl et al. 2023

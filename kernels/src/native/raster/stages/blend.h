@@ -1,8 +1,10 @@
-// Stage 5: front-to-back compositing of one block of 4x4 pixels, and its adjoint.
+// Stage 5: front-to-back compositing of one row of blocks of 4x4 pixels, and its adjoint.
 //
-// A block's splats are taken in runs of up to 64, in two passes: the alphas, and the sums that hang together through the
-// transmittance. One loop over both would chain some fifty cycles behind each other, more than a processor looks ahead. The
-// alphas are done for two splats at a time, operation by operation, so that independent work lies side by side.
+// A row's splats are taken in words of up to 64, in two passes: the alphas of all its blocks, and, block by block, the sums that
+// hang together through the transmittance. One loop over both would chain some fifty cycles behind each other, more than a
+// processor looks ahead. The first pass goes from splat to splat: what a splat is in the row is worked out once and serves the
+// blocks that it reaches there, four in the mean. Its visits lie in one list, so that no loop of unforeseeable length breaks it,
+// and two are done side by side, operation by operation.
 #pragma once
 #include "cags_kernels.h"
 #include "raster/layout.h"
@@ -14,6 +16,8 @@ namespace cags::raster {
 namespace {
 
 constexpr int kVectors = kBlockPixels / kWidth;  // vectors a block
+constexpr int kMaxVisits = kWordBits * kBlocksPerSide;
+static_assert(kWidth % kBlock == 0, "the columns of a block's pixels are the same in each of its vectors");
 
 // A splat of the batch relative to the tile: s = l11 x + l12 y + s0, t = l22 y + t0 at the tile's pixel (x, y).
 struct Local {
@@ -26,83 +30,125 @@ struct alignas(64) BlockState {
   float transmittance[kBlockPixels], rgb[3][kBlockPixels], depth[kBlockPixels];
 };
 
-// The members of one word of a block's bit set: their positions in the batch, and their alphas by pixel.
-struct alignas(64) Run {
-  float pixel[kWordBits][kBlockPixels];  // an even number of rows, see alphas
-  uint8_t splat[kWordBits];
-  int count;
+// A splat in one row of blocks: log2 of its alpha is height - (l11 x + shift)^2 at column x.
+struct alignas(64) Slice {
+  float shift[kBlockPixels], height[kBlockPixels];
+  float l11;
 };
 
-// What a batch's blocks have in common.
+// What a word's splats are in one row of blocks. Alphas lie block by block; `members` are each block's, a bit a splat.
+struct alignas(64) Run {
+  float pixel[kMaxVisits + 1][kBlockPixels];  // one more for the last of an odd number, which is done twice
+  Slice slices[kWordBits];
+  uint8_t slice[kMaxVisits + kBlocksPerSide], column[kMaxVisits + kBlocksPerSide];  // of each visit
+  uint64_t members[kBlocksPerSide];
+  int32_t place[kBlocksPerSide + 1];  // of each block's next alphas; the last is the odd one's
+};
+
+// What a word's splats have in common.
 struct BlendInput {
   const Local* splats;
-  int words;      // of each block's bit set
   float stop;
   float* sums;    // a splat's contribution, or its (weight x residual, weight)
 };
 
-// The columns and rows of a block's pixels.
-struct Grid {
-  Floats x[kVectors], y[kVectors];
+// The places of a byte's bits, the lowest first.
+struct BitPlaces {
+  uint8_t of[256][kBlocksPerSide];
 };
-
-inline Grid grid_of(int block) {
-  Grid out;
-  for (int j = 0; j < kVectors; j++) {
-    for (int lane = 0; lane < kWidth; lane++) {
-      const int pixel = j * kWidth + lane;
-      out.x[j][lane] = float(pixel % kBlock), out.y[j][lane] = float(pixel / kBlock);
-    }
-    out.x[j] += float(block % kBlocksPerSide * kBlock), out.y[j] += float(block / kBlocksPerSide * kBlock);
-  }
+constexpr BitPlaces bit_places() {
+  BitPlaces out{};
+  for (int byte = 0; byte < 256; byte++)
+    for (int bit = 0, n = 0; bit < 8; bit++)
+      if (byte >> bit & 1) out.of[byte][n++] = uint8_t(bit);
   return out;
 }
+inline constexpr BitPlaces kBitPlaces = bit_places();
+static_assert(kBlocksPerSide == 8);
 
-// log2 of a splat's alphas at a block's pixels.
-inline void powers(const Local& splat, const Grid& grid, Floats* out) {
-  for (int j = 0; j < kVectors; j++) {
-    const Floats t = grid.y[j] * splat.l22 + splat.t0;
-    const Floats s = grid.y[j] * splat.l12 + (grid.x[j] * splat.l11 + splat.s0);
-    out[j] = splat.log2_opacity - t * t - s * s;
-  }
+inline Floats columns_of(int block) {
+  Floats x;
+  for (int lane = 0; lane < kWidth; lane++) x[lane] = float(lane % kBlock);
+  return x + float(block * kBlock);
 }
 
-// First pass: the alphas of a word's members, zero under the cut. The word's first bit is the batch's splat `first`. The last
-// of an odd number is done twice; the run's rows have room for that.
-template <int kDegree>
-[[gnu::noinline]] void alphas(const Local* splats, uint64_t members, int first, int block, Run& run) {
-  const Grid grid = grid_of(block);
-  run.count = __builtin_popcountll(members);
-  for (int n = 0; members; n += 2) {
-    const int one = first + __builtin_ctzll(members);
-    members &= members - 1;
-    const int two = members ? first + __builtin_ctzll(members) : one;
-    members &= members - 1;
-    run.splat[n] = uint8_t(one), run.splat[n + 1] = uint8_t(two);
-    Floats power[2 * kVectors], alpha[2 * kVectors];
-    powers(splats[one], grid, power);
-    powers(splats[two], grid, power + kVectors);
-    exp2<kDegree>(power, alpha);
-    for (int j = 0; j < 2 * kVectors; j++)
-      store(run.pixel[n] + j * kWidth, keep(power[j] >= kLog2AlphaCut, lesser(alpha[j], all(kAlphaMax))));
+inline void slice_of(const Local& splat, const Floats* y, Slice& out) {
+  for (int j = 0; j < kVectors; j++) {
+    const Floats t = y[j] * splat.l22 + splat.t0;
+    store(out.height + j * kWidth, splat.log2_opacity - t * t);
+    store(out.shift + j * kWidth, y[j] * splat.l12 + splat.s0);
   }
+  out.l11 = splat.l11;
+}
+
+// Lists the visits of a word's splats to a row's blocks in `alive`, splat by splat. Returns how many.
+inline int list_visits(const Local* splats, const uint8_t* reached, int row, uint8_t alive, Run& run) {
+  Floats y[kVectors];
+  for (int j = 0; j < kVectors; j++) {
+    for (int lane = 0; lane < kWidth; lane++) y[j][lane] = float((j * kWidth + lane) / kBlock);
+    y[j] += float(row * kBlock);
+  }
+  uint64_t some = 0;
+  int count = 0, slices = 0;
+  for (int column = 0; column < kBlocksPerSide; column++) {
+    const uint64_t members = alive >> column & 1 ? gather_bit(reached, column) : 0;
+    run.members[column] = members, run.place[column] = count;
+    count += __builtin_popcountll(members), some |= members;
+  }
+  run.place[kBlocksPerSide] = count;
+  for (int n = 0; some; some &= some - 1, slices++) {
+    const int i = __builtin_ctzll(some);
+    const uint8_t blocks = reached[i] & alive;
+    slice_of(splats[i], y, run.slices[slices]);
+    std::memcpy(run.column + n, kBitPlaces.of[blocks], kBlocksPerSide);
+    std::memset(run.slice + n, slices, kBlocksPerSide);
+    n += __builtin_popcount(blocks);
+  }
+  return count;
+}
+
+// First pass: the alphas of a word's splats in a row of blocks, zero under the cut. Returns how many visits there are.
+template <int kDegree>
+[[gnu::noinline]] int alphas(const Local* splats, const uint8_t* reached, int row, uint8_t alive, Run& run) {
+  const int count = list_visits(splats, reached, row, alive, run);
+  Floats x[kBlocksPerSide + 1];
+  for (int column = 0; column <= kBlocksPerSide; column++) x[column] = columns_of(column);
+  run.slice[count] = 0, run.column[count] = kBlocksPerSide;
+  for (int n = 0; n < count; n += 2) {
+    Floats power[2 * kVectors], alpha[2 * kVectors];
+    float* to[2];
+    for (int k = 0; k < 2; k++) {
+      const Slice& slice = run.slices[run.slice[n + k]];
+      const int column = run.column[n + k];
+      to[k] = run.pixel[run.place[column]++];
+      for (int j = 0; j < kVectors; j++) {
+        const Floats s = x[column] * slice.l11 + load(slice.shift + j * kWidth);
+        power[k * kVectors + j] = load(slice.height + j * kWidth) - s * s;
+      }
+    }
+    exp2<kDegree>(power, alpha);
+    for (int i = 0; i < 2 * kVectors; i++)
+      store(to[i / kVectors] + i % kVectors * kWidth, keep(power[i] >= kLog2AlphaCut, lesser(alpha[i], all(kAlphaMax))));
+  }
+  return count;
 }
 
 // Second pass: front to back, sums colours and depth into the block, and each splat's weight into input.sums when
 // kContribution. Returns whether the block is finished.
 template <int kDepth, bool kContribution>
-[[gnu::noinline]] bool accumulate(const BlendInput& input, const Run& run, BlockState& state) {
+[[gnu::noinline]] bool accumulate(const BlendInput& input, uint64_t members, const float (*alpha)[kBlockPixels], BlockState& state) {
   Floats transmittance[kVectors], r[kVectors], g[kVectors], b[kVectors], depth[kVectors];
   for (int j = 0; j < kVectors; j++) {
     transmittance[j] = load(state.transmittance + j * kWidth);
     r[j] = load(state.rgb[0] + j * kWidth), g[j] = load(state.rgb[1] + j * kWidth), b[j] = load(state.rgb[2] + j * kWidth);
     if constexpr (kDepth != CAGS_DEPTH_NONE) depth[j] = load(state.depth + j * kWidth);
   }
-  for (int i = 0; i < run.count; i++) {
-    const Local& splat = input.splats[run.splat[i]];
+  for (; members; members &= members - 1, alpha++) {
+    const int i = __builtin_ctzll(members);
+    const Local& splat = input.splats[i];
     Floats total{};
     for (int j = 0; j < kVectors; j++) {
-      const Floats w = transmittance[j] * load(run.pixel[i] + j * kWidth), after = transmittance[j] - w;
+      const Floats w = transmittance[j] * load(*alpha + j * kWidth), after = transmittance[j] - w;
       r[j] += w * splat.r, g[j] += w * splat.g, b[j] += w * splat.b;
       if constexpr (kDepth == CAGS_DEPTH_EXPECTED) depth[j] += w * splat.z;
       if constexpr (kDepth == CAGS_DEPTH_MEDIAN)
@@ -110,7 +156,7 @@ template <int kDepth, bool kContribution>
       transmittance[j] = after;
       if constexpr (kContribution) total += w;
     }
-    if constexpr (kContribution) input.sums[run.splat[i]] += sum(total);
+    if constexpr (kContribution) input.sums[i] += sum(total);
   }
   Floats most = transmittance[0];
   for (int j = 0; j < kVectors; j++) {
@@ -123,21 +169,21 @@ template <int kDepth, bool kContribution>
 }
 
 // The adjoint's second pass: adds (weight x residual, weight) of each splat to input.sums.
-[[gnu::noinline]] inline bool accumulate_back(const BlendInput& input, const Run& run, BlockState& state) {
+[[gnu::noinline]] inline bool accumulate_back(const BlendInput& input, uint64_t members, const float (*alpha)[kBlockPixels], BlockState& state) {
   Floats transmittance[kVectors];
   for (int j = 0; j < kVectors; j++) transmittance[j] = load(state.transmittance + j * kWidth);
   Floats residual[3][kVectors];
   for (int c = 0; c < 3; c++)
     for (int j = 0; j < kVectors; j++) residual[c][j] = load(state.rgb[c] + j * kWidth);
-  for (int i = 0; i < run.count; i++) {
+  for (; members; members &= members - 1, alpha++) {
     Floats total[4] = {};
     for (int j = 0; j < kVectors; j++) {
-      const Floats w = transmittance[j] * load(run.pixel[i] + j * kWidth);
+      const Floats w = transmittance[j] * load(*alpha + j * kWidth);
       transmittance[j] -= w;
       for (int c = 0; c < 3; c++) total[c] += w * residual[c][j];
       total[3] += w;
     }
-    add_sums(total, input.sums + 4 * run.splat[i]);
+    add_sums(total, input.sums + 4 * __builtin_ctzll(members));
   }
   Floats most = transmittance[0];
   for (int j = 0; j < kVectors; j++) {
@@ -147,27 +193,22 @@ template <int kDepth, bool kContribution>
   return !bits(most > input.stop);
 }
 
-// Blends the members of one block; returns true when the block is finished.
-template <int kDepth, bool kContribution, int kDegree>
-bool blend(const BlendInput& input, const uint64_t* members, int block, BlockState& state, Run& run, int64_t& visits) {
-  bool done = false;
-  for (int word = 0; word < input.words && !done; word++) {
-    if (!members[word]) continue;
-    alphas<kDegree>(input.splats, members[word], word * kWordBits, block, run);
-    done = accumulate<kDepth, kContribution>(input, run, state);
-    visits += run.count;
-  }
-  return done;
-}
+using Accumulate = bool (*)(const BlendInput&, uint64_t members, const float (*alpha)[kBlockPixels], BlockState&);
 
-template <int kDegree>
-bool blend_back(const BlendInput& input, const uint64_t* members, int block, BlockState& state, Run& run, int64_t& visits) {
-  bool done = false;
-  for (int word = 0; word < input.words && !done; word++) {
-    if (!members[word]) continue;
-    alphas<kDegree>(input.splats, members[word], word * kWordBits, block, run);
-    done = accumulate_back(input, run, state);
-    visits += run.count;
+// Blends a word's splats into a row of blocks, of which those in `alive` are not finished; `reached` says which a splat reaches.
+// Returns the blocks that are now finished.
+template <int kDegree, Accumulate accumulate>
+uint8_t blend(const BlendInput& input, const uint8_t* reached, int row, uint8_t alive, BlockState* blocks, Run& run,
+              int64_t& visits) {
+  const int count = alphas<kDegree>(input.splats, reached, row, alive, run);
+  visits += count;
+  const float(*alpha)[kBlockPixels] = run.pixel;
+  uint8_t done = 0;
+  for (int column = 0; column < kBlocksPerSide; column++) {
+    const uint64_t members = run.members[column];
+    if (!members) continue;
+    if (accumulate(input, members, alpha, blocks[column])) done |= uint8_t(1 << column);
+    alpha += __builtin_popcountll(members);
   }
   return done;
 }

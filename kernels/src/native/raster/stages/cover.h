@@ -1,4 +1,4 @@
-// Stage 4: which blocks of a tile each splat of a batch reaches, as one bit set of splats a block.
+// Stage 4: which blocks of a tile each splat of a batch reaches, as a bit set of blocks a row of them.
 #pragma once
 #include "raster/layout.h"
 #include "raster/stages/vector.h"
@@ -13,9 +13,9 @@ struct alignas(64) Ellipses {
   float x[kBatch], y[kBatch], l11[kBatch], l12[kBatch], l22[kBatch], reach[kBatch];
 };
 
+// Which blocks of each row of blocks a splat of the batch reaches: one bit a block.
 struct alignas(64) Membership {
-  uint8_t row[kBlocksPerSide][kBatch];       // one bit a block of the row of blocks
-  uint64_t of_block[kBlocks][kBatchWords];   // one bit a splat of the batch
+  uint8_t row[kBlocksPerSide][kBatch];
 };
 
 // What bounds an ellipse, for a group of kWidth of them.
@@ -64,16 +64,6 @@ inline Ints blocks_of_row(const Bounds& b, int row) {
 }
 static_assert(kBlock == 4 && kTile == 32);
 
-inline void cover_rows(const Ellipses& ellipses, int n, Membership& out) {
-  for (int i = 0; i < n; i += kWidth) {
-    const Bounds b = bounds_of(ellipses, i);
-    for (int row = 0; row < kBlocksPerSide; row++) {
-      const Ints blocks = blocks_of_row(b, row);
-      store_low_bytes(blocks, out.row[row] + i);
-    }
-  }
-}
-
 // Bit `column` of 64 bytes, gathered into one word.
 inline uint64_t gather_bit(const uint8_t* bytes, int column) {
 #if defined(__AVX512BW__)
@@ -90,12 +80,12 @@ inline uint64_t gather_bit(const uint8_t* bytes, int column) {
 #endif
 }
 
-// Fills `of_block` for the first n splats of the batch; ellipses beyond n, up to a multiple of 64, must reach nothing.
+// Fills the first n splats of `out` and as many more as make a multiple of 64; ellipses beyond n must reach nothing.
 inline void cover(const Ellipses& ellipses, int n, Membership& out) {
-  cover_rows(ellipses, (n + kWordBits - 1) / kWordBits * kWordBits, out);
-  for (int word = 0; word * kWordBits < n; word++)
-    for (int block = 0; block < kBlocks; block++)
-      out.of_block[block][word] = gather_bit(out.row[block / kBlocksPerSide] + word * kWordBits, block % kBlocksPerSide);
+  for (int i = 0; i < (n + kWordBits - 1) / kWordBits * kWordBits; i += kWidth) {
+    const Bounds b = bounds_of(ellipses, i);
+    for (int row = 0; row < kBlocksPerSide; row++) store_low_bytes(blocks_of_row(b, row), out.row[row] + i);
+  }
 }
 
 }  // namespace

@@ -70,7 +70,22 @@ inline void write_slots(const FrameData& frame, const View& view, const uint64_t
   }
 }
 
-using Blend = bool (*)(const BlendInput&, const uint64_t* members, int block, BlockState&, Run&, int64_t& visits);
+using Blend = uint8_t (*)(const BlendInput&, const uint8_t* reached, int row, uint8_t alive, BlockState*, Run&, int64_t& visits);
+
+// Blends a batch of `n` splats into the blocks in `alive`, word by word and row by row. Returns those that are not finished.
+inline uint64_t blend_batch(const View& view, int n, uint64_t alive, Blend blend, int sums, TileWork& work, int64_t& visits) {
+  for (int first = 0; first < n && alive; first += kWordBits) {
+    const BlendInput input{work.local + first, view.stop, work.sums + first * sums};
+    for (int row = 0; row < kBlocksPerSide; row++) {
+      const int shift = row * kBlocksPerSide;
+      const uint8_t left = uint8_t(alive >> shift);
+      if (!left) continue;
+      const uint8_t done = blend(input, work.membership.row[row] + first, row, left, work.blocks + shift, work.run, visits);
+      alive &= ~(uint64_t{done} << shift);
+    }
+  }
+  return alive;
+}
 
 // Runs `blend` over all batches of the tile.
 inline void blend_tile(const View& view, const FrameData& frame, TileScratch& scratch, int tile, uint64_t alive, Blend blend) {
@@ -84,12 +99,7 @@ inline void blend_tile(const View& view, const FrameData& frame, TileScratch& sc
     gather(frame, sorted, first, batch, n, area, work);
     cover(work.ellipses, batch, work.membership);
     if (frame.slot_width) std::memset(work.sums, 0, sizeof work.sums);
-    const BlendInput input{work.local, (batch + kWordBits - 1) / kWordBits, view.stop, work.sums};
-    for (uint64_t left = alive; left; left &= left - 1) {
-      const int block = __builtin_ctzll(left);
-      if (blend(input, work.membership.of_block[block], block, work.blocks[block], work.run, scratch.block_visits))
-        alive &= ~(uint64_t{1} << block);
-    }
+    alive = blend_batch(view, batch, alive, blend, frame.slot_width, work, scratch.block_visits);
     if (frame.slot_width) write_slots(frame, view, sorted + first, batch, tile, work.sums);
   }
   if (frame.slot_width && first < n) write_slots(frame, view, sorted + first, n - first, tile, nullptr);
@@ -98,9 +108,9 @@ inline void blend_tile(const View& view, const FrameData& frame, TileScratch& sc
 template <int kDegree>
 Blend choose_blend(int depth, bool contribution) {
   constexpr Blend table[3][2] = {
-      {blend<CAGS_DEPTH_NONE, false, kDegree>, blend<CAGS_DEPTH_NONE, true, kDegree>},
-      {blend<CAGS_DEPTH_EXPECTED, false, kDegree>, blend<CAGS_DEPTH_EXPECTED, true, kDegree>},
-      {blend<CAGS_DEPTH_MEDIAN, false, kDegree>, blend<CAGS_DEPTH_MEDIAN, true, kDegree>},
+      {blend<kDegree, accumulate<CAGS_DEPTH_NONE, false>>, blend<kDegree, accumulate<CAGS_DEPTH_NONE, true>>},
+      {blend<kDegree, accumulate<CAGS_DEPTH_EXPECTED, false>>, blend<kDegree, accumulate<CAGS_DEPTH_EXPECTED, true>>},
+      {blend<kDegree, accumulate<CAGS_DEPTH_MEDIAN, false>>, blend<kDegree, accumulate<CAGS_DEPTH_MEDIAN, true>>},
   };
   return table[depth][contribution];
 }
@@ -121,7 +131,7 @@ void back_project(const View& view, const FrameData& frame, const Targets& targe
   const TileArea area = area_of(view, tile);
   const uint64_t alive = begin_blocks(area, work);
   load_residual(view, area, targets.residual, work.blocks);
-  blend_tile(view, frame, scratch, tile, alive, view.exactness == CAGS_EXACT ? blend_back<5> : blend_back<3>);
+  blend_tile(view, frame, scratch, tile, alive, view.exactness == CAGS_EXACT ? blend<5, accumulate_back> : blend<3, accumulate_back>);
 }
 
 }  // namespace
