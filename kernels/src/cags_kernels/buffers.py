@@ -16,6 +16,10 @@ _KEPT = 12
 """Blocks kept in waiting: two or three frames' worth."""
 
 
+_LINE_BYTES = 64
+"""Of the processor's caches."""
+
+
 class BufferPool:
     """Float32 arrays on recycled memory. Thread-safe."""
 
@@ -40,13 +44,20 @@ class BufferPool:
             for i, block in enumerate(self._waiting):
                 if block.size == size:
                     return self._waiting.pop(i)
-        return np.empty(size, np.float32)
+        return _aligned(size)
 
     def give_back(self, block: NDArray[np.float32]) -> None:
         """Take a block back; the oldest waiting one is freed when there are too many."""
         with self._lock:
             self._waiting.append(block)
             del self._waiting[: -self._kept]
+
+
+def _aligned(size: int) -> NDArray[np.float32]:
+    """``size`` uninitialised values from a cache line's boundary on: large pictures are written line by line."""
+    memory = np.empty(size + _LINE_BYTES // 4, np.float32)
+    skipped = -memory.ctypes.data % _LINE_BYTES // 4
+    return memory[skipped : skipped + size]
 
 
 class Lease:

@@ -8,6 +8,8 @@
 namespace cags::raster {
 namespace {
 
+constexpr int kLineBytes = 64;                     // of the caches
+constexpr int64_t kLeastStreamedPixels = 400'000;  // 8 MB with alpha and depth
 constexpr float kVoidDepth = std::numeric_limits<float>::infinity();
 
 struct TileArea {
@@ -31,19 +33,21 @@ inline Quad finished_depth(const View& view, Quad depth, Quad alpha) {
   return Quad((known & QuadMask(value)) | (~known & QuadMask(Quad{} + kVoidDepth)));
 }
 
-// Four pixels as r g b r g b r g b r g b.
-inline void store_interleaved(Quad r, Quad g, Quad b, float* out) {
+struct Interleaved {
+  Quad part[3];  // r g b r, g b r g, b r g b
+};
+
+inline Interleaved interleaved(Quad r, Quad g, Quad b) {
 #if defined(__x86_64__)
   const __m128 rg = _mm_unpacklo_ps(__m128(r), __m128(g)), rg2 = _mm_unpackhi_ps(__m128(r), __m128(g));  // r0 g0 r1 g1, ...
   const __m128 br = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(1, 1, 0, 0));                          // b0 b0 r1 r1
   const __m128 gb = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(1, 1, 1, 1));                          // g1 g1 b1 b1
   const __m128 br2 = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(3, 3, 2, 2));                         // b2 b2 r3 r3
   const __m128 gb2 = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(3, 3, 3, 3));                         // g3 g3 b3 b3
-  _mm_storeu_ps(out, _mm_shuffle_ps(rg, br, _MM_SHUFFLE(2, 0, 1, 0)));
-  _mm_storeu_ps(out + 4, _mm_shuffle_ps(gb, rg2, _MM_SHUFFLE(1, 0, 2, 0)));
-  _mm_storeu_ps(out + 8, _mm_shuffle_ps(br2, gb2, _MM_SHUFFLE(2, 0, 2, 0)));
+  return {{Quad(_mm_shuffle_ps(rg, br, _MM_SHUFFLE(2, 0, 1, 0))), Quad(_mm_shuffle_ps(gb, rg2, _MM_SHUFFLE(1, 0, 2, 0))),
+           Quad(_mm_shuffle_ps(br2, gb2, _MM_SHUFFLE(2, 0, 2, 0)))}};
 #else
-  for (int i = 0; i < 4; i++) out[3 * i] = r[i], out[3 * i + 1] = g[i], out[3 * i + 2] = b[i];
+  return {{{r[0], g[0], b[0], r[1]}, {g[1], b[1], r[2], g[2]}, {b[2], r[3], g[3], b[3]}}};
 #endif
 }
 static_assert(kBlock == 4);
@@ -53,32 +57,73 @@ struct PixelRun {
   float rgb[3 * kBlock], alpha[kBlock], depth[kBlock];
 };
 
-inline void write_run(const View& view, const BlockState& state, int row, float* rgb, float* alpha, float* depth) {
-  const int at = row * kBlock;
-  if (rgb) store_interleaved(load_quad(state.rgb[0] + at), load_quad(state.rgb[1] + at), load_quad(state.rgb[2] + at), rgb);
-  const Quad opaque = 1.0f - load_quad(state.transmittance + at);
-  if (alpha) store(alpha, opaque);
-  if (depth) store(depth, finished_depth(view, load_quad(state.depth + at), opaque));
+inline Interleaved colours_of_run(const BlockState& state, int at) {
+  return interleaved(load_quad(state.rgb[0] + at), load_quad(state.rgb[1] + at), load_quad(state.rgb[2] + at));
 }
 
-inline void write_tile(const View& view, const TileArea& area, const BlockState* blocks, const Targets& targets) {
+inline Quad alpha_of_run(const BlockState& state, int at) { return 1.0f - load_quad(state.transmittance + at); }
+
+inline Quad depth_of_run(const View& view, const BlockState& state, int at) {
+  return finished_depth(view, load_quad(state.depth + at), alpha_of_run(state, at));
+}
+
+inline void write_run(const View& view, const BlockState& state, int at, const Targets& to) {
+  if (to.rgb) {
+    const Interleaved colours = colours_of_run(state, at);
+    std::memcpy(to.rgb, &colours, sizeof colours);
+  }
+  if (to.alpha) store(to.alpha, alpha_of_run(state, at));
+  if (to.depth) store(to.depth, depth_of_run(view, state, at));
+}
+
+inline Targets moved(const Targets& targets, size_t pixels) {
+  const auto from = [pixels](float* p, int channels) { return p ? p + channels * pixels : nullptr; };
+  return {from(targets.rgb, 3), from(targets.alpha, 1), from(targets.depth, 1), nullptr};
+}
+
+inline void write_rows(const View& view, const TileArea& area, const BlockState* blocks, const Targets& targets) {
   for (int y = 0; y < area.height; y++)
     for (int x = 0; x < area.width; x += kBlock) {
       const BlockState& state = blocks[y / kBlock * kBlocksPerSide + x / kBlock];
-      const size_t at = size_t(area.y + y) * view.width + area.x + x;
-      float *rgb = targets.rgb ? targets.rgb + 3 * at : nullptr, *alpha = targets.alpha ? targets.alpha + at : nullptr;
-      float* depth = targets.depth ? targets.depth + at : nullptr;
-      const int n = area.width - x;
+      const Targets to = moved(targets, size_t(area.y + y) * view.width + area.x + x);
+      const int n = area.width - x, at = y % kBlock * kBlock;
       if (n >= kBlock) {
-        write_run(view, state, y % kBlock, rgb, alpha, depth);
+        write_run(view, state, at, to);
         continue;
       }
       PixelRun run;
-      write_run(view, state, y % kBlock, run.rgb, run.alpha, run.depth);
-      if (rgb) std::memcpy(rgb, run.rgb, 3 * n * sizeof(float));
-      if (alpha) std::memcpy(alpha, run.alpha, n * sizeof(float));
-      if (depth) std::memcpy(depth, run.depth, n * sizeof(float));
+      write_run(view, state, at, {run.rgb, run.alpha, run.depth, nullptr});
+      if (to.rgb) std::memcpy(to.rgb, run.rgb, 3 * n * sizeof(float));
+      if (to.alpha) std::memcpy(to.alpha, run.alpha, n * sizeof(float));
+      if (to.depth) std::memcpy(to.depth, run.depth, n * sizeof(float));
     }
+}
+
+// Rows of whole cache lines, each target's without a break, so that no line is written in two goes.
+inline void stream_rows(const View& view, const TileArea& area, const BlockState* blocks, const Targets& targets) {
+  for (int y = 0; y < area.height; y++) {
+    const BlockState* row = blocks + y / kBlock * kBlocksPerSide;
+    const Targets to = moved(targets, size_t(area.y + y) * view.width + area.x);
+    const int n = area.width / kBlock, at = y % kBlock * kBlock;
+    for (int i = 0; to.rgb && i < n; i++) {
+      const Interleaved colours = colours_of_run(row[i], at);
+      for (int k = 0; k < 3; k++) stream(to.rgb + (3 * i + k) * kBlock, colours.part[k]);
+    }
+    for (int i = 0; to.alpha && i < n; i++) stream(to.alpha + i * kBlock, alpha_of_run(row[i], at));
+    for (int i = 0; to.depth && i < n; i++) stream(to.depth + i * kBlock, depth_of_run(view, row[i], at));
+  }
+  end_streaming();
+}
+
+// Large pictures of whole cache lines a tile's row go past the caches, where they would not be found again anyway.
+inline bool streams(const View& view, const Targets& targets) {
+  const auto whole_lines = [](const float* p) { return reinterpret_cast<uintptr_t>(p) % kLineBytes == 0; };
+  return int64_t(view.width) * view.height >= kLeastStreamedPixels && view.width % (kLineBytes / sizeof(float)) == 0 &&
+         whole_lines(targets.rgb) && whole_lines(targets.alpha) && whole_lines(targets.depth);
+}
+
+inline void write_tile(const View& view, const TileArea& area, const BlockState* blocks, const Targets& targets) {
+  streams(view, targets) ? stream_rows(view, area, blocks, targets) : write_rows(view, area, blocks, targets);
 }
 
 // A tile that no splat reaches.

@@ -114,6 +114,21 @@ inline Quad folded(Floats v) {
   return total;
 }
 
+// Past the caches: what lies in them stays there, and no line is read only to be overwritten. To 16 bytes' boundaries; other
+// threads see it after `end_streaming`.
+inline void stream(float* p, Quad v) {
+#if defined(__x86_64__)
+  _mm_stream_ps(p, __m128(v));
+#else
+  std::memcpy(p, &v, sizeof v);
+#endif
+}
+inline void end_streaming() {
+#if defined(__x86_64__)
+  _mm_sfence();
+#endif
+}
+
 // Sum of the lanes.
 inline float sum(Floats v) {
   const Quad q = folded(v);
