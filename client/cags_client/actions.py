@@ -10,6 +10,7 @@ from cags_client.presented import PresentedFrame
 from cags_common.errors import DecodeError
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
+from cags_protocol.messages import HeldTile
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class DecodeResult:
     needs_idr: bool
     whole: int
     """The latest frame whose end was decoded; -1 if none was."""
+    dropped: tuple[HeldTile, ...] = ()
+    """What had come and was given up for want of memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,7 @@ class Decode:
             except DecodeError as error:
                 errors.append(error)
                 needs_idr |= isinstance(event, ev.ReferenceReceived)
-        return DecodeResult(tuple(errors), needs_idr, whole)
+        return DecodeResult(tuple(errors), needs_idr, whole, tuple(self.pipeline.take_dropped()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,6 +76,7 @@ class GofStore:
         """Whether earlier frames of the group can be shown again from what is held."""
         self._rewound = False
         self._waiting = WaitingLayers()
+        self._dropped: list[HeldTile] = []
         self._touched: dict[Key, Held] = {}
         self._errors: list[DecodeError] = []
         self._staged: dict[Key, _Staged] = {}
@@ -119,6 +120,12 @@ class GofStore:
             self._stage(None, self._shown_frame + REPLAY_AHEAD)
             errors, self._errors = self._errors, []
         return errors
+
+    def take_dropped(self) -> list[HeldTile]:
+        """What had come and was given up since the last call, for want of memory: the server may send it again."""
+        with self._decoding:
+            dropped, self._dropped = self._dropped, []
+        return dropped
 
     def _stage(self, horizon: int | None, replayed: int) -> None:
         """Dequantise touched tiles of frames up to ``horizon``, and those to be replayed of frames up to ``replayed``.
@@ -165,7 +172,7 @@ class GofStore:
         changed = False
         if held is None:
             if arrival.from_lod > 0 or not layers:
-                self._waiting.add(key, layers)
+                self._dropped += [HeldTile(*gone, 0) for gone in self._waiting.add(key, layers)]
                 return
             held = self._take(key, ahead or self._opener.open([layers[0][1]])[0])
             layers = layers[1:] + self._waiting.take(key)

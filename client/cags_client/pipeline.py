@@ -92,6 +92,10 @@ class ClientPipeline:
         """
         return self._store.flush()
 
+    def take_dropped(self) -> list[HeldTile]:
+        """Tiles of which layers had come and were given up since the last call, for want of memory."""
+        return self._store.take_dropped()
+
     def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:
         """Decode a reference; False asks for an IDR picture. Raises :class:`DecodeError`."""
         return self._references.add(message, payload)

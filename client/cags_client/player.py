@@ -202,6 +202,7 @@ class Player:
         assert isinstance(result, DecodeResult)
         self._arrivals.decoded()
         self.stats.decode_errors += len(result.errors)
+        self._session.report_evictions(result.dropped)
         if result.needs_idr:
             self._ask_idr(action.pipeline.last_reference_seq, now_us)
         if result.whole >= self.settings.start_frame:

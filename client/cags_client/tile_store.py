@@ -63,6 +63,12 @@ class TileStore:
             stores = list(self._gofs.values())
         return [error for store in stores for error in store.flush()]
 
+    def take_dropped(self) -> list[HeldTile]:
+        """What was given up for want of memory since the last call."""
+        with self._lock:
+            stores = list(self._gofs.values())
+        return [tile for store in stores for tile in store.take_dropped()]
+
     def capacity(self, frame: int) -> int:
         """One more than the largest splat id in the group of ``frame``. Raises :class:`DecodeError`."""
         self._check(frame)

@@ -20,15 +20,18 @@ class WaitingLayers:
         self.bytes = 0
         """Bytes of all that waits."""
 
-    def add(self, key: Key, layers: Iterable[tuple[int, memoryview]]) -> None:
-        """Keep copies of ``layers``, (LoD, payload), until :meth:`take`."""
+    def add(self, key: Key, layers: Iterable[tuple[int, memoryview]]) -> list[Key]:
+        """Keep copies of ``layers``, (LoD, payload), until :meth:`take`. The tiles whose layers made room for them."""
         kept = self._layers.setdefault(key, [])
         for lod, payload in layers:
             kept.append((lod, bytes(payload)))
             self.bytes += len(payload)
+        gone = []
         while self.bytes > MAX_WAITING_BYTES:
-            _, dropped = self._layers.popitem(last=False)
+            oldest, dropped = self._layers.popitem(last=False)
             self.bytes -= sum(len(data) for _, data in dropped)
+            gone.append(oldest)
+        return gone
 
     def take(self, key: Key) -> list[tuple[int, memoryview]]:
         """The layers that waited for ``key``, in the order of their arrival."""

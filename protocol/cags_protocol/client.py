@@ -111,9 +111,7 @@ class ClientSession(Session[ev.ClientEvent]):
         for tile in tiles:
             self._evicted[tile.frame, tile.tile] = tile.lods
             if len(self._evicted) > MAX_PENDING_EVICTIONS:
-                self._evicted.pop(
-                    next(iter(self._evicted))
-                )  # the oldest news: the server will find out by a deeper LoD
+                del self._evicted[next(iter(self._evicted))]  # that tile stays without these layers
 
     def data_to_send(self, now_us: int) -> list[bytes]:
         """Messages to write now, in order."""

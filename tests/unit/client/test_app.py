@@ -9,7 +9,9 @@ from dataclasses import replace
 import pytest
 
 from cags_client import player
+from cags_client.actions import Decode
 from cags_client.app import Shell, now_us
+from cags_client.pipeline import ClientPipeline
 from cags_client.player import Player
 from cags_client.settings import ClientSettings
 from cags_common.bundle.manifest import Manifest
@@ -17,8 +19,10 @@ from cags_common.errors import BundleError, NetworkError
 from cags_common.geometry import Pose
 from cags_common.transport import MemoryTransport, memory_pair
 from cags_protocol import ClientSession
+from cags_protocol import events as ev
 from cags_protocol.encoding import encode
-from cags_protocol.messages import Fragment, TileLayers, Welcome
+from cags_protocol.messages import Fragment, HeldTile, TileLayers, Welcome
+from support.small_store import books, manifest
 
 MANIFEST = Manifest("t", 30.0, 3, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())
 
@@ -70,6 +74,18 @@ async def test_a_fault_while_reading_is_raised_and_not_waited_for(monkeypatch: p
         async with asyncio.timeout(5):
             await client.run()
     client.close()
+
+
+def test_what_was_given_up_for_want_of_memory_is_told_to_the_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    client, _ = shell()
+    told = list[HeldTile]()
+    monkeypatch.setattr(client.player._session, "report_evictions", told.extend)
+    pipe = ClientPipeline(manifest(), books().to_bytes(), ClientSettings())
+    monkeypatch.setattr("cags_client.waiting.MAX_WAITING_BYTES", 100)
+    late = [ev.TileReceived(TileLayers(0, n, 1, 2, (60,), (0,)), memoryview(bytes(60))) for n in range(3)]
+    decode = Decode(tuple(late), pipe)
+    client.player.done(decode, decode.run(), now_us())
+    assert told == [HeldTile(0, 0, 0), HeldTile(0, 1, 0)]
 
 
 def tiles(count: int, size: int) -> list[bytes]:

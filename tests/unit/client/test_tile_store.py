@@ -12,6 +12,7 @@ from cags_client.tile_store import TileStore
 from cags_common.codecs import SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_protocol.messages import HeldTile
 from support.small_store import CAPACITY, base, books, layer, manifest, removed, xs
 
 
@@ -152,6 +153,11 @@ def test_layers_that_wait_for_their_base_are_bounded(store: TileStore, monkeypat
         store.add(0, tile, 1, [layer(4, 1)])
     gof, _ = store.commit(0)
     assert gof._waiting.bytes <= 100
+    dropped = store.take_dropped()
+    kept = 1000 - len(dropped)
+    assert kept > 0, "the newest wait on"
+    assert dropped == [HeldTile(0, tile, 0) for tile in range(1000 - kept)], "the server is told of the others"
+    assert store.take_dropped() == [], "once"
 
 
 def replaced_thrice(store: TileStore) -> TileStore:
