@@ -22,10 +22,10 @@ from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival
 from cags_client.presented import PresentedFrame
 from cags_client.references import References
-from cags_client.resolution import AUTO, HALF, Resolutions
+from cags_client.resolution import Resolutions
 from cags_client.restore import RestoreInput, Restorer, auto
 from cags_client.restore.networks.weights import Weights
-from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
 from cags_client.standin import Drawn, StandIn
 from cags_client.stopwatch import Stopwatch
 from cags_client.tile_store import TileStore

@@ -8,9 +8,7 @@ only that picture is brought up. With ``auto`` the client decides while it plays
 from __future__ import annotations
 
 from cags_client.restore.auto import Tier, TierController
-
-FULL, HALF, AUTO = "full", "half", "auto"
-"""Of :class:`~cags_client.settings.ClientSettings`."""
+from cags_client.settings import AUTO, FULL, HALF
 
 PIXEL_STAGES = ("raster", "align", "restore", "enlarge")
 """Stages whose time is one of pixels."""

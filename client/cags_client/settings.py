@@ -11,6 +11,9 @@ from cags_common.geometry import Intrinsics
 from cags_common.settings import check_settings, setting
 from cags_common.splats import MAX_SPLATS
 
+FULL, HALF, AUTO = RESOLUTIONS = "full", "half", "auto"
+"""Pixels that a frame is worked out at (:mod:`cags_client.resolution`)."""
+
 
 @dataclass(frozen=True)
 class ClientSettings:
@@ -27,7 +30,7 @@ class ClientSettings:
         "full",
         "pixels that a frame is worked out at: full, half (a side; the shown picture is brought up), or auto: half "
         "while full takes too long",
-        choices=("full", "half", "auto"),
+        choices=RESOLUTIONS,
     )
     align: str = setting("auto", "aligner: auto, cpu, cuda, fast, reference, unaligned or rotation")
     erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")

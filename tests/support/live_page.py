@@ -33,7 +33,7 @@ class FakeControls:
     def __init__(self, has_truth: bool = True) -> None:
         self.playing, self.loop, self.rate = True, True, 1.0
         self.restorer, self.restorers = "affine", ("auto", "none", "affine")
-        self.exactness = "balanced"
+        self.exactness, self.resolution = "balanced", "full"
         self.away = False
         self.has_truth = has_truth
         self.frame = 0
@@ -57,6 +57,9 @@ class FakeControls:
 
     def set_restorer(self, name: str) -> None:
         self.restorer = name
+
+    def set_resolution(self, name: str) -> None:
+        self.resolution = name
 
     def set_exactness(self, name: str) -> None:
         self.exactness = name

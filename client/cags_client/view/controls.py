@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_client.settings import FULL
 from cags_common.geometry import F32, Camera, Vec3
 
 
@@ -58,6 +59,8 @@ class ShownFrame:
     missed: bool = False
     tier: str = ""
     """The restorer in use: with ``auto``, the one that was chosen."""
+    resolution: str = FULL
+    """What the frame was worked out at, ``full`` or ``half``: with ``auto``, what was chosen."""
 
 
 class Controls(Protocol):
@@ -99,6 +102,11 @@ class Controls(Protocol):
         ...
 
     @property
+    def resolution(self) -> str:
+        """``full``, ``half`` or ``auto``: the pixels that a frame is worked out at."""
+        ...
+
+    @property
     def has_truth(self) -> bool:
         """Whether :meth:`truth` can answer."""
         ...
@@ -123,6 +131,9 @@ class Controls(Protocol):
 
     def set_exactness(self, name: str) -> None:
         """Change how exact the display path is from the next frame on."""
+
+    def set_resolution(self, name: str) -> None:
+        """Change the pixels that a frame is worked out at, from the next frame on."""
 
     def truth(self, frame: int, camera: Camera) -> F32:
         """The unquantised scene [H, W, 3]. Called from the page's worker thread, only while somebody looks."""

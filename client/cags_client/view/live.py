@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import json
 import logging
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib.resources import files
@@ -18,6 +19,7 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
+from cags_client.settings import RESOLUTIONS
 from cags_client.view.controls import Controls, SceneInfo, ShownFrame
 from cags_client.view.guard import guard, same_origin
 from cags_client.view.link import ShaperControl
@@ -38,7 +40,10 @@ from cags_client.view.poses import LivePoses
 from cags_client.view.settings import ViewSettings
 from cags_client.viewpoint import PoseSource
 from cags_common.errors import CagsError, ConfigError, NetworkError, ProtocolError
+from cags_common.raster.base import Exactness
 from cags_common.transport.hosts import host_port
+
+EXACTNESSES = tuple(exactness.value for exactness in Exactness)
 
 LOG = logging.getLogger(__name__)
 
@@ -229,13 +234,11 @@ class LiveView:
         controls = self._controls
         assert controls is not None
         if wish.name == "restorer":
-            if wish.value not in controls.restorers:
-                raise ConfigError(f"restorer = {wish.value!r} must be one of {', '.join(controls.restorers)}")
-            controls.set_restorer(str(wish.value))
+            controls.set_restorer(_one_of(wish, controls.restorers))
         elif wish.name == "exactness":
-            if wish.value not in ("fast", "balanced", "exact"):
-                raise ConfigError(f"exactness = {wish.value!r} must be one of fast, balanced, exact")
-            controls.set_exactness(str(wish.value))
+            controls.set_exactness(_one_of(wish, EXACTNESSES))
+        elif wish.name == "resolution":
+            controls.set_resolution(_one_of(wish, RESOLUTIONS))
         elif self._shaper is None:
             raise ConfigError(f"{wish.name} needs a shaper: start the client with --shaper-control HOST:PORT")
         else:
@@ -252,6 +255,7 @@ class LiveView:
             "rate": controls.rate,
             "restorer": controls.restorer,
             "exactness": controls.exactness,
+            "resolution": controls.resolution,
             "held": self.poses.held,
             "away": controls.away,
         }
@@ -309,3 +313,10 @@ class LiveView:
         for socket in list(self._pages):
             with contextlib.suppress(ConnectionError):
                 await socket.send_str(text)
+
+
+def _one_of(wish: PageSetting, choices: Sequence[str]) -> str:
+    """The name that the page wishes. Raises :class:`ConfigError` for one that there is not."""
+    if wish.value not in choices:
+        raise ConfigError(f"{wish.name} = {wish.value!r} must be one of {', '.join(choices)}")
+    return str(wish.value)

@@ -23,7 +23,9 @@ MAX_NUMBER = 2**53
 OVERLAYS = ("occlusion", "confidence", "detail", "tiles", "reference", "score")
 MAX_PANES = 2
 ACTIONS = ("play", "pause", "seek", "rate", "loop", "release")
-NAMES = ("restorer", "exactness", "cap_mbps", "delay_ms")
+NAMED = ("restorer", "exactness", "resolution")
+"""Settings whose value is a name; that of the others is a number."""
+NAMES = (*NAMED, "cap_mbps", "delay_ms")
 _WORLD = 1e7
 
 
@@ -119,7 +121,7 @@ def _action(fields: dict[str, Any]) -> PageAction:
 def _setting(fields: dict[str, Any]) -> PageSetting:
     name = _choice(fields, "name", NAMES)
     value = fields.get("value")
-    if name in ("restorer", "exactness"):
+    if name in NAMED:
         if not isinstance(value, str):
             raise ProtocolError(f"page message: {name} = {value!r} must be a name")
         return PageSetting(name, value)

@@ -76,6 +76,11 @@ class PlayerControls:
         return self._live.exactness
 
     @property
+    def resolution(self) -> str:
+        """The pixels that a frame is worked out at."""
+        return self._live.resolution
+
+    @property
     def has_truth(self) -> bool:
         """Whether the unquantised scene is at hand."""
         return self._truth is not None
@@ -112,6 +117,10 @@ class PlayerControls:
     def set_exactness(self, name: str) -> None:
         """Draw more or less exactly from the next frame on."""
         self._live.exactness = name
+
+    def set_resolution(self, name: str) -> None:
+        """Work frames out at other pixels from the next one on."""
+        self._live.resolution = name
 
     def truth(self, frame: int, camera: Camera) -> F32:
         """The unquantised scene [H, W, 3] in [0, 1]."""

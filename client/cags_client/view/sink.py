@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from cags_client.present.base import FrameStats
 from cags_client.presented import PresentedFrame
+from cags_client.settings import FULL, HALF
 from cags_client.view.controls import SceneInfo, ShownFrame
 from cags_client.view.live import LiveView
 from cags_common.bundle.manifest import Manifest
@@ -69,6 +70,7 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
         stats=figures,
         missed=presented.missed,
         tier=presented.tier,
+        resolution=FULL if presented.drawn.shape == presented.rgb.shape else HALF,
     )
 
 

@@ -183,6 +183,19 @@ def test_an_overlay_is_drawn_over_the_picture_and_goes_again(page: Any, show: Ba
     wait(page, lambda: difference(bare, page.execute_script(CENTRE)) < drawn / 2)
 
 
+def test_the_resolution_is_chosen_by_keyboard_and_what_auto_chose_is_told(page: Any, show: BallShow) -> None:
+    page.execute_script("document.getElementById('exactness').focus()")
+    press(page, "\ue004")
+    assert page.execute_script("return document.activeElement.id") == "resolution"
+    press(page, "\ue015")
+    wait(page, lambda: show.controls.resolution == "half")
+    assert page.find_element("id", "pixels").text == ""
+    press(page, "\ue015")
+    wait(page, lambda: page.find_element("id", "pixels").text == "chose full")
+    press(page, "\ue013\ue013")
+    wait(page, lambda: show.controls.resolution == "full" and page.find_element("id", "pixels").text == "")
+
+
 def test_the_choice_of_auto_and_a_lost_server_are_told(page: Any, show: BallShow) -> None:
     page.find_element("css selector", "#restorer option[value=auto]").click()
     wait(page, lambda: page.find_element("id", "tier").text == "chose affine")

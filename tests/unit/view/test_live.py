@@ -142,17 +142,19 @@ async def test_transport_and_settings_reach_the_client(show: BallShow, client: a
     await visitor.say(type="action", action="rate", value=0.5)
     await visitor.say(type="action", action="loop", value=0)
     await visitor.say(type="setting", name="restorer", value="none")
+    await visitor.say(type="setting", name="resolution", value="half")
     await visitor.say(type="setting", name="exactness", value="exact")
     while (state := await visitor.told("state"))["exactness"] != "exact":
         pass
-    assert state == {**state, "playing": False, "loop": False, "rate": 0.5, "restorer": "none"}
+    assert state == {**state, "playing": False, "loop": False, "rate": 0.5, "restorer": "none", "resolution": "half"}
     assert show.controls.frame == FRAMES - 1
 
 
 async def test_wishes_that_cannot_be_met_are_answered(show: BallShow, client: aiohttp.ClientSession) -> None:
     visitor = await visit(client, show)
-    await visitor.say(type="setting", name="restorer", value="magic")
-    assert "magic" in (await visitor.told("error"))["text"]
+    for name in ("restorer", "exactness", "resolution"):
+        await visitor.say(type="setting", name=name, value="magic")
+        assert f"{name} = 'magic' must be one of" in (await visitor.told("error"))["text"]
     await visitor.say(type="setting", name="delay_ms", value=10)
     assert "--shaper-control" in (await visitor.told("error"))["text"]
 

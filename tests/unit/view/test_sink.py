@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,13 @@ def test_a_frame_without_a_reference_still_shows(view: Watched) -> None:
     assert (shown.frame, shown.occluded, shown.reference_camera) == (4, None, None)
     assert shown.stats["lod_mean"] == 2.5
     assert shown.stages_ms == {"raster": 9.0}
+
+
+def test_a_frame_that_was_brought_up_says_so(view: Watched) -> None:
+    small = np.zeros((240, 320, 3), np.float32)
+    for frame in (presented(1), replace(presented(2), drawn=small)):
+        ViewSink(view).show(frame, {})
+    assert [shown.resolution for shown in view.frames] == ["full", "half"]
 
 
 def test_goodput_is_the_last_second_and_starts_again_after_a_seek(view: Watched) -> None:

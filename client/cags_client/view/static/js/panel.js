@@ -5,6 +5,7 @@ const TITLES = {
   restored: "Restored", distorted: "Distorted", aligned: "Aligned reference", reference: "Reference",
   truth: "Truth", error: "Error × 4", depth: "Depth",
 };
+const NAMED = ["restorer", "exactness", "resolution"]; // settings that are chosen from a menu
 const MODES = ["single", "wipe", "side"];
 const CAP_LEAST_MBPS = 0.5;
 const CAP_MOST_MBPS = 150;
@@ -58,7 +59,7 @@ export class Panel {
     $("play").dataset.playing = state.playing;
     $("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
     $("loop").setAttribute("aria-pressed", state.loop);
-    for (const name of ["restorer", "exactness"]) if (document.activeElement !== $(name)) $(name).value = state[name];
+    for (const name of NAMED) if (document.activeElement !== $(name)) $(name).value = state[name];
     if (document.activeElement !== $("rate")) $("rate").value = String(state.rate);
     if (!state.held && this.rig !== "walk") this.setRig("walk");
     if (state.held && this.rig === "walk") this.setRig("orbit");
@@ -86,6 +87,7 @@ export class Panel {
     $("waiting").hidden = true;
     if (!this.#seeking) $("seek").value = header.frame;
     say("tier", this.#state.restorer === "auto" ? `chose ${header.tier}` : "");
+    say("pixels", this.#state.resolution === "auto" ? `chose ${header.resolution}` : "");
     this.#tags(header);
     say("clock", `${header.frame + 1} / ${this.#scene?.frames ?? "?"}`);
   }
@@ -227,7 +229,7 @@ export class Panel {
   }
 
   #stream() {
-    for (const name of ["restorer", "exactness"])
+    for (const name of NAMED)
       $(name).onchange = (event) => this.#send({ type: "setting", name, value: event.target.value });
     $("cap").oninput = () => this.#tellCap();
     $("cap").onchange = () => this.#send({ type: "setting", name: "cap_mbps", value: capOfSlider() });
