@@ -38,6 +38,16 @@ def host_allowed(host: str, names: frozenset[str]) -> bool:
     return True
 
 
+def on_this_machine(peer: str) -> bool:
+    """Whether ``peer``, the address of the other end of a connection, is a loopback address."""
+    try:
+        address = ipaddress.ip_address(peer)
+    except ValueError:
+        return False
+    mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
+    return (mapped or address).is_loopback
+
+
 def same_origin(request: web.Request) -> bool:
     """Whether a WebSocket request comes from the page that this server gave out (or from no browser at all)."""
     origin = request.headers.get("Origin")

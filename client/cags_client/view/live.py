@@ -21,7 +21,7 @@ from aiohttp import WSMsgType, web
 
 from cags_client.settings import RESOLUTIONS
 from cags_client.view.controls import Controls, SceneInfo, ShownFrame
-from cags_client.view.guard import guard, same_origin
+from cags_client.view.guard import guard, on_this_machine, same_origin
 from cags_client.view.link import ShaperControl
 from cags_client.view.messages import (
     MAX_TEXT_BYTES,
@@ -34,7 +34,7 @@ from cags_client.view.messages import (
     PageShown,
     parse,
 )
-from cags_client.view.page import Page
+from cags_client.view.page import Page, kind_of
 from cags_client.view.pictures import NEED_TRUTH, PICTURES, Gallery
 from cags_client.view.poses import LivePoses
 from cags_client.view.settings import ViewSettings
@@ -199,7 +199,9 @@ class LiveView:
     async def _welcome(self, socket: web.WebSocketResponse, hello: PageHello) -> None:
         assert self._scene is not None
         assert self._controls is not None
-        self._pages[socket] = Page(hello.h264, self.settings, self._scene)
+        peer = socket.get_extra_info("peername", ("",))
+        kind = kind_of(hello, self.settings, local=on_this_machine(peer[0]))
+        self._pages[socket] = Page(kind, self.settings, self._scene)
         pictures = [name for name in PICTURES if self._controls.has_truth or name not in NEED_TRUTH]
         scene = {
             "type": "scene",
@@ -286,8 +288,10 @@ class LiveView:
                     LOG.exception("frame %d could not be put together for a page", shown.frame)
                     await self._broadcast({"type": "error", "text": f"frame {shown.frame}: {error}"})
                     continue
+                began_s = loop.time()
                 with contextlib.suppress(ConnectionError):
                     await socket.send_bytes(message)
+                page.wrote(loop.time() - began_s)
             looked = {socket: value for socket, value in looked.items() if socket in self._pages}
 
     def _compose(self, page: Page, gallery: Gallery, controls: Controls) -> bytes:

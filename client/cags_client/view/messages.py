@@ -31,9 +31,10 @@ _WORLD = 1e7
 
 @dataclass(frozen=True, slots=True)
 class PageHello:
-    """The page is there; ``h264`` says whether it can decode H.264 by WebCodecs."""
+    """The page is there. What it can show besides JPEG: ``h264`` by WebCodecs, ``raw`` pictures as they are."""
 
     h264: bool
+    raw: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ def parse(text: str) -> PageMessage:
 
 
 def _hello(fields: dict[str, Any]) -> PageHello:
-    return PageHello(_flag(fields, "h264"))
+    return PageHello(_flag(fields, "h264"), "raw" in fields and _flag(fields, "raw"))
 
 
 def _pose(fields: dict[str, Any]) -> PagePose:

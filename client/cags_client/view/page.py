@@ -6,23 +6,37 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cags_client.view.controls import SceneInfo, SplatDetail
-from cags_client.view.messages import PageLook, pack
+from cags_client.view.messages import PageHello, PageLook, pack
 from cags_client.view.overlays import Grid, confidence_grid, detail_grid, occlusion_grid, reference_outline, tile_boxes
 from cags_client.view.pictures import Gallery
 from cags_client.view.settings import ViewSettings
-from cags_client.view.video import PictureStream
+from cags_client.view.video import H264, JPEG, RAW, PictureStream
 
 MAX_IN_FLIGHT = 2
 """Messages that a page may not have drawn yet; beyond them it skips frames rather than falling behind."""
 
+SLOW_WRITE_S = 0.05
+SLOW_WRITES = 5
+"""A line on which so many pictures in a row took so long to write is not a memory's: what it carries is coded from then
+on. (A tunnel from another machine looks like this one.)
+"""
+
 DEFAULT_LOOK = PageLook(("restored",), frozenset())
+
+
+def kind_of(hello: PageHello, settings: ViewSettings, *, local: bool) -> str:
+    """How pictures are coded for a page; ``local``: it is on this machine."""
+    if not hello.h264:
+        return JPEG
+    return RAW if hello.raw and local and settings.view_raw else H264
 
 
 @dataclass(eq=False)
 class Page:
     """State of one page. ``compose`` runs in the worker thread, the rest in the event loop."""
 
-    h264: bool
+    kind: str
+    """How its pictures are coded: one of :data:`cags_client.view.video.KINDS`."""
     settings: ViewSettings
     scene: SceneInfo
     look: PageLook = DEFAULT_LOOK
@@ -30,6 +44,7 @@ class Page:
     drawn: int = 0
     _wants_key: bool = False
     _streams: dict[str, PictureStream] = field(default_factory=dict)
+    _slow_writes: int = 0
 
     @property
     def ready(self) -> bool:
@@ -40,6 +55,13 @@ class Page:
         """The page has drawn message ``number``."""
         self.drawn = max(self.drawn, min(number, self.sent))
         self._wants_key = self._wants_key or key
+
+    def wrote(self, seconds: float) -> None:
+        """How long the newest message took to write."""
+        self._slow_writes = self._slow_writes + 1 if seconds > SLOW_WRITE_S else 0
+        if self.kind == RAW and self._slow_writes >= SLOW_WRITES:
+            self.kind = H264
+            self._streams.clear()
 
     def compose(self, gallery: Gallery, detail: SplatDetail | None, pose_number: int | None) -> bytes:
         """The binary message for one displayed frame: pictures, grids, lines and figures."""
@@ -76,7 +98,7 @@ class Page:
     def _stream(self, name: str) -> PictureStream:
         if name not in self._streams:
             self._streams[name] = PictureStream(
-                h264=self.h264,
+                kind=self.kind,
                 fps=max(self.scene.fps, 1.0),
                 crf=self.settings.view_crf,
                 jpeg_quality=self.settings.view_jpeg,

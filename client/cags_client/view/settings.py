@@ -19,6 +19,9 @@ class ViewSettings:
     )
     view_port: int = setting(8080, "TCP port of the live page; 0 picks a free one", low=0, high=65535)
     view_allow_host: str = setting("", "further host names that the page may be opened under, separated by commas")
+    view_raw: bool = setting(
+        True, "hand pictures to a page on this machine as they are: less work than coding them, 20 MB a second"
+    )
     view_crf: float = setting(22.0, "H.264 quality of the page's pictures: 0 lossless, 51 worst", low=0, high=51)
     view_jpeg: int = setting(85, "JPEG quality for browsers without WebCodecs", low=1, high=100)
     shaper_control: str = setting("", "HOST:PORT of a shaper's control port, to change cap and delay from the page")

@@ -1,8 +1,9 @@
-"""One picture of the page as a stream: H.264 for WebCodecs, or JPEG frame by frame.
+"""One picture of the page as a stream: H.264 for WebCodecs, JPEG frame by frame, or uncompressed 4:2:0.
 
 The page sits on the same machine as a rule, and the processor is busy drawing: this coder is set up to cost little,
 not to code small. It differs from the reference's coder (:mod:`cags_common.video`) in that it takes OpenCV's own colour
-conversion (BT.601, 0.3 ms a picture where an exact BT.709 one takes 2 ms and more) and x264's cheapest preset.
+conversion (BT.601, 0.3 ms a picture where an exact BT.709 one takes 2 ms and more) and x264's cheapest preset. A page
+on the same machine takes pictures as they are: for 0.7 MB a picture of 800x600 over loopback nothing is coded at all.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from cags_common.video.h264 import is_idr
 
 U8 = NDArray[np.uint8]
 
-JPEG = "jpeg"
+H264, JPEG, RAW = KINDS = "h264", "jpeg", "i420"
 PRESET = "ultrafast"
 FORMAT = "yuv420p"
 X264 = "repeat-headers=1:keyint=infinite:scenecut=0:annexb=1"
@@ -34,7 +35,7 @@ _START_CODE_SPS = (b"\x00\x00\x01\x67", b"\x00\x00\x01\x27")
 
 @dataclass(frozen=True, slots=True)
 class Coded:
-    """One coded picture. ``codec`` is a WebCodecs codec string or ``jpeg``."""
+    """One coded picture. ``codec`` is a WebCodecs codec string, ``jpeg`` or ``i420``."""
 
     data: bytes
     codec: str
@@ -44,10 +45,13 @@ class Coded:
 
 
 class PictureStream:
-    """Codes one named picture for one page. A change of size starts the stream anew. Not thread-safe."""
+    """Codes one named picture for one page. A change of size starts the stream anew. Not thread-safe.
 
-    def __init__(self, *, h264: bool, fps: float, crf: float, jpeg_quality: int) -> None:
-        self._h264, self._fps, self._crf, self._jpeg_quality = h264, fps, crf, jpeg_quality
+    ``kind`` is one of :data:`KINDS`.
+    """
+
+    def __init__(self, *, kind: str, fps: float, crf: float, jpeg_quality: int) -> None:
+        self._kind, self._fps, self._crf, self._jpeg_quality = kind, fps, crf, jpeg_quality
         self._encoder: VideoCodecContext | None = None
         self._pts = 0
         self._size = (0, 0)
@@ -56,8 +60,10 @@ class PictureStream:
     def encode(self, image: U8, *, key: bool = False) -> Coded:
         """Code one RGB image [H, W, 3] of even size; ``key`` asks for a picture that needs no earlier one."""
         height, width = image.shape[:2]
-        if not self._h264:
+        if self._kind == JPEG:
             return self._jpeg(image)
+        if self._kind == RAW:
+            return Coded(planes_of(image).tobytes(), RAW, True, width, height)
         if self._encoder is None or self._size != (width, height):
             self._encoder, self._size, self._pts = _open(width, height, self._fps, self._crf), (width, height), 0
         data = self._code(self._encoder, image, key)
@@ -67,8 +73,7 @@ class PictureStream:
         return Coded(data, self._codec, idr, width, height)
 
     def _code(self, encoder: VideoCodecContext, image: U8, key: bool) -> bytes:
-        planes = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), dtype=np.uint8)
-        frame = VideoFrame.from_ndarray(planes, format=FORMAT)
+        frame = VideoFrame.from_ndarray(planes_of(image), format=FORMAT)
         frame.pts, frame.time_base = self._pts, encoder.time_base
         frame.pict_type = PictureType.I if key or self._pts == 0 else PictureType.NONE
         frame.colorspace, frame.color_range = int(Colorspace.SMPTE170M), int(ColorRange.MPEG)
@@ -86,6 +91,11 @@ class PictureStream:
         if not done:
             raise RuntimeError(f"OpenCV could not code a picture of {width}x{height} as JPEG")
         return Coded(data.tobytes(), JPEG, True, width, height)
+
+
+def planes_of(image: U8) -> U8:
+    """Luma and both chromas of an RGB image [H, W, 3] of even size, as bytes one after another: [H * 3 / 2, W]."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), dtype=np.uint8)
 
 
 def _open(width: int, height: int, fps: float, crf: float) -> VideoCodecContext:

@@ -51,7 +51,7 @@ def show() -> Iterator[BallShow]:
 def page(show: BallShow, tmp_path: Path) -> Iterator[Any]:
     show.controls.play()
     with chromium(tmp_path) as running:
-        running.get(show.view.url)
+        running.get(show.view.url + "?h264")
         wait(running, lambda: measured(running)["frames"] > 3)
         yield running
         assert complaints(running) == []
@@ -225,6 +225,19 @@ def test_a_page_that_nobody_sees_is_not_drawn_for(page: Any, show: BallShow) -> 
     assert state.sent == sent
     page.execute_script("delete document.hidden; window.later(performance.now())")
     wait(page, lambda: state.sent > sent)
+
+
+def test_a_page_on_this_machine_shows_the_colours_that_h264_gives(show: BallShow, tmp_path: Path) -> None:
+    pictures = []
+    show.controls.pause()
+    with chromium(tmp_path) as running:
+        for asked, codec in (("", "i420"), ("?h264", "avc1.")):
+            running.get(show.view.url + asked)
+            wait(running, lambda: measured(running)["frames"] > 8)
+            assert measured(running)["codec"].startswith(codec)
+            pictures.append(running.execute_script(CENTRE))
+        assert difference(*pictures) < 1.5
+        assert complaints(running) == []
 
 
 def test_a_browser_without_webcodecs_gets_jpeg(show: BallShow, tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ import pytest
 
 from cags_client.view import LiveView, ViewSettings
 from cags_client.view.link import ShaperControl
+from cags_client.view.page import SLOW_WRITE_S, SLOW_WRITES
+from cags_client.view.video import RAW
 from cags_common.errors import ConfigError, NetworkError
 from cags_common.geometry import Pose
 from support.live_page import FRAMES, BallShow
@@ -87,6 +89,33 @@ async def test_a_visitor_is_told_the_scene_and_sees_frames(show: BallShow, clien
 async def test_without_webcodecs_pictures_are_jpeg(show: BallShow, client: aiohttp.ClientSession) -> None:
     visitor = await visit(client, show, h264=False)
     assert (await visitor.frame())["pictures"][0]["codec"] == "jpeg"
+
+
+async def test_a_page_on_this_machine_takes_pictures_as_they_are(
+    show: BallShow, client: aiohttp.ClientSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    visitor = await visit(client, show, raw=True)
+    picture = (await visitor.frame())["pictures"][0]
+    assert (picture["codec"], picture["bytes"]) == ("i420", picture["width"] * picture["height"] * 3 // 2)
+    monkeypatch.setattr("cags_client.view.live.on_this_machine", lambda peer: False)
+    elsewhere = await visit(client, show, raw=True)
+    assert (await elsewhere.frame())["pictures"][0]["codec"].startswith("avc1.")
+
+
+async def test_a_line_that_cannot_carry_pictures_as_they_are_gets_them_coded(
+    show: BallShow, client: aiohttp.ClientSession
+) -> None:
+    visitor = await visit(client, show, raw=True)
+    assert (await visitor.frame())["pictures"][0]["codec"] == "i420"
+    (page,) = show.view._pages.values()
+    for seconds in (1.0, 1.0, 1.0, 1.0, 0.001, 1.0):  # no five in a row
+        page.wrote(seconds)
+    assert page.kind == RAW
+    for _ in range(SLOW_WRITES):
+        page.wrote(2 * SLOW_WRITE_S)
+    while (picture := (await visitor.frame())["pictures"][0])["codec"] == "i420":
+        pass
+    assert picture["key"]
 
 
 async def test_pictures_and_overlays_come_as_asked(show: BallShow, client: aiohttp.ClientSession) -> None:

@@ -20,6 +20,7 @@ def said(**fields: object) -> str:
 
 def test_every_message_is_parsed() -> None:
     assert parse(said(type="hello", h264=True)) == PageHello(True)
+    assert parse(said(type="hello", h264=True, raw=True)) == PageHello(True, True)
     pose = parse(said(type="pose", number=3, position=[1, 2, 3], rotation=[-1, 0, 0, 0]))
     assert isinstance(pose, PagePose)
     assert (pose.number, pose.pose.position, pose.pose.rotation[0]) == (3, (1.0, 2.0, 3.0), 1.0)
@@ -41,6 +42,7 @@ def test_every_message_is_parsed() -> None:
         (said(type="nonsense"), "'nonsense'"),
         (said(type=["hello"]), "type"),
         (said(type="hello", h264=1), "h264"),
+        (said(type="hello", h264=True, raw="yes"), "raw"),
         (said(type="pose", number=1, position=[0, 0], rotation=[1, 0, 0, 0]), "position"),
         (said(type="pose", number=1, position=[0, 0, 1e300], rotation=[1, 0, 0, 0]), "position"),
         (said(type="pose", number=1, position=[0, 0, 0], rotation=[0, 0, 0, 0]), "quaternion"),
@@ -74,7 +76,18 @@ def test_no_text_brings_the_parser_down(text: str) -> None:
         {"type": st.sampled_from(["hello", "pose", "look", "action", "setting", "shown"])},
         optional={
             name: st.none() | st.booleans() | st.floats() | st.text(max_size=9) | st.lists(st.floats(), max_size=5)
-            for name in ("h264", "number", "position", "rotation", "pictures", "overlays", "action", "name", "value")
+            for name in (
+                "h264",
+                "raw",
+                "number",
+                "position",
+                "rotation",
+                "pictures",
+                "overlays",
+                "action",
+                "name",
+                "value",
+            )
         },
     )
 )

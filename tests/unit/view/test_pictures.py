@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import av
+import cv2
 import numpy as np
 import pytest
 
 from cags_client.view import SceneInfo, ShownFrame, SplatDetail
 from cags_client.view.overlays import detail_grid, occlusion_grid, reference_outline, tile_boxes
 from cags_client.view.pictures import Gallery, coloured_depth, coloured_error
-from cags_client.view.video import JPEG, PictureStream, codec_string
+from cags_client.view.video import H264, JPEG, RAW, PictureStream, codec_string
 from cags_common.geometry import Camera, Pose
 from support.live_page import INTRINSICS, FakeControls, StillWalk, frames_around, shown_frame
 
@@ -59,7 +60,7 @@ def test_error_of_equal_pictures_is_dark_and_void_depth_is_black() -> None:
 
 @pytest.mark.parametrize("size", [(48, 64), (130, 98)])
 def test_h264_streams_start_with_a_key_picture_and_decode_to_the_same_colours(size: tuple[int, int]) -> None:
-    stream = PictureStream(h264=True, fps=30, crf=10, jpeg_quality=85)
+    stream = PictureStream(kind=H264, fps=30, crf=10, jpeg_quality=85)
     decoder = av.CodecContext.create("h264", "r")
     for k, colour in enumerate([(200, 60, 40), (20, 180, 90), (240, 240, 240)]):
         image = np.full((*size, 3), colour, np.uint8)
@@ -72,14 +73,22 @@ def test_h264_streams_start_with_a_key_picture_and_decode_to_the_same_colours(si
 
 
 def test_a_new_size_starts_the_stream_anew() -> None:
-    stream = PictureStream(h264=True, fps=30, crf=22, jpeg_quality=85)
+    stream = PictureStream(kind=H264, fps=30, crf=22, jpeg_quality=85)
     assert stream.encode(np.zeros((32, 32, 3), np.uint8)).key
     assert not stream.encode(np.zeros((32, 32, 3), np.uint8)).key
     assert stream.encode(np.zeros((64, 32, 3), np.uint8)).key
 
 
+def test_a_picture_as_it_is_holds_the_same_colours() -> None:
+    image = np.full((32, 48, 3), (200, 60, 40), np.uint8)
+    coded = PictureStream(kind=RAW, fps=30, crf=22, jpeg_quality=85).encode(image)
+    assert (coded.codec, coded.key, len(coded.data)) == (RAW, True, 32 * 48 * 3 // 2)
+    planes = np.frombuffer(coded.data, np.uint8).reshape(48, 48)
+    assert np.abs(cv2.cvtColor(planes, cv2.COLOR_YUV2RGB_I420).astype(int) - image).max() <= 3
+
+
 def test_jpeg_pictures_stand_alone() -> None:
-    coded = PictureStream(h264=False, fps=30, crf=22, jpeg_quality=85).encode(np.zeros((32, 48, 3), np.uint8))
+    coded = PictureStream(kind=JPEG, fps=30, crf=22, jpeg_quality=85).encode(np.zeros((32, 48, 3), np.uint8))
     assert (coded.codec, coded.key, coded.data[:2]) == (JPEG, True, b"\xff\xd8")
 
 

@@ -1,11 +1,14 @@
-// Coded pictures to drawable ones: H.264 by WebCodecs, or JPEG. All pictures of a frame come out together.
+// Pictures that came to drawable ones: H.264 by WebCodecs, JPEG, or 4:2:0 as it is. All of a frame come out together.
 
 const STUCK_MS = 1500;
+const COLOURS = { matrix: "smpte170m", primaries: "bt709", transfer: "iec61966-2-1", fullRange: false };
 
-export async function canDecodeH264() {
-  if (new URLSearchParams(location.search).has("jpeg") || !("VideoDecoder" in window)) return false;
+/** What this browser can show: {h264, raw}. `?jpeg` and `?h264` in the page's address leave the others out, to try. */
+export async function formats() {
+  const asked = new URLSearchParams(location.search);
+  if (asked.has("jpeg") || !("VideoDecoder" in window)) return { h264: false, raw: false };
   const { supported } = await VideoDecoder.isConfigSupported({ codec: "avc1.42c01f", optimizeForLatency: true });
-  return supported;
+  return { h264: supported, raw: !asked.has("h264") };
 }
 
 /** One H.264 stream. `done(number, image)` for each picture, `failed()` when it must start again at a key picture. */
@@ -74,6 +77,7 @@ export class FrameDecoder {
       );
       return;
     }
+    if (picture.codec === "i420") return this.#done(number, picture.name, uncoded(number, picture, data));
     if (!this.#streams.has(picture.name)) {
       const done = (timestamp, image) => this.#done(timestamp, picture.name, image);
       this.#streams.set(picture.name, new Stream(done, () => this.#failStream(picture.name)));
@@ -119,6 +123,11 @@ export class FrameDecoder {
     const limit = performance.now() - STUCK_MS;
     for (const [number, frame] of this.#pending) if (frame.since < limit) this.#fail(number);
   }
+}
+
+/** A picture that came as it is: three planes, one after another. */
+function uncoded(timestamp, { width, height }, data) {
+  return new VideoFrame(data, { format: "I420", codedWidth: width, codedHeight: height, timestamp, colorSpace: COLOURS });
 }
 
 export function closeImages(frame) {

@@ -2,7 +2,7 @@
 
 import { Camera, Gestures } from "./camera.js";
 import { Connection } from "./connection.js";
-import { FrameDecoder, canDecodeH264 } from "./decoder.js";
+import { FrameDecoder, formats } from "./decoder.js";
 import { Panel } from "./panel.js";
 import { Plots, brief } from "./plots.js";
 import { Stage } from "./stage.js";
@@ -14,7 +14,7 @@ const FIGURES_MS = 500;
 const measured = { frames: 0, fps: 0, photonMs: [], codec: "", frame: -1, pose: null, picture: null, stats: {} };
 window.cags = measured;
 
-const h264 = await canDecodeH264().catch(() => false);
+const shows = await formats().catch(() => ({ h264: false, raw: false }));
 const stage = new Stage($("picture"), $("wipe"));
 const plots = new Plots($("plots"));
 const sent = new Map(); // pose number -> time of the input that made it
@@ -30,7 +30,7 @@ let shownTimes = [];
 const connection = new Connection(`ws://${location.host}/live`, {
   open() {
     decoder.reset();
-    connection.send({ type: "hello", h264 });
+    connection.send({ type: "hello", ...shows });
     panel.look();
   },
   text(message) {
