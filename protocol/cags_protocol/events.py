@@ -54,6 +54,8 @@ class AckSample:
     window_limited: bool = False
     in_flight_bytes: int = 0
     queued_bytes: int = 0
+    shortest_rtt_us: int = 0
+    """Of the last ten seconds: what the path takes without any queue."""
     received_us: int = 0
     """When the newest packet arrived, by the client's clock."""
 

@@ -213,6 +213,7 @@ class ServerSession(Session[ev.ServerEvent]):
             window_limited=result.window_limited,
             in_flight_bytes=self._flow.in_flight_bytes,
             queued_bytes=self._queue.queued_bytes,
+            shortest_rtt_us=self._flow.min_rtt_us,
             received_us=ack.received_us,
         )
         if self._trace is not None:

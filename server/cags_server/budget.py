@@ -6,9 +6,12 @@ next frame replaces it, and a queue that is allowed to stand makes all of it lat
 
 from __future__ import annotations
 
+from math import ceil
+
 from cags_protocol import events as ev
 from cags_protocol.messages import ReferenceFrame, TileLayers
 from cags_server.records import FrameRecord
+from cags_server.tiles import BASE_PRIORITY
 
 MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
 """Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""
@@ -37,12 +40,17 @@ class ByteBudget:
     def __init__(self, queue_ms: float) -> None:
         """``queue_ms``: delay that planned but undelivered data may cause."""
         self._queue_ms = queue_ms
-        self._outstanding_bytes = 0
-        self.undecoded_bytes = 0
-        """What the client last said that it holds undecoded: to wait there is no better than to wait on the link."""
+        self._outstanding_bytes = self._detail_bytes = 0
+        self._undecoded_bytes = 0  # to wait at the client is no better than to wait on the link
         self._saved_bytes = 0
+        self._in_flight_bytes, self._path_us = 0, 0
         self._travelling: dict[int, int] = {}  # tiles queued and not settled: identity -> when, oldest first
-        self._references, self._bases = _PerFrame(), _PerFrame()
+        self._references = _PerFrame()
+
+    def acknowledged(self, sample: ev.AckSample, undecoded_bytes: int) -> None:
+        """The client told what has arrived, and how much of it waits there for its decoder."""
+        self._in_flight_bytes, self._path_us = sample.in_flight_bytes, sample.shortest_rtt_us
+        self._undecoded_bytes = undecoded_bytes
 
     def planned(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was handed to the session."""
@@ -50,14 +58,15 @@ class ByteBudget:
         message = outgoing.message
         if isinstance(message, TileLayers):
             self._travelling[id(outgoing)] = now_us
-            self._bases.now_bytes += len(outgoing.payload) if message.from_lod == 0 else 0
+            self._detail_bytes += len(outgoing.payload) if outgoing.priority > BASE_PRIORITY else 0
         elif isinstance(message, ReferenceFrame):
             self._references.now_bytes += len(outgoing.payload)
 
     def settled(self, outgoing: ev.Outgoing) -> None:
         """A message was delivered or dropped."""
         self._outstanding_bytes -= len(outgoing.payload)
-        self._travelling.pop(id(outgoing), None)
+        if self._travelling.pop(id(outgoing), None) is not None and outgoing.priority > BASE_PRIORITY:
+            self._detail_bytes -= len(outgoing.payload)
 
     def waiting_us(self, now_us: int) -> int:
         """How long the oldest unsettled tile has been on its way."""
@@ -66,29 +75,51 @@ class ByteBudget:
     def open(self, record: FrameRecord, allowed_bps: float, period_us: float) -> int:
         """What the tiles of ``record``'s frame may take; its reference is paid for first."""
         seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * period_us / 1e6
-        waiting_bytes = self._outstanding_bytes + self.undecoded_bytes
+        waiting_bytes = self._outstanding_bytes + self._undecoded_bytes
         excess = max(0.0, waiting_bytes - allowed_bps * self._queue_ms / 8e3)
         income = int(allowed_bps * seconds / 8 - record.reference_bytes - excess)
         return max(0, income + self._saved_bytes)
 
-    def room(self, spare_us: float, period_us: float, link_bps: float, dearest_bytes: int) -> int:
-        """Bytes that will still arrive within ``spare_us`` behind all that is on its way over ``link_bps``.
+    def room(self, link_bps: float, period_us: float) -> int:
+        """What may be planned until as much waits as the link carries in the allowed delay and one frame's time."""
+        return max(int(self._delay_bytes(link_bps, period_us) - self._waiting_bytes(link_bps)), 0)
 
-        Never more than the allowed delay and a frame's ``period_us`` hold. Base layers and references of the frames
-        that are planned meanwhile go ahead, as many as of late. Only references overtake a base layer: there is room
-        for ``dearest_bytes``, the dearest new one's, if it arrives in time itself, or never could.
+    def timely(self, spare_us: float, period_us: float, link_bps: float, dearest_bytes: int) -> int:
+        """What still arrives, planned ``spare_us`` before its display, if it overtakes the detail that waits.
+
+        The references of the frames that are planned meanwhile overtake it, as large as they were of late. A new tile
+        may be too large ever to arrive in time behind those: there is room for ``dearest_bytes``, the largest one's,
+        when what waits is no more than would pass by the display. Late it is shown, too, until the next comes.
         """
-        within_us = min(max(spare_us, 0.0), self._queue_ms * 1e3 + period_us)
-        at_most = int(link_bps * within_us / 8e6)
-        arriving = at_most - self._outstanding_bytes
-        frames = max(within_us / period_us - 1, 0.0)  # that are planned meanwhile
-        for_bases = arriving - int(frames * self._references.mean_bytes)
-        fits = dearest_bytes <= for_bases or dearest_bytes > at_most
-        return max(for_bases - int(frames * self._bases.mean_bytes), dearest_bytes * fits) if arriving > 0 else 0
+        within_us = max(spare_us - self._path_us, 0.0)
+        delay_bytes = self._delay_bytes(link_bps, period_us)
+        most = min(_carried(within_us, period_us, link_bps, self._references.mean_bytes), delay_bytes)
+        overtaken = max(self._detail_bytes - self._in_flight_bytes, 0)
+        ahead = max(self._waiting_bytes(link_bps) - overtaken, 0.0)
+        room = max(int(most - ahead), 0)
+        late = dearest_bytes > most and ahead < min(link_bps * within_us / 8e6, delay_bytes)
+        return max(room, dearest_bytes) if late else room
+
+    def _delay_bytes(self, link_bps: float, period_us: float) -> float:
+        return link_bps * (self._queue_ms * 1e3 + period_us) / 8e6
+
+    def _waiting_bytes(self, link_bps: float) -> float:
+        """All that is on its way, less what has passed the link: that is on the path, as far as that holds it."""
+        return max(self._outstanding_bytes - min(self._in_flight_bytes, link_bps * self._path_us / 8e6), 0.0)
 
     def close(self, left_bytes: int, allowed_bps: float) -> None:
         """The frame is planned; what it left is saved, up to a bound."""
         self._references.end()
-        self._bases.end()
         most = max(allowed_bps * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
         self._saved_bytes = min(max(0, left_bytes), int(most))
+
+
+def _carried(within_us: float, period_us: float, link_bps: float, ahead_bytes: float) -> float:
+    """The most that is through a link ``within_us`` from now if every ``period_us`` so much goes ahead of it.
+
+    What is through when the last of them comes does not wait for it.
+    """
+    frames = max(ceil(within_us / period_us) - 1, 0)  # that are planned meanwhile
+    by_the_end = link_bps * within_us / 8e6 - frames * ahead_bytes
+    before_the_last = link_bps * frames * period_us / 8e6 - (frames - 1) * ahead_bytes
+    return max(by_the_end, before_the_last) if frames else by_the_end

@@ -48,6 +48,7 @@ class SceneLibrary:
         self._owners = Recent[tuple[int, int], NDArray[np.int32]](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
         self._stays = Recent[int, NDArray[np.uint8]](OWNER_BYTES)  # by frame
         self._numbers: dict[int, tuple[int, ...]] = {}
+        self._ids = Recent[tuple[int, int], NDArray[np.intp]](OWNER_BYTES)  # by (frame, tile)
         self._lock = threading.Lock()
         self.digest = hashlib.sha256(reader.manifest.to_json()).hexdigest()[:12]
         """Names the bundle: what a client holds of one is worth nothing for another."""
@@ -149,6 +150,16 @@ class SceneLibrary:
             sizes = [len(self.entry(frame).tiles) for frame in self.manifest.gof_frames(gof)]
             known = self._numbers[gof] = tuple(accumulate(sizes[:-1], initial=0))
         return known
+
+    def tile_ids(self, frame: int, tile: int) -> NDArray[np.intp]:
+        """[n] ids of a tile's splats, for indexing."""
+        with self._lock:
+            found = self._ids.get((frame, tile))
+        if found is None:
+            found = self.reader.tile_ids(frame, tile).astype(np.intp)
+            with self._lock:
+                self._ids.put((frame, tile), found, found.nbytes)
+        return found
 
     def owning_tiles(self, frame: int) -> list[tuple[int, int]]:
         """Every (media frame, tile) that still owns a splat at ``frame``."""

@@ -111,7 +111,7 @@ class Streamer:
                 self._schedule.cadence_permille = cadence_permille
             case ev.Acknowledged(sample, buffered_bytes):
                 self._estimator.on_ack(sample)
-                self._budget.undecoded_bytes = buffered_bytes
+                self._budget.acknowledged(sample, buffered_bytes)
                 self.stats.rtt_us = sample.rtt_us
                 self._reference_budget.in_flight_bytes = sample.in_flight_bytes
                 self.stats.bandwidth_bps = self._estimator.estimate_bps(now_us)
@@ -143,7 +143,7 @@ class Streamer:
         self._budget.settled(outgoing)
         message = outgoing.message
         if isinstance(message, TileLayers):
-            (self._tiles.inventory.delivered if delivered else self._tiles.inventory.dropped)(message)
+            self._tiles.settled(message, delivered=delivered)
             self._joining.settled(message)
         elif isinstance(message, ReferenceFrame) and not delivered:
             self._video.dropped(message)
@@ -325,13 +325,15 @@ class Streamer:
 
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps, allowed_bps = self._estimator.estimate_bps(now_us), self._estimator.allowance_bps(now_us)
-        tiles = tuple(self._tiles.view(tile) for tile in visible)
+        lead_frames = self._schedule.lead_us(self.stats.rtt_us) / self._schedule.timeline.period_us
+        tiles = tuple(self._tiles.view(tile, record.frame, lead_frames) for tile in visible)
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
         spare_us = self._viewer.clock.to_server(record.display_us) - now_us - MARGIN_US
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in tiles if not tile.depth]
-        timely = self._budget.room(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
-        record.budget_bytes = min(earned_bytes, timely)
+        timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
+        room_bytes = max(self._budget.room(record.estimate_bps, period_us), timely_bytes)
+        record.budget_bytes = min(earned_bytes, room_bytes)
         decision = self._policy.decide(
             Observation(
                 frame=record.frame,
@@ -341,6 +343,7 @@ class Streamer:
                 message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
                 layered=self._tiles.layered,
                 waiting_us=self._budget.waiting_us(now_us),
+                timely_bytes=timely_bytes,
             )
         )
         record.tile_bytes = decision.bytes

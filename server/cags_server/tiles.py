@@ -11,6 +11,7 @@ from cags_server.abr import TileView, Upgrade
 from cags_server.inventory import ClientInventory
 from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.opening import opening_tiles
+from cags_server.staleness import Staleness
 
 BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3
 """Base layers and ends of frames, detail, what is out of view; references go before, in the session's own order."""
@@ -26,6 +27,7 @@ class TileSender:
         self._library, self._opening = library, opening
         self.layered = library.manifest.codec != WHOLE_TILES_CODEC
         self.inventory = ClientInventory(layered=self.layered)
+        self._staleness = Staleness(library)
         self.ended: int | None = None
         """Newest media frame whose end was queued."""
         self.from_nothing = False
@@ -39,6 +41,8 @@ class TileSender:
         for held in inventory:
             if held.lods:
                 self.inventory.hold(held.frame, held.tile, held.lods)
+                self._staleness.sent(held.frame, held.tile)
+                self._staleness.settled(held.frame, held.tile, delivered=True)
 
     def upgrades(self, frame: int, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
         """Messages of a frame: new tiles, the frame's end, detail."""
@@ -59,7 +63,7 @@ class TileSender:
         fresh = [u for u in upgrades if u.from_lod == 0]
         base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh]
         detail = [
-            self._tile((u.frame, u.tile), run, ENHANCEMENT_PRIORITY, deadline_us)
+            self._tile((u.frame, u.tile), run, BASE_PRIORITY if u.urgent else ENHANCEMENT_PRIORITY, deadline_us)
             for u in sorted(upgrades, key=lambda u: u.from_lod > 0)
             for run in self._missing_runs(u.frame, u.tile, max(u.from_lod, 1), u.to_lod)
         ]
@@ -72,7 +76,7 @@ class TileSender:
         parts: tuple[list[ev.Outgoing], list[ev.Outgoing]] = [], []
         for u in upgrades:
             again = u.from_lod > 0
-            priority = ENHANCEMENT_PRIORITY if again else BASE_PRIORITY
+            priority = ENHANCEMENT_PRIORITY if again and not u.urgent else BASE_PRIORITY
             parts[again].append(self._tile((u.frame, u.tile), (u.to_lod - 1, u.to_lod), priority, deadline_us))
         return parts
 
@@ -97,11 +101,12 @@ class TileSender:
     def start_anew(self) -> None:
         """The client holds nothing any more."""
         self.inventory.clear()
+        self._staleness.clear()
         self.ended = self._group = None
         self.from_nothing = True
 
-    def view(self, tile: VisibleTile) -> TileView:
-        """A visible tile as rate policies see it."""
+    def view(self, tile: VisibleTile, frame: int, lead_frames: float) -> TileView:
+        """A tile that is visible at ``frame``, planned ``lead_frames`` before its display, as rate policies see it."""
         entry = self._library.entry(tile.frame)
         sizes = entry.tiles[tile.tile].lod_bytes
         depth = self.inventory.depth(tile.frame, tile.tile)
@@ -116,8 +121,20 @@ class TileSender:
             sizes,
             weight=tile.weight,
             frames_left=tile.frames_left,
+            passing=tile.frames_left <= lead_frames,
             replaces=not entry.keyframe,
+            stale_frames=1.0 if depth or entry.keyframe else self._staleness.frames(frame, tile.frame, tile.tile),
         )
+
+    def settled(self, message: TileLayers, *, delivered: bool) -> None:
+        """Layers have arrived, or will not."""
+        (self.inventory.delivered if delivered else self.inventory.dropped)(message)
+        if self._brings_version(message):
+            self._staleness.settled(message.frame, message.tile, delivered=delivered)
+
+    def _brings_version(self, message: TileLayers) -> bool:
+        """Whether the splats of its frame come with ``message``; further layers refine what is there."""
+        return message.from_lod == 0 or not self.layered
 
     def _missing_runs(self, frame: int, tile: int, first: int, end: int) -> list[tuple[int, int]]:
         """[first, end) without the layers that the client holds already, as half-open runs."""
@@ -140,6 +157,8 @@ class TileSender:
         payload = b"".join(reader.payload(*key, lod) for lod in range(first, end))
         message = TileLayers(*key, first, end, entry.lod_bytes[first:end], entry.crcs[first:end])
         self.inventory.queued(message)
+        if self._brings_version(message):
+            self._staleness.sent(message.frame, message.tile)
         return ev.Outgoing(message, payload, priority, deadline_us)
 
     def frame_ends(self, frame: int) -> list[ev.Outgoing]:

@@ -23,13 +23,21 @@ class TileView:
     """Share of the picture that its visible splats make up (any common scale)."""
     frames_left: float = 1.0
     """Frames for which those splats will be seen before the media replaces them, about."""
+    passing: bool = False
+    """Whether the media replaces them so soon that their detail is worth nothing late."""
     replaces: bool = False
     """Whether its splats replace older ones, which are shown until it comes."""
+    stale_frames: float = 1.0
+    """For how long those will have been out of date when the frame is displayed, in the mean; only where it is new."""
 
     @property
     def max_depth(self) -> int:
         """LoDs that this tile has."""
         return len(self.lod_bytes)
+
+
+UNBOUNDED_BYTES = 1 << 40
+"""More than any link carries."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +51,7 @@ class Observation:
     message_overhead_bytes: int  # wire cost of one more message
     waiting_us: int = 0  # how long the oldest undelivered tile has been on its way
     layered: bool = True  # LoDs add up; else LoD L is the whole tile at quality L, and replaces what was sent
+    timely_bytes: int = UNBOUNDED_BYTES  # of them, what may go to what must arrive before the frame is displayed
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +62,8 @@ class Upgrade:
     tile: int
     from_lod: int
     to_lod: int
+    urgent: bool = False
+    """Its detail, too, is worth nothing late."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,5 +78,5 @@ class RatePolicy(Protocol):
     """Decides what to send within a budget. Pure: the same observation gives the same decision."""
 
     def decide(self, observation: Observation) -> Decision:
-        """Upgrades in the order of sending, at most one a tile; their cost never exceeds the budget."""
+        """Upgrades in the order of sending, at most one a tile; their cost exceeds neither bound."""
         ...

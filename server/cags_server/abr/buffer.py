@@ -1,20 +1,18 @@
 """By what is still on its way, without any estimate of bandwidth (after Huang et al., SIGCOMM 2014).
 
 While everything arrives at once, quality rises to the top; the longer the oldest undelivered tile has waited, the fewer
-LoDs new tiles get, down to the base layer. The budget, which comes from an estimate, is not looked at.
+LoDs new tiles get, down to the base layer. Budget and room, which come from an estimate, are not looked at.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from cags_server.abr.base import Decision, Observation
+from cags_server.abr.base import UNBOUNDED_BYTES, Decision, Observation
 from cags_server.abr.plan import Plan
 
 RESERVOIR_US, CUSHION_US = 60_000, 300_000
 """Waiting time up to which all is well, and from which on only base layers are sent."""
-
-UNBOUNDED_BYTES = 1 << 40
 
 
 class BufferPolicy:
@@ -22,7 +20,7 @@ class BufferPolicy:
 
     def decide(self, observation: Observation) -> Decision:
         """See :class:`~cags_server.abr.base.RatePolicy`; the budget is not kept."""
-        plan = Plan(replace(observation, budget_bytes=UNBOUNDED_BYTES))
+        plan = Plan(replace(observation, budget_bytes=UNBOUNDED_BYTES, timely_bytes=UNBOUNDED_BYTES))
         share = (CUSHION_US - observation.waiting_us) / (CUSHION_US - RESERVOIR_US)
         for tile in sorted(observation.tiles, key=lambda t: (-t.visible, t.frame, t.tile)):
             target = max(1, round(min(max(share, 0.0), 1.0) * tile.max_depth))

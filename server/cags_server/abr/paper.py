@@ -20,6 +20,7 @@ class PaperPolicy:
         """See :class:`~cags_server.abr.base.RatePolicy`."""
         by_count = sorted(observation.tiles, key=lambda t: (-t.visible, t.frame, t.tile))
         fresh = [tile for tile in by_count if tile.depth == 0]
+        fresh.sort(key=lambda t: -t.visible * t.stale_frames)  # else the same one would come first in every frame
         sent = [tile for tile in by_count if tile.depth > 0]
         plan = Plan(observation)
         if fresh:

@@ -20,7 +20,10 @@ from cags_server.abr.base import Decision, Observation, TileView
 from cags_server.abr.plan import Plan
 
 HOLE_DB, STALE_DB = 20.0, 6.0
-"""How much worse than a base layer is nothing at all, and the splats of an earlier frame."""
+"""How much worse than a base layer is nothing at all, and the splats of the frame before."""
+
+LONGEST_SHOWN = 60.0
+"""Frames for which a base layer is credited with being shown, however long the last one was."""
 
 FIRST_GAIN_DB, GAIN_DECAY = 2.0, 0.85
 """Gains of enhancement layers where the bundle measured none."""
@@ -74,11 +77,29 @@ def _gain_db(measured: tuple[float, ...], lod: int) -> float:
     return float(FIRST_GAIN_DB * GAIN_DECAY ** (lod - 1))
 
 
+def _frames_left(tile: TileView) -> float:
+    """What is displayed is displayed for one frame at least."""
+    return max(tile.frames_left, 1.0)
+
+
+def _absent(tile: TileView) -> float:
+    """Squared error without the tile, relative to that of its base layer, as a mean over the frames that it has left.
+
+    What moves on steadily is off by the time that it has been stale, and its error by the square. What comes will in
+    turn be shown until something replaces it: for as long as what it replaces was, to judge by that.
+    """
+    hole = float(10.0 ** (HOLE_DB / 10.0))
+    if not tile.replaces:
+        return hole
+    stale = min(float(10.0 ** (STALE_DB / 10.0)) * tile.stale_frames**2, hole)
+    shown = max(min(tile.stale_frames, LONGEST_SHOWN) / _frames_left(tile), 1.0)
+    return 1.0 + (stale - 1.0) * shown
+
+
 def _runs(observation: Observation, tile: TileView, distortions: tuple[float, ...]) -> list[_Run]:
     """The tile's missing layers as runs of falling slope."""
-    value = tile.weight * tile.frames_left
-    absent = 10.0 ** ((STALE_DB if tile.replaces else HOLE_DB) / 10.0)
-    held = (absent, *distortions)[tile.depth]
+    value = tile.weight * _frames_left(tile)
+    held = (_absent(tile), *distortions)[tile.depth]
     layered, overhead = observation.layered, observation.message_overhead_bytes
     left = distortions[tile.depth : tile.max_depth]
     hull = _hull(tile.lod_bytes, tile.depth, held, left, overhead=overhead, layered=layered)

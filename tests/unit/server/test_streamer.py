@@ -137,7 +137,7 @@ def test_no_more_is_chosen_than_arrives_before_the_display() -> None:
     on_the_way = sum(record.tile_bytes for record in records)
     dearest = max(max(tile.lod_bytes) for tile in library().entry(0).tiles) + MESSAGE_OVERHEAD_BYTES
     assert on_the_way <= 64_000 * (late.queue_ms + PERIOD_US / 1e3) / 8e3 + dearest
-    assert records[-1].budget_bytes == 0
+    assert records[-1].tile_bytes == 0
 
 
 def test_the_budget_is_kept() -> None:

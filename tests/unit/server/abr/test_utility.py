@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,6 +47,42 @@ def test_budget_is_saved_for_a_base_layer_that_is_worth_more_than_detail() -> No
     assert reached(decide("utility", 60, tile(0, depth=0, weight=0.001), tile(1))) == {1: 5}
 
 
+@pytest.mark.parametrize("policy", ["paper", "utility"])
+def test_what_has_been_stale_for_longest_comes_first(policy: str) -> None:
+    """Where everything moves and the link carries half of it, the same half would else be chosen in every frame."""
+    stale, moved = (
+        tile(i, depth=0, replaces=True, visible=v, weight=v, stale_frames=f) for i, v, f in [(0, 9, 3), (1, 10, 1)]
+    )
+    assert reached(decide(policy, 105, stale, moved)) == {0: 1}
+
+
+def test_two_halves_that_always_move_take_turns() -> None:
+    ages, chosen = [1.0, 1.0], []
+    for _ in range(8):
+        halves = (tile(i, depth=0, replaces=True, weight=1.0 + i, stale_frames=ages[i]) for i in (0, 1))
+        (sent,) = reached(decide("utility", 105, *halves))
+        ages = [1.0 if i == sent else ages[i] + 1 for i in (0, 1)]
+        chosen.append(sent)
+    assert chosen == [1, 0] * 4
+
+
+def test_a_base_layer_that_will_be_shown_for_long_is_worth_more_than_detail_for_a_few_frames() -> None:
+    late = tile(0, depth=0, replaces=True, stale_frames=40.0, frames_left=1.0)
+    fine = tile(1, weight=20.0, frames_left=6.0)
+    assert reached(decide("utility", 105, late, fine)) == {0: 1}
+    assert reached(decide("utility", 105, replace(late, stale_frames=1.0), fine)) == {1: 5}
+
+
+def test_what_stays_may_come_late_and_what_passes_may_not() -> None:
+    """Once a base layer of little worth was sent because detail of more worth was not in time, which it need not be."""
+    stays, passes = tile(0, weight=9.0, frames_left=60.0), tile(1, weight=1.0, frames_left=1.0, passing=True)
+    seen = Observation(3, 10_000, (stays, passes), (), 5, timely_bytes=26)
+    decision = create_rate_policy("utility").decide(seen)
+    assert reached(decision) == {0: 5, 1: 3}
+    assert {u.tile: u.urgent for u in decision.upgrades} == {0: False, 1: True}
+    assert reached(create_rate_policy("utility").decide(replace(seen, timely_bytes=0))) == {0: 5}
+
+
 @pytest.mark.parametrize(("waiting_ms", "depth"), [(0, 5), (60, 5), (180, 2), (300, 1), (5000, 1)])
 def test_the_buffer_policy_goes_by_waiting_time_alone(waiting_ms: int, depth: int) -> None:
     assert reached(decide("buffer", 0, tile(0, depth=0), waiting_us=waiting_ms * 1000)) == {0: depth}
@@ -61,23 +99,43 @@ def observations(draw: st.DrawFn) -> Observation:
         sizes = tuple(draw(st.lists(st.integers(0, 400), min_size=1, max_size=6)))
         depth = draw(st.integers(0, len(sizes)))
         weight, left = draw(st.floats(0, 1e5)), draw(st.floats(0, 60))
-        tiles.append(TileView(draw(st.integers(0, 3)), number, depth, draw(st.integers(1, 5000)), sizes, weight, left))
+        tiles.append(
+            TileView(
+                draw(st.integers(0, 3)),
+                number,
+                depth,
+                draw(st.integers(1, 5000)),
+                sizes,
+                weight,
+                left,
+                passing=draw(st.booleans()),
+                replaces=draw(st.booleans()),
+                stale_frames=draw(st.floats(1, 1e4)),
+            )
+        )
     gains = tuple(draw(st.lists(st.floats(-1, 5), max_size=6)))
-    return Observation(3, draw(st.integers(0, 3000)), tuple(tiles), gains, 5)
+    bytes_ = st.integers(0, 3000)
+    layered = draw(st.booleans())
+    return Observation(3, draw(bytes_), tuple(tiles), gains, 5, layered=layered, timely_bytes=draw(bytes_))
 
 
 @pytest.mark.parametrize("name", list(RATE_POLICIES))
 @given(observations())
 def test_decisions_are_sound(name: str, observation: Observation) -> None:
-    """Each tile rises at most once, from where it is, within its layers, and (but for ``buffer``) within the budget."""
+    """Each tile rises at most once, from where it is, within its layers, and (but for ``buffer``) within bounds."""
     decision = create_rate_policy(name).decide(observation)
     tiles = {(t.frame, t.tile): t for t in observation.tiles}
     assert len({(u.frame, u.tile) for u in decision.upgrades}) == len(decision.upgrades)
-    cost = 0
+    cost = urgent = 0
     for u in decision.upgrades:
         view = tiles[u.frame, u.tile]
         assert view.depth == u.from_lod < u.to_lod <= view.max_depth
-        cost += sum(view.lod_bytes[u.from_lod : u.to_lod]) + 5
+        assert u.urgent == view.passing
+        sent = view.lod_bytes[u.from_lod if observation.layered else u.to_lod - 1 : u.to_lod]
+        cost += sum(sent) + 5
+        new_bytes = sum(sent[: None if u.urgent or not observation.layered else 1]) + 5
+        urgent += new_bytes if u.urgent or not u.from_lod else 0
     assert cost == decision.bytes
     assert name == "buffer" or cost <= observation.budget_bytes
+    assert name == "buffer" or urgent <= observation.timely_bytes
     assert create_rate_policy(name).decide(observation) == decision
