@@ -1,13 +1,17 @@
-"""The PLY container: its text header and its binary elements, for formats that are built on it.
+"""The PLY container: its text header and its elements, for formats that are built on it.
 
-The layout follows Turk's PLY description. Binary files of either byte order are read; list properties and text files
+The layout follows Turk's PLY description. Binary files of either byte order and text files are read; list properties
 hold no splats in practice and are refused by name.
 """
 
 from __future__ import annotations
 
+import io
 import re
+import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -28,7 +32,8 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
-_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_TEXT = "ascii"
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", _TEXT: "<"}
 _COUNT = re.compile(r"\A[0-9]{1,12}\Z", re.ASCII)
 
 
@@ -52,6 +57,7 @@ class PlyHeader:
 
     elements: tuple[PlyElement, ...]
     body: int
+    text: bool = False
 
     def element(self, name: str) -> PlyElement | None:
         """The element called ``name``, if the file has it."""
@@ -67,14 +73,14 @@ def parse_header(data: bytes, source: str) -> PlyHeader:
         raise SceneError(
             f"{source}: its PLY header has no end_header line in {MAX_HEADER_BYTES} bytes; the file is cut"
         )
-    order, elements = "", list[PlyElement]()
+    order, text, elements = "", False, list[PlyElement]()
     for line in data[: end.start()].decode("latin-1").splitlines()[1:]:
         words = line.split()
         match words:
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case ["format", kind, _] if kind in _ORDERS:
-                order = _ORDERS[kind]
+                order, text = _ORDERS[kind], kind == _TEXT
             case ["format", kind, *_]:
                 raise SceneError(f"{source}: PLY format {kind!r} is not read; convert it to binary_little_endian")
             case ["element", name, count] if _COUNT.match(count) and len(elements) < MAX_ELEMENTS:
@@ -83,7 +89,7 @@ def parse_header(data: bytes, source: str) -> PlyHeader:
                 elements[-1] = _with_property(elements[-1], name, order + _TYPES[kind], source)
             case _:
                 raise SceneError(f"{source}: PLY header line {line[:80]!r} is not understood; is this a splat file?")
-    return PlyHeader(tuple(elements), end.end())
+    return PlyHeader(tuple(elements), end.end(), text)
 
 
 def _with_property(element: PlyElement, name: str, kind: str, source: str) -> PlyElement:
@@ -97,7 +103,9 @@ def _with_property(element: PlyElement, name: str, kind: str, source: str) -> Pl
 
 
 def read_rows(data: bytes, header: PlyHeader, source: str) -> dict[str, NDArray[np.void]]:
-    """Views of each element's rows in ``data``; nothing is copied. Raises :class:`SceneError` for truncated files."""
+    """Each element's rows: views of ``data``, unless it is text. Raises :class:`SceneError` for truncated files."""
+    if header.text:
+        return _text_rows(data, header, source)
     rows: dict[str, NDArray[np.void]] = {}
     offset = header.body
     for element in header.elements:
@@ -110,6 +118,35 @@ def read_rows(data: bytes, header: PlyHeader, source: str) -> dict[str, NDArray[
         rows[element.name] = np.frombuffer(data, element.dtype, element.count, offset) if size else _no_rows(element)
         offset += size
     return rows
+
+
+def _text_rows(data: bytes, header: PlyHeader, source: str) -> dict[str, NDArray[np.void]]:
+    """A row a line, values between blanks. Raises :class:`SceneError`."""
+    lines = io.TextIOWrapper(io.BytesIO(memoryview(data)[header.body :]), encoding="latin-1")
+    rows: dict[str, NDArray[np.void]] = {}
+    for element in header.elements:
+        if 2 * element.count * len(element.properties) > len(data) - header.body + 1:  # a digit and a blank each
+            raise SceneError(f"{source}: is cut short: element {element.name!r} claims {element.count} rows")
+        rows[element.name] = np.zeros(element.count, element.dtype)
+        if not element.count or not element.properties:
+            continue
+        table = _table(islice(lines, element.count), element, source)
+        for column, (name, _) in enumerate(element.properties):
+            rows[element.name][name] = table[:, column]
+    return rows
+
+
+def _table(lines: Iterable[str], element: PlyElement, source: str) -> NDArray[np.float64]:
+    """[rows, properties] of an element's ``lines``."""
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of no lines at all, which the shape tells
+            table: NDArray[np.float64] = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
+    except ValueError as error:
+        raise SceneError(f"{source}: element {element.name!r} is not rows of numbers ({error})") from error
+    if table.shape != (element.count, len(element.properties)):
+        wanted = f"{element.count} rows of {len(element.properties)} numbers"
+        raise SceneError(f"{source}: element {element.name!r} has {table.shape[0]} of {table.shape[1]}, not {wanted}")
+    return table
 
 
 def _no_rows(element: PlyElement) -> NDArray[np.void]:

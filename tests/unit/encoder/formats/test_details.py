@@ -6,6 +6,7 @@ import struct
 import numpy as np
 import pytest
 
+from cags_common.errors import SceneError
 from cags_encoder.formats.compressed_ply import compressed_ply_bytes, parse_compressed_ply
 from cags_encoder.formats.ply import parse_ply, ply_bytes
 from cags_encoder.formats.ply_container import parse_header
@@ -34,6 +35,44 @@ def test_ply_of_any_order_and_type_with_other_properties() -> None:
     lines += [f"property {kinds[i % 2]} {name}" for i, name in enumerate(shuffled)]
     data = "\r\n".join([*lines, "end_header", ""]).encode() + rows.tobytes()
     np.testing.assert_array_equal(parse_ply(data, "x").sh_rest, SPLATS.sh_rest)
+
+
+def text_ply(rows: list[str], names: str = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2") -> bytes:
+    properties = [f"property double {name}" for name in [*names.split(), "rot_0", "rot_1", "rot_2", "rot_3"]]
+    lines = ["ply", "format ascii 1.0", "element vertex 2", *properties, "element extra 1", "property int n"]
+    return "\r\n".join([*lines, "end_header", *rows, "7", ""]).encode()
+
+
+TEXT_ROWS = ["1 2 3 .1 .2 .3 -1.5 -4 -5 -6 1 0 0 0", "4e0 5 6 .4 .5 .6 2 -4 -5 -6 0 1 0 0"]
+
+
+def test_ply_of_text_with_another_element_after_it() -> None:
+    back = parse_ply(text_ply(TEXT_ROWS), "x")
+    assert back.means.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert back.logit_opacities.tolist() == [-1.5, 2]
+    assert back.log_scales.tolist() == [[-4, -5, -6]] * 2
+    assert back.quats.tolist() == [[1, 0, 0, 0], [0, 1, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("rows", "word"),
+    [
+        (TEXT_ROWS[:1], "cut short"),
+        ([TEXT_ROWS[0], TEXT_ROWS[1] + " 9"], "is not rows of numbers"),
+        ([TEXT_ROWS[0], TEXT_ROWS[1].replace("5", "five", 1)], "is not rows of numbers"),
+        ([TEXT_ROWS[0], TEXT_ROWS[1].replace("4e0", "nan")], r"means\[1\]"),
+        ([], "cut short"),
+        (["1 2", "3 4", "5 6", *["# " + 30 * "-"] * 2], "not 2 rows of 14 numbers"),
+    ],
+)
+def test_ply_of_text_that_is_damaged(rows: list[str], word: str) -> None:
+    with pytest.raises(SceneError, match=word):
+        parse_ply(text_ply(rows), "file.ply")
+
+
+def test_a_text_ply_that_claims_more_rows_than_its_bytes_can_hold_is_refused_before_allocation() -> None:
+    with pytest.raises(SceneError, match="cut short"):
+        parse_ply(text_ply(TEXT_ROWS).replace(b"vertex 2", b"vertex 19000000"), "file.ply")
 
 
 def test_infinite_opacity_is_kept_as_opaque() -> None:

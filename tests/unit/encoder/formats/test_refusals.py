@@ -81,7 +81,8 @@ def test_nan_is_named_by_attribute_and_row(attribute: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
-        (b"format binary_little_endian", b"format ascii", "'ascii'"),
+        (b"format binary_little_endian", b"format binary_middle_endian", "'binary_middle_endian'"),
+        (b"format binary_little_endian", b"format ascii", "is not rows of numbers"),
         (b"element vertex 40", b"element vertex 0", "no splats"),
         (b"element vertex 40", b"element vertex 999999999999", str(MAX_SPLATS)),
         (b"element vertex 40", b"element vertex 41", "cut short"),
