@@ -48,9 +48,14 @@ def create(name: str, *, threads: int | None = None, weights: Mapping[str, Weigh
     ``weights`` are the content's own, by network; they come before those of the program. ``threads`` None leaves their
     number to the restorer. Raises :class:`ConfigError` for an unknown one.
     """
+    check_name(name)
     network = name.partition("@")[0]
     if network in NETWORK_NAMES:
         return _network(name, threads, (weights or {}).get(network))
-    if name not in RESTORERS:
-        raise ConfigError(f"restorer {name!r} is unknown; known: {', '.join(RESTORERS)}")
     return RESTORERS[name]()
+
+
+def check_name(name: str) -> None:
+    """Raise :class:`ConfigError` where there is no restorer called ``name``; nothing is loaded."""
+    if name not in RESTORERS and name.partition("@")[0] not in NETWORK_NAMES:
+        raise ConfigError(f"restorer {name!r} is unknown; known: {', '.join(RESTORERS)}")

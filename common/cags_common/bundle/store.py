@@ -33,7 +33,7 @@ def filesystem(url: str) -> tuple[Any, str]:
 
     try:
         fs, path = fsspec.core.url_to_fs(url)
-    except (ValueError, ImportError) as error:
+    except Exception as error:  # stores of other makers raise what they like, and some connect at once
         raise BundleError(
             f"{url}: cannot be opened ({error}); give a folder or an address such as s3://BUCKET/NAME"
         ) from error

@@ -108,6 +108,15 @@ def test_something_else_is_never_overwritten(tmp_path: Path) -> None:
         BundleWriter(str(tmp_path / "file"))
 
 
+def test_a_store_that_cannot_be_reached_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unreachable(url: str) -> None:
+        raise OSError("Name or service not known")
+
+    monkeypatch.setattr("fsspec.core.url_to_fs", unreachable)
+    with pytest.raises(BundleError, match=r"ftp://far/x: cannot be opened \(Name or service not known\)"):
+        BundleReader.open("ftp://far/x")
+
+
 def test_what_is_missing_or_outside_is_named(tmp_path: Path) -> None:
     with pytest.raises(BundleError, match=r"manifest.json; is it a bundle"):
         BundleReader.open(str(tmp_path / "nothing"))
