@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from cags_common.geometry import Vec3
 from cags_common.settings import check_settings, setting
 from cags_common.splats import Ids, Splats
-from cags_encoder.scenes.procedural.actors import cast
+from cags_encoder.scenes.procedural.actors import Actor, cast
 from cags_encoder.scenes.procedural.bubbles import Bubbles
+from cags_encoder.scenes.procedural.patches import Patch
 from cags_encoder.scenes.procedural.room import furnish, lighting
-from cags_encoder.scenes.procedural.splatting import divide, splats_of
+from cags_encoder.scenes.procedural.splatting import Surfel, divide, splats_of
 from cags_encoder.scenes.procedural.textures import Noise
 from cags_encoder.scenes.source import DEFAULT_FPS, MAX_FRAMES, Focus
 
 MIN_SPLATS = 500
 """Fewer do not show a room. Below some 5,000 the smallest things are left out."""
+
+KEPT_SPLATS = 20_000
+"""Layouts of rooms up to this size stay in memory for whoever opens them again."""
 
 
 @dataclass(frozen=True)
@@ -34,24 +39,44 @@ class ProceduralSettings:
         check_settings(self)
 
 
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What stands in a room, and how it is divided into splats. Nothing of it changes."""
+
+    patches: tuple[Patch, ...]
+    """Those of the furniture, then the actors' at rest."""
+    actors: tuple[Actor, ...]
+    surfels: Surfel
+
+
+def layout(seed: int, count: int) -> Layout:
+    """Furnish and light a room of ``count`` splats: a second or two, whatever their number."""
+    rng = np.random.default_rng(seed)
+    noise = Noise(rng)
+    patches = furnish(noise, rng)
+    actors = cast(noise, rng)
+    patches += [patch for actor in actors for patch in actor.patches]
+    return Layout(tuple(patches), tuple(actors), divide(patches, count, lighting()))
+
+
+kept_layout = lru_cache(maxsize=8)(layout)
+"""As :func:`layout`: clips of one room share it."""
+
+
 class ProceduralScene:
     """A room of 4.8 x 2.6 x 4.8 m, y up. The same settings give the same frames, bit by bit."""
 
     def __init__(self, settings: ProceduralSettings) -> None:
-        self._settings = settings
-        rng = np.random.default_rng(settings.seed)
-        noise, light = Noise(rng), lighting()
+        self._settings, light = settings, lighting()
         self._bubbles = Bubbles(settings.size // 60, settings.degree, light)
-        patches = furnish(noise, rng)
-        actors = cast(noise, rng)
-        moving = [patch for actor in actors for patch in actor.patches]
-        surfels = divide([*patches, *moving], settings.size - self._bubbles.most, light)
-        self._rest = splats_of([*patches, *moving], surfels, light, settings.degree).checked("procedural")
-        ends = len(patches) + np.cumsum([len(actor.patches) for actor in actors])
+        lay_out = kept_layout if settings.size <= KEPT_SPLATS else layout
+        room = lay_out(settings.seed, settings.size - self._bubbles.most)
+        self._rest = splats_of(list(room.patches), room.surfels, light, settings.degree).checked("procedural")
+        firsts = len(room.patches) - np.cumsum([len(actor.patches) for actor in room.actors[::-1]])[::-1]
         self._acts = []
-        for actor, end in zip(actors, ends, strict=True):
-            rows = slice(*(int(r) for r in np.searchsorted(surfels.patch, [end - len(actor.patches), end])))
-            self._acts.append(actor.prepared(rows, surfels, light, settings.degree))
+        for actor, first in zip(room.actors, firsts, strict=True):
+            rows = slice(*(int(r) for r in np.searchsorted(room.surfels.patch, [first, first + len(actor.patches)])))
+            self._acts.append(actor.prepared(rows, room.surfels, light, settings.degree))
 
     @property
     def name(self) -> str:
