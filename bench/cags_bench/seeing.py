@@ -42,7 +42,7 @@ class Seen:
     def own(self, reference: ReferencePicture) -> RenderedView:
         """The client's own splats from the reference's camera, drawn as the server draws references."""
         footprint = Footprint.of(self.camera.intrinsics, reference.camera.intrinsics)
-        return self.scene.render(reference.camera, RenderOptions(footprint=footprint))
+        return self.scene.render(reference.camera, RenderOptions(footprint=footprint, contribution=True))
 
     def carried(self, reference: ReferencePicture, then: Seen, frame: int) -> ReferencePicture:
         """``reference`` as it would look at ``frame``; ``then`` is what the client drew at the reference's own."""

@@ -18,6 +18,7 @@ from cags_client import align, restore
 from cags_client.adapt import AdapterStep, SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture
 from cags_client.carry import OnDisplay, ReferenceViews
+from cags_client.expected import Veils
 from cags_client.gof_store import Committed, GofStore
 from cags_client.opening import Arrival
 from cags_client.presented import PresentedFrame
@@ -70,6 +71,7 @@ class ClientPipeline:
         self._background = background
         self._adapting: Future[AdapterStep] | None = None  # of the scene as it is; seen from the next frame on
         self._views = ReferenceViews(self._rasteriser, self._store.earlier)
+        self._veils = Veils(self._rasteriser, info.lod_gains_db)
         self._changes = self._corrections = 0  # of the scene, and of its colours alone
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
@@ -285,8 +287,9 @@ class ClientPipeline:
             with watch("adapt"):
                 self._adapting = self._begun(self._adapter, (drawn.scene, reference, own, options))
         if Effect.RESTORATION in plan and aligned is not None:
+            inputs = RestoreInput(drawn.distorted, drawn.view.alpha, aligned, reference, own, self._shares)
             with watch("restore"):
-                shown = self._restorer.restore(RestoreInput(drawn.distorted, drawn.view.alpha, aligned, reference, own))
+                shown = self._restorer.restore(self._veils.watched(inputs, self._held(drawn), options))
         if Effect.STAND_IN in plan and own is not None and depth is not None:
             with watch("stand-in"):
                 mine = Drawn(drawn.distorted, drawn.view.alpha, depth, drawn.camera)

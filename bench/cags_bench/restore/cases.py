@@ -66,8 +66,8 @@ class Case:
     """References of the walk until then, the oldest first."""
 
     def own(self, depth: DepthKind = DepthKind.NONE) -> RenderedView:
-        """The client's splats as the reference would show them."""
-        return self.held.render(self.reference.camera, replace(self.own_options, depth=depth))
+        """The client's splats as the reference would show them, with their contributions: a reference's first view."""
+        return self.held.render(self.reference.camera, replace(self.own_options, depth=depth, contribution=True))
 
 
 class Cases:

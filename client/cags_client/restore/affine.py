@@ -19,8 +19,9 @@ The weight says how well the alignment fits. Sampled through it, the client's ow
 picture, block by block; where it does not (a wrong depth, half-transparent layers, something hidden, a grazing view),
 the difference lands in the wrong place just as well. Blocks that disagree by much more than the correction is worth
 (:func:`registration`) keep the distorted picture. Splats of few bits need large corrections, which stay. Where
-the two views differ on the average of the whole picture, something close to one camera veils that view alone (large
-splats, haze): the correction counts as far as it is worth more than the veil.
+one splat makes up much of the picture, it may veil one view alone (large splats close to a camera, haze). Then the
+correction counts as far as it is worth more than the average difference of the two views, and where it would correct
+what is at full LoD almost everywhere, it is taken for the veil's (:mod:`cags_client.restore.veil`).
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from cags_client.align.base import ReferencePicture
 from cags_client.align.fast import sample
 from cags_client.restore.base import COMPARED, RestoreInput
 from cags_client.restore.pair import OncePerPair
+from cags_client.restore.veil import plausible
 from cags_common.geometry import F32
 from cags_common.settings import check_settings, setting
 from cags_common.video.noise import VOID_POWER, YCC_OF_RGB
@@ -98,8 +100,8 @@ class AffineRestorer:
         """See :class:`cags_client.restore.base.Restorer`."""
         own = own_view(inputs)
         # the kernel makes and applies fields in one go, which is the quicker way for those that no later frame uses
-        fields = self._fields.of(inputs, own) if self._fields.repeats(inputs) else None
-        return corrected(inputs, own, self._settings, fields)
+        kept = self._fields.repeats(inputs) or inputs.expected is not None
+        return corrected(inputs, own, self._settings, self._fields.of(inputs, own) if kept else None)
 
 
 def own_view(inputs: RestoreInput) -> F32:
@@ -120,12 +122,18 @@ def fields_of(own: F32, reference: ReferencePicture, settings: AffineSettings) -
 
 
 def corrected(inputs: RestoreInput, own: F32, settings: AffineSettings, fields: F32 | None = None) -> F32:
-    """The distorted picture [H, W, 3] changed by ``fields`` [h, w, 4]; without them, by :func:`fields_of`."""
+    """The distorted picture [H, W, 3] changed by ``fields`` [h, w, 4]; without them, by :func:`fields_of`.
+
+    Fields that are given count as far as they are plausible (``inputs.expected``).
+    """
     aligned = inputs.aligned
+    if fields is not None and inputs.expected is not None:
+        fields = plausible(fields, own, inputs.reference.rgb, inputs.expected)
     if cags_kernels.native_available():
         from cags_kernels import align as kernels
 
-        parameters = replace(_parameters(settings, inputs.reference), block_px=aligned.geometry.block_px)
+        parameters = _parameters(settings, inputs.reference)
+        parameters = replace(parameters, block_px=aligned.geometry.block_px, veil=inputs.veil)
         view = kernels.Reprojection(aligned.geometry.depth, *aligned.geometry.matrix)
         pictures = {"distorted": inputs.distorted, "confidence": aligned.confidence}
         return kernels.correct(own, inputs.reference.rgb, view, parameters, **pictures, fields=fields)
@@ -217,7 +225,8 @@ def registration(inputs: RestoreInput, own: F32, fields: F32, misregistration: f
     S P / (P + misregistration * e): P is the mean power of the correction, e that of the local disagreement, which is
     averaged over WINDOW_BLOCKS x WINDOW_BLOCKS before it is squared, so that detail that the reference cannot hold does
     not count.
-    S is 1 / (1 + (VEIL_WEIGHT v / P)^4), with v the power of the mean disagreement of the whole picture.
+    S is 1 / (1 + (VEIL_WEIGHT v / P)^4), with v the power of the mean disagreement of the whole picture, as far as a
+    veil is suspected (``inputs.veil``), and else 1.
     """
     aligned, block = inputs.aligned, inputs.aligned.geometry.block_px
     height, width = aligned.confidence.shape
@@ -239,7 +248,7 @@ def registration(inputs: RestoreInput, own: F32, fields: F32, misregistration: f
         .sum(axis=2)
     )
     veil = np.square(away[seen].mean(axis=0, dtype=np.float64)).sum() if seen.any() else 0.0
-    share = np.float32(1 / (1 + (VEIL_WEIGHT * veil / float(worth)) ** 4))
+    share = np.float32(1 - inputs.veil * (1 - 1 / (1 + (VEIL_WEIGHT * veil / float(worth)) ** 4)))
     weight = share * worth / (worth + np.float32(misregistration) * wrong)
     across = (np.arange(width, dtype=np.float32) + np.float32(0.5)) / np.float32(block)
     down = (np.arange(height, dtype=np.float32) + np.float32(0.5)) / np.float32(block)

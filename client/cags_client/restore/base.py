@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from cags_client.align.base import Aligned, ReferencePicture
+from cags_client.restore.veil import suspicion
 from cags_common.effects import Effect
 from cags_common.geometry import F32
 from cags_common.raster.base import RenderedView
@@ -26,6 +27,18 @@ class RestoreInput:
     """As it came, for restorers that work at its resolution."""
     own: RenderedView | None = None
     """The client's own splats seen from the reference's camera through the client's footprint [h, w]."""
+    contribution: F32 | None = None
+    """Each splat's compositing weights summed over a view like ``own`` [N], for an ``own`` that was drawn without."""
+    expected: F32 | None = None
+    """What may be wrong in ``own``, as a share of the lowest LoD's error [h, w]; None: anything anywhere."""
+
+    @property
+    def veil(self) -> float:
+        """How likely it is, in [0, 1], that one splat close to a camera veils a view; 1 where nobody can tell."""
+        if self.own is None:
+            return 1.0
+        contribution = self.contribution if self.own.contribution is None else self.own.contribution
+        return suspicion(contribution, self.own.alpha.size)
 
     def afresh(self) -> RestoreInput:
         """The same, for timing: a restorer that keeps what it made of an own view makes it again."""

@@ -56,6 +56,7 @@ class _CorrectInput(ctypes.Structure):
         ("confidence", _Pointer),
         ("block_px", _int32),
         ("misregistration", _float),
+        ("veil", _float),
         ("threads", _int32),
     ]
 
@@ -105,6 +106,8 @@ class CorrectParameters:
     block_px: int
     misregistration: float
     threads: int
+    veil: float = 1.0
+    """In [0, 1]: see ``cags_client.restore.RestoreInput``."""
 
 
 @dataclass(frozen=True)
@@ -221,6 +224,7 @@ def _correct_input(view: _Reprojection, own: F32, reference: F32, p: CorrectPara
         broad_noise=(_float * 3)(*p.broad_noise),
         block_px=p.block_px,
         misregistration=p.misregistration,
+        veil=p.veil,
         threads=p.threads,
     )
 

@@ -229,6 +229,41 @@ def test_a_veil_that_is_the_smaller_part_costs_next_to_nothing(affine: AffineRes
     assert np.square(kept).mean() > 0.85 * np.square(bare).mean()
 
 
+def test_no_veil_is_looked_for_where_no_splat_makes_up_much_of_the_picture(affine: AffineRestorer) -> None:
+    """Views of a scene of many splats that differ on the average are of its errors, and their correction stays."""
+    truth = smooth(120, 160, 6)
+    weak = np.clip(truth + 0.04 * (smooth(120, 160, 20, seed=1) - 0.5), 0, 1).astype(np.float32)
+    given = inputs(truth, weak)
+    assert given.own is not None
+    seen = replace(given, distorted=(weak + np.float32(0.015)).astype(np.float32))
+    change = {}
+    for share in (0.01, 0.5, None):
+        contribution = None if share is None else np.array([share, 0.01], np.float32) * given.own.alpha.size
+        shown = replace(seen, own=replace(given.own, contribution=contribution))
+        change[share] = np.square(affine.restore(shown) - shown.distorted).mean()
+    assert change[0.01] > 4 * change[0.5]
+    assert change[None] == change[0.5], "where nobody can tell, a veil is looked for"
+
+
+def test_contributions_of_a_view_before_serve_one_that_was_drawn_without() -> None:
+    given = inputs(smooth(120, 160, 6), smooth(120, 160, 6, seed=1))
+    assert given.own is not None
+    few = np.array([0.01, 0.01], np.float32) * given.own.alpha.size
+    assert (given.veil, replace(given, contribution=few).veil) == (1.0, 0.0)
+    assert replace(given, own=replace(given.own, contribution=50 * few), contribution=few).veil == 1.0
+    assert replace(given, own=None, contribution=few).veil == 1.0
+
+
+def test_corrections_beyond_what_may_be_wrong_are_left_out_where_they_are_everywhere(affine: AffineRestorer) -> None:
+    truth = smooth(120, 160, 6)
+    given = inputs(truth, np.clip(truth + 0.05, 0, 1).astype(np.float32))
+    whole = affine.restore(given).copy()
+    full = replace(given, expected=np.full((30, 40), 0.01, np.float32))
+    anything = replace(given, expected=np.ones((30, 40), np.float32))
+    assert np.abs(affine.restore(full) - given.distorted).max() < 0.005
+    np.testing.assert_allclose(affine.restore(anything), whole, atol=2e-4)
+
+
 @pytest.mark.parametrize("size", [(120, 160), (61, 83), (3, 5)])
 def test_kernels_and_numpy_agree_on_what_the_alignment_gets_wrong(
     monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]

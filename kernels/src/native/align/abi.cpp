@@ -111,10 +111,10 @@ Agreement mean_of(const std::vector<Agreement>& rows) {  // in one thread, so th
 }
 
 // What veils one of the client's two views alone veils all of it: its difference stays when all of them are averaged.
-float own_share(const Agreement& all) {
+float own_share(const Agreement& all, float looked_for) {
   const double veil = all.away[0] * all.away[0] + all.away[1] * all.away[1] + all.away[2] * all.away[2];
   const double ratio = kVeilWeight * veil / all.power, square = ratio * ratio;
-  return static_cast<float>(1.0 / (1.0 + square * square));
+  return 1.0f - looked_for * (1.0f - static_cast<float>(1.0 / (1.0 + square * square)));
 }
 
 // Weighs the correction by how well the client's own two views agree through the alignment. No blocks: all of it counts.
@@ -129,7 +129,7 @@ Blocks registration(const CagsCorrectInput& in, const Padded& fields, const Padd
   for_rows(threads, blocks.height, [&](int row, int) { stages().compare(in, fields, own, row, blocks, rows[row]); });
   const Agreement all = mean_of(rows);
   const float power = static_cast<float>(all.power);
-  const float share = own_share(all);
+  const float share = own_share(all, in.veil);
   const size_t line = 2 * size_t(blocks.width) + 2 * kAround;
   float* lines = scratch.lines.reserve(line * threads);
   for_rows(threads, blocks.height, [&](int row, int worker) {
@@ -214,7 +214,7 @@ int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output) {
 
 static bool valid(const CagsCorrectInput& in) {
   return cags::align::valid(in.view) && in.threads >= 1 && in.radius_cells >= 1 && in.radius_cells <= cags::align::kMaxRadius &&
-         in.block_px >= 1 && in.misregistration >= 0;
+         in.block_px >= 1 && in.misregistration >= 0 && in.veil >= 0 && in.veil <= 1;
 }
 
 int32_t cags_fields(const CagsCorrectInput* input, float* fields) {

@@ -36,6 +36,7 @@ struct CagsCorrectInput {
   const float* confidence;  // [height, width]
   int32_t block_px;         // side of the client's blocks that are compared with `own`
   float misregistration;    // weight of what they disagree by against the correction; 0: not looked at
+  float veil;               // in [0, 1]: how far what veils one view alone is looked for
   int32_t threads;
 };
 
