@@ -184,9 +184,10 @@ void correct(const CagsCorrectInput& in, float* restored) {
   const int threads = std::min(in.threads, kMaxThreads);
   const auto [fields, own] = fitted(in, *scratch, threads);
   const Blocks blocks = registration(in, fields, own, *scratch, threads);
-  float* weights = scratch->lines.reserve(size_t(blocks.width) * threads);
+  const size_t line = size_t(blocks.width) + kLineSlack;
+  float* weights = scratch->lines.reserve(line * threads);
   for_rows(threads, in.view.height, [&](int row, int worker) {
-    stages().correct(in, fields, blocks, row, weights + size_t(blocks.width) * worker, restored);
+    stages().correct(in, fields, blocks, row, weights + line * worker, restored);
   });
 }
 

@@ -58,6 +58,7 @@ struct Blocks {
 };
 
 // Disagreement is averaged over kWindow x kWindow blocks before it is squared.
+constexpr int kLineSlack = 8;  // blocks beyond a row's last
 constexpr int kAround = 3, kWindow = 2 * kAround + 1;
 
 // Sums over the blocks of a row that are seen: of the correction's power, and of the disagreement.
@@ -93,7 +94,7 @@ struct Stages {
   void (*carry_means)(const CagsCarryInput&, int row, const float* sums, float* means);
   void (*carry)(const CagsCarryInput&, int row, const float* means, float most, float* carried);
   // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.
-  // `line` [blocks.width] is scratch.
+  // `line` [blocks.width + kLineSlack] is scratch.
   void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored);
 };
 

@@ -5,15 +5,18 @@
 
 #include <algorithm>
 #include <cstring>
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
 
 namespace cags::align {
 namespace {
 
 typedef float Four __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float Eight __attribute__((vector_size(32), aligned(4), may_alias));
+typedef int32_t EightInts __attribute__((vector_size(32)));
 
 inline float clipped(float value) { return std::min(std::max(value, 0.0f), 1.0f); }
-
 
 inline const Four& four(const float* at) { return *reinterpret_cast<const Four*>(at); }
 inline const Eight& eight(const float* at) { return *reinterpret_cast<const Eight*>(at); }
@@ -31,10 +34,15 @@ inline Tap tap_of(const Padded& image, float x, float y) {
   return {4 * (iy * (image.width + 2) + ix), px - static_cast<float>(ix), py - static_cast<float>(iy)};
 }
 
-inline Four bilinear(const Padded& image, const Tap& t) {
+// The two neighbours left and right of a tap, which lie side by side, at its height.
+inline Eight beside(const Padded& image, const Tap& t) {
   const float* first = image.data + t.first;
-  const Eight top = eight(first), bottom = eight(first + 4 * (image.width + 2));  // two neighbours lie side by side
-  const Eight both = top + (bottom - top) * t.ay;
+  const Eight top = eight(first), bottom = eight(first + 4 * (image.width + 2));
+  return top + (bottom - top) * t.ay;
+}
+
+inline Four bilinear(const Padded& image, const Tap& t) {
+  const Eight both = beside(image, t);
   const Four left = __builtin_shufflevector(both, both, 0, 1, 2, 3), right = __builtin_shufflevector(both, both, 4, 5, 6, 7);
   return left + (right - left) * t.ax;
 }
@@ -54,6 +62,42 @@ struct Taps {
   int32_t first[kRun];
   float ax[kRun], ay[kRun];
 };
+
+// One value for each half.
+inline Eight halves(float low, float high) { return Eight{low, low, low, low, high, high, high, high}; }
+inline Eight halves(const Four& low, const Four& high) {
+  return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+}
+
+// Two pixels' samples, one in each half.
+inline Eight bilinear(const Padded& image, const Tap& one, const Tap& two) {
+  const Eight a = beside(image, one), b = beside(image, two);
+  const Eight left = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11);
+  const Eight right = __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+  return left + (right - left) * halves(one.ax, two.ax);
+}
+
+// Each lane in [0, 1]; NaN becomes 0.
+inline Eight clipped(const Eight& v) {
+#if defined(__AVX2__)
+  const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1.0f);
+  return Eight(_mm256_min_ps(_mm256_max_ps(__m256(v), zero), one));
+#else
+  const Eight zero = {}, one = zero + 1.0f, low = v > zero ? v : zero;
+  return low < one ? low : one;
+#endif
+}
+
+// table[index] of eight indices from 0 to 7.
+inline Eight looked_up(const float* table, const EightInts& index) {
+#if defined(__AVX2__)
+  return Eight(_mm256_permutevar8x32_ps(_mm256_loadu_ps(table), __m256i(index)));
+#else
+  Eight out;
+  for (int i = 0; i < 8; i++) out[i] = table[index[i]];
+  return out;
+#endif
+}
 
 // Writes pixel i of a run of three lanes: the fourth float is the next pixel's, which is written next; the last of a run must
 // not touch it.

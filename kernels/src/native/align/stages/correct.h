@@ -6,6 +6,9 @@
 namespace cags::align {
 namespace {
 
+constexpr int kAtOnce = 8;  // pixels
+static_assert(kRun % kAtOnce == 0 && kLineSlack >= kAtOnce);
+
 // Mean colour of a block of `kSize` pixels a side, or of any size where that is 0. What ends where the picture does is not
 // `inner`: no fourth lane follows its last pixel.
 template <int kSize>
@@ -101,35 +104,58 @@ void settle(const CagsCorrectInput& in, int row, float power, float share, const
   for (int i = 0; i < width; i++) weight[i] = share * power / (power + in.misregistration * wrong[i] / kSquaredCount);
 }
 
-// Pixels that are not in the reference have no confidence; the field's corner that they read is multiplied by it.
+// Two pixels' colours, one in each half, changed by their fields.
+inline Eight corrected(const Eight& colour, const Eight& field) {
+  const Eight factor = __builtin_shufflevector(field, field, 0, 0, 0, 0, 4, 4, 4, 4);
+  const Eight offset = __builtin_shufflevector(field, field, 1, 2, 3, 0, 5, 6, 7, 4);
+  return clipped(colour + (colour * factor + offset));
+}
+
+// Pixels that are not in the reference have no confidence; the field's corner that they read is multiplied by it. Two go side
+// by side; what follows the last pixels is not touched.
 inline void correct_run(const Taps& taps, int count, const Padded& fields, const float* confidence, const float* distorted,
                         float* restored) {
-  const Four zero = {}, one = {1.0f, 1.0f, 1.0f, 1.0f};
-  for (int i = 0; i < count; i++) {
-    const Four field = bilinear(fields, taps[i]) * confidence[i];
-    const Four factor = __builtin_shufflevector(field, field, 0, 0, 0, 0);
-    const Four offset = __builtin_shufflevector(field, field, 1, 2, 3, 0);
+  int i = 0;
+  for (; i + 2 < count; i += 2) {
+    const Eight field = bilinear(fields, taps[i], taps[i + 1]) * halves(confidence[i], confidence[i + 1]);
+    const Eight shown = corrected(halves(four(distorted + 3 * i), four(distorted + 3 * i + 3)), field);
+    std::memcpy(restored + 3 * i, &shown, sizeof(Four));
+    std::memcpy(restored + 3 * i + 3, reinterpret_cast<const char*>(&shown) + sizeof(Four), sizeof(Four));
+  }
+  for (; i < count; i++) {
+    const Eight field = bilinear(fields, taps[i], taps[i]) * confidence[i];
     const Four colour = colour_at(distorted + 3 * i, i + 1 < count);
-    Four shown = colour + (colour * factor + offset);
-    shown = shown < zero ? zero : shown;
-    shown = shown > one ? one : shown;
-    put(restored, i, count, shown);
+    const Eight shown = corrected(halves(colour, colour), field);
+    put(restored, i, count, __builtin_shufflevector(shown, shown, 0, 1, 2, 3));
   }
 }
 
-// Confidences of a run, times the blocks' weights between their centres. `line` [blocks.width] are those of this row.
+// Fewer than eight values, and zeros.
+inline Eight eight_of(const float* values, int count) {
+  Eight out = {};
+  for (int i = 0; i < count; i++) out[i] = values[i];
+  return out;
+}
+
+// Confidences of a run, times the blocks' weights between their centres. `line` are those of this row, see weights_at. The
+// blocks that eight pixels lie between are among eight neighbours: they are looked up in a register.
 inline void weigh_run(const float* line, const Blocks& blocks, int first, int count, const float* confidence, float* out) {
+  const Eight step = {0, 1, 2, 3, 4, 5, 6, 7}, least = {}, most = least + static_cast<float>(blocks.width - 1);
   const float inverse = 1.0f / static_cast<float>(blocks.size);
-  const int last = blocks.width - 1;
-  for (int i = 0; i < count; i++) {
-    const float middle = (static_cast<float>(first + i) + 0.5f) * inverse - 0.5f;
-    const float x = std::min(std::max(middle, 0.0f), static_cast<float>(last));
-    const int a = static_cast<int>(x), b = std::min(a + 1, last);
-    out[i] = confidence[i] * (line[a] + (line[b] - line[a]) * (x - static_cast<float>(a)));
+  for (int i = 0; i < count; i += kAtOnce) {
+    const Eight middle = (step + (static_cast<float>(first + i) + 0.5f)) * inverse - 0.5f;
+    const Eight x = middle < least ? least : middle > most ? most : middle;
+    const EightInts block = __builtin_convertvector(x, EightInts);
+    const float* near_by = line + block[0];
+    const Eight a = looked_up(near_by, block - block[0]), b = looked_up(near_by + 1, block - block[0]);
+    const Eight weight = a + (b - a) * (x - __builtin_convertvector(block, Eight));
+    const Eight known = i + kAtOnce <= count ? eight(confidence + i) : eight_of(confidence + i, count - i);
+    const Eight weighed = known * weight;
+    std::memcpy(out + i, &weighed, sizeof weighed);
   }
 }
 
-// The blocks' weights at the height of one row of pixels.
+// The blocks' weights at the height of one row of pixels, and the last one's again for all that may be looked at beyond.
 inline void weights_at(const Blocks& blocks, int row, float* __restrict line) {
   const float middle = (static_cast<float>(row) + 0.5f) / static_cast<float>(blocks.size) - 0.5f;
   const float y = std::clamp(middle, 0.0f, static_cast<float>(blocks.height - 1));
@@ -138,6 +164,7 @@ inline void weights_at(const Blocks& blocks, int row, float* __restrict line) {
   const float* low = blocks.weight + int64_t{below} * blocks.width;
   const float share = y - static_cast<float>(above);
   for (int i = 0; i < blocks.width; i++) line[i] = top[i] + (low[i] - top[i]) * share;
+  std::fill_n(line + blocks.width, kLineSlack, line[blocks.width - 1]);
 }
 
 void correct(const CagsCorrectInput& in, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored) {

@@ -47,8 +47,24 @@ inline bool hidden(const CagsAlignInput& in, int row, int column, float behind, 
   return behind > in.slope_cells * (in.cell_x * across + in.cell_y * down);
 }
 
-// Confidence of a run where nothing is hidden, and how far its pixels lie behind their cells' limits. Returns whether any does.
-inline bool confide(const CagsAlignInput& in, const Projected& p, const float* nearest_depth, int count,
+// The first `count` values that are more than 0, a bit a value.
+inline uint64_t positive(const float* values, int count) {
+  uint64_t out = 0;
+#if defined(__AVX2__)
+  for (int i = 0; i < kRun; i += 8) {
+    const __m256 more = _mm256_cmp_ps(_mm256_loadu_ps(values + i), _mm256_setzero_ps(), _CMP_GT_OQ);
+    out |= uint64_t{static_cast<uint32_t>(_mm256_movemask_ps(more))} << i;
+  }
+  return out & ~uint64_t{0} >> (kRun - count);
+#else
+  for (int i = 0; i < count; i++) out |= uint64_t{values[i] > 0} << i;
+  return out;
+#endif
+}
+static_assert(kRun == kWord);
+
+// Confidence of a run where nothing is hidden, and how far its pixels lie behind their cells' limits. Returns those that do, a bit a pixel.
+inline uint64_t confide(const CagsAlignInput& in, const Projected& p, const float* nearest_depth, int count,
                      float* __restrict confidence, float* __restrict behind) {
   const float tolerance = 1.0f + in.depth_tolerance, fade = 1.0f / std::max(in.border_px, 1e-6f);
   const float w = static_cast<float>(in.view.reference_width), h = static_cast<float>(in.view.reference_height);
@@ -58,16 +74,15 @@ inline bool confide(const CagsAlignInput& in, const Projected& p, const float* n
     confidence[i] = p.inside[i] ? (distance < 1.0f ? distance : 1.0f) : 0.0f;
   }
   for (int i = 0; i < count; i++) behind[i] = p.z[i] - nearest_depth[p.cell[i]] * tolerance;
-  int32_t any = 0;  // of integers: a largest float would be found one by one
-  for (int i = 0; i < count; i++) any |= behind[i] > 0;
-  return any;
+  return positive(behind, count);
 }
 
-// Marks the hidden pixels of a run.
-inline void hide(const CagsAlignInput& in, const Projected& p, const Occlusion& occlusion, const float* behind, int row, int first,
-                 int count, float* confidence, uint8_t* occluded) {
-  for (int i = 0; i < count; i++) {
-    if (behind[i] <= 0 || !hidden(in, row, first + i, behind[i], occlusion.nearest[p.cell[i]])) continue;
+// Marks those of a run's `doubtful` pixels that are hidden.
+inline void hide(const CagsAlignInput& in, const Projected& p, const Occlusion& occlusion, const float* behind, uint64_t doubtful,
+                 int row, int first, float* confidence, uint8_t* occluded) {
+  for (; doubtful; doubtful &= doubtful - 1) {
+    const int i = std::countr_zero(doubtful);
+    if (!hidden(in, row, first + i, behind[i], occlusion.nearest[p.cell[i]])) continue;
     occluded[i] = 1;
     confidence[i] = 0.0f;
     if (occlusion.shared) occlusion.shared[p.cell[i]] = 1;
@@ -89,8 +104,8 @@ void resolve(const CagsAlignInput& in, const Padded& reference, const Occlusion&
     float* rgb = out.rgb ? out.rgb + 3 * start : nullptr;
     std::memset(out.occluded + start, 0, count);
     if (project(in.view, row, first, 1, count, p)) {
-      const bool any = confide(in, p, occlusion.nearest_depth, count, confidence, behind);
-      if (any) hide(in, p, occlusion, behind, row, first, count, confidence, out.occluded + start);
+      const uint64_t doubtful = confide(in, p, occlusion.nearest_depth, count, confidence, behind);
+      hide(in, p, occlusion, behind, doubtful, row, first, confidence, out.occluded + start);
       if (rgb) paint(p, reference, count, rgb);
     } else {  // nothing of it lies in the reference
       std::fill_n(confidence, count, 0.0f);
