@@ -11,10 +11,13 @@ from math import ceil
 from cags_protocol import events as ev
 from cags_protocol.messages import ReferenceFrame, TileLayers
 from cags_server.records import FrameRecord
-from cags_server.tiles import BASE_PRIORITY
+from cags_server.tiles import PASSING_PRIORITY
 
 MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
 """Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""
+
+MESSAGE_OVERHEAD_BYTES = 160
+"""Header of a tile message and its fragment, about."""
 
 SMOOTHING = 0.2
 """Weight of the newest frame in the means of what overtakes."""
@@ -54,19 +57,19 @@ class ByteBudget:
 
     def planned(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was handed to the session."""
-        self._outstanding_bytes += len(outgoing.payload)
+        self._outstanding_bytes += _size(outgoing)
         message = outgoing.message
         if isinstance(message, TileLayers):
             self._travelling[id(outgoing)] = now_us
-            self._detail_bytes += len(outgoing.payload) if outgoing.priority > BASE_PRIORITY else 0
+            self._detail_bytes += _size(outgoing) if outgoing.priority > PASSING_PRIORITY else 0
         elif isinstance(message, ReferenceFrame):
-            self._references.now_bytes += len(outgoing.payload)
+            self._references.now_bytes += _size(outgoing)
 
     def settled(self, outgoing: ev.Outgoing) -> None:
         """A message was delivered or dropped."""
-        self._outstanding_bytes -= len(outgoing.payload)
-        if self._travelling.pop(id(outgoing), None) is not None and outgoing.priority > BASE_PRIORITY:
-            self._detail_bytes -= len(outgoing.payload)
+        self._outstanding_bytes -= _size(outgoing)
+        if self._travelling.pop(id(outgoing), None) is not None and outgoing.priority > PASSING_PRIORITY:
+            self._detail_bytes -= _size(outgoing)
 
     def waiting_us(self, now_us: int) -> int:
         """How long the oldest unsettled tile has been on its way."""
@@ -112,6 +115,10 @@ class ByteBudget:
         self._references.end()
         most = max(allowed_bps * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
         self._saved_bytes = min(max(0, left_bytes), int(most))
+
+
+def _size(outgoing: ev.Outgoing) -> int:
+    return len(outgoing.payload) + MESSAGE_OVERHEAD_BYTES
 
 
 def _carried(within_us: float, period_us: float, link_bps: float, ahead_bytes: float) -> float:

@@ -14,7 +14,7 @@ from cags_protocol import events as ev
 from cags_protocol.messages import Control, HeldTile, Hello, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
-from cags_server.budget import ByteBudget
+from cags_server.budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
 from cags_server.fov import widened
 from cags_server.joining import Joining
 from cags_server.library import SceneLibrary, VisibleTile
@@ -30,9 +30,6 @@ from cags_server.sight import Sight
 from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
 from cags_server.viewer import Viewer
-
-MESSAGE_OVERHEAD_BYTES = 160
-"""Header of a tile message and its fragment, about."""
 
 
 class Streamer:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol.events import AckSample, Outgoing
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
-from cags_server.budget import MAX_BUDGET_TICKS, MAX_SAVED_S, MIN_SAVED_BYTES, ByteBudget
+from cags_server.budget import MAX_BUDGET_TICKS, MAX_SAVED_S, MESSAGE_OVERHEAD_BYTES, MIN_SAVED_BYTES, ByteBudget
 from cags_server.records import FrameRecord
 from cags_server.tiles import BASE_PRIORITY, ENHANCEMENT_PRIORITY
 
@@ -21,15 +21,18 @@ def record(ticks: int = 1, reference_bytes: int = 0) -> FrameRecord:
 
 
 def tile(size: int) -> Outgoing:
-    return Outgoing(TileLayers(0, 0, 0, 1, (size,), (0,)), bytes(size), BASE_PRIORITY)
+    """A base layer that takes ``size`` bytes of the link."""
+    return Outgoing(TileLayers(0, 0, 0, 1, (size,), (0,)), bytes(size - MESSAGE_OVERHEAD_BYTES), BASE_PRIORITY)
 
 
 def detail(size: int) -> Outgoing:
-    return Outgoing(TileLayers(0, 0, 1, 2, (size,), (0,)), bytes(size), ENHANCEMENT_PRIORITY)
+    return Outgoing(TileLayers(0, 0, 1, 2, (size,), (0,)), bytes(size - MESSAGE_OVERHEAD_BYTES), ENHANCEMENT_PRIORITY)
 
 
 def reference(size: int) -> Outgoing:
-    return Outgoing(ReferenceFrame(0, 1, Pose.identity(), Intrinsics.of_fov(40, 30, 0.5, 0.4)), bytes(size))
+    return Outgoing(
+        ReferenceFrame(0, 1, Pose.identity(), Intrinsics.of_fov(40, 30, 0.5, 0.4)), bytes(size - MESSAGE_OVERHEAD_BYTES)
+    )
 
 
 def acknowledged(in_flight: int = 0, rtt_us: int = 0) -> AckSample:
@@ -162,7 +165,10 @@ def test_a_base_layer_that_never_fits_behind_the_references_goes_late() -> None:
 
 
 MOVES = st.lists(
-    st.tuples(st.sampled_from(["tile", "detail", "reference", "settle", "close"]), st.integers(0, 60_000)), max_size=30
+    st.tuples(
+        st.sampled_from(["tile", "detail", "reference", "settle", "close"]), st.integers(MESSAGE_OVERHEAD_BYTES, 60_000)
+    ),
+    max_size=30,
 )
 
 

@@ -9,8 +9,9 @@ from cags_common.video.h264 import H264Decoder
 from cags_protocol import events as ev
 from cags_protocol.messages import Blob, FrameEnd, HeldTile, ReferenceFrame, TileLayers
 from cags_server.bandwidth import MeasuredEstimator
+from cags_server.budget import MESSAGE_OVERHEAD_BYTES
 from cags_server.settings import ServerSettings
-from cags_server.streamer import MESSAGE_OVERHEAD_BYTES, Streamer
+from cags_server.streamer import Streamer
 from support.server_scene import CLIENT, FPS, SETTINGS, hello, library
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
