@@ -79,6 +79,19 @@ def test_a_smooth_slanted_surface_has_no_occlusion_under_an_identity(aligner: Al
     assert not aligner.align(picture(SMALL), depth, Camera(LARGE, Pose.identity())).occluded.any()
 
 
+@pytest.mark.parametrize("axis", [0, 1], ids=["wall", "floor"])
+def test_a_plane_at_a_grazing_angle_hides_nothing(aligner: Aligner, axis: int) -> None:
+    """Pixels from several cells' distance share one of the reference's, at depths far apart: a slope, not a step."""
+    along = rays(LARGE, Pose.identity())[..., axis]
+    depth = np.where(along > 0.02, 1 / np.maximum(along, 0.02), 50).astype(np.float32)  # a metre aside, then a far wall
+    nearer = (0.3, 0.0, 0.0) if axis == 0 else (0.0, 0.3, 0.0)
+    reference = picture(SMALL, Pose(nearer, (1.0, 0.0, 0.0, 0.0)))
+    out = aligner.align(reference, depth, Camera(LARGE, Pose.identity()))
+    plane = (along > 0.05) & (along < 0.3)
+    assert depth[plane].max() > 15
+    assert not out.occluded[plane].any()
+
+
 def test_a_pure_rotation_does_not_depend_on_depth(aligner: Aligner) -> None:
     pose = turned(0.2)
     reference = picture(LARGE, pose, seen_from_afar(rays(LARGE, pose)))

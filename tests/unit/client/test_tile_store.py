@@ -51,6 +51,16 @@ def test_rows_that_changed_are_reported_and_no_others(store: TileStore) -> None:
     assert store.commit(1)[1].rows.tolist() == []
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_of_two_tiles_of_a_frame_that_claim_one_splat_the_first_has_it(
+    store: TileStore, order: tuple[int, int]
+) -> None:
+    for tile in order:
+        store.add(0, tile, 0, [base([0], 1 + tile)])
+    store.end(0, removed())
+    assert xs(store, 0)[0] == 1
+
+
 def test_any_order_of_arrival_ends_in_the_same_splats() -> None:
     arrivals = (
         ("add", 0, 0, 0, [base([0, 1, 2, 3], 1)]),

@@ -31,6 +31,11 @@ def test_only_the_newest_ranges_are_kept():
     assert len(packets.ranges) == limits.MAX_ACK_RANGES
     assert packets.ranges[0] == SeqRange(198, 198)
     assert not packets.add(1)
+    oldest = packets.ranges[-1].first
+    assert not packets.add(oldest - 2), "too old to tell"
+    assert packets.add(oldest - 1), "it makes the oldest range longer, and takes no room"
+    assert packets.ranges[-1] == SeqRange(oldest - 1, oldest)
+    assert len(packets.ranges) == limits.MAX_ACK_RANGES
 
 
 def pieces(data, size, ident=1):

@@ -115,3 +115,16 @@ def test_jitter_widens_the_window_and_a_growing_queue_does_not():
     calm = round_trips(flow(), [20_000] * 100)
     assert round_trips(flow(), [20_000 + 1000 * n for n in range(100)]) == calm
     assert round_trips(flow(), [20_000, 40_000] * 50) > 1.5 * calm
+
+
+def test_a_rate_is_over_the_longer_of_sending_and_acknowledging():
+    """Acknowledgements that come in a bunch do not say that the link carried it all at once."""
+    control = flow()
+    send(control, 0)
+    send(control, 1_000)
+    control.on_ack([SeqRange(1, 1)], 0, 50_000)
+    send(control, 51_000)
+    bunch = control.on_ack([SeqRange(1, 3)], 0, 52_000)
+    assert bunch.delivery_rate_bps == pytest.approx(2_000 * 8e6 / 51_000), "not 2,000 bytes in 2 ms"
+    send(control, 60_000)
+    assert control.on_ack([SeqRange(4, 4)], 0, 70_000).delivery_rate_bps == pytest.approx(1_000 * 8e6 / 10_000)

@@ -3,13 +3,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
+from cags_common.lod import MAX_LODS
 from cags_protocol.encoding import decode, encode
 from cags_protocol.inventory import MAX_INVENTORY_TILES, pack_inventory, unpack_inventory
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from cags_protocol.messages import HeldTile
 from support.wire_pair import hello
 
-TILES = st.builds(HeldTile, st.integers(0, 2**31 - 1), st.integers(0, 2**16 - 1), st.integers(1, 64))
+TILES = st.builds(HeldTile, st.integers(0, 2**31 - 1), st.integers(0, 2**16 - 1), st.integers(1, MAX_LODS))
 
 
 @given(st.lists(TILES, max_size=40))
@@ -29,7 +30,9 @@ def test_the_newest_tiles_are_kept_and_empty_ones_left_out():
 
 
 @pytest.mark.parametrize(
-    "data", [b"123", bytes(7), b"\xff" * 7, bytes(7 * (MAX_INVENTORY_TILES + 1))], ids=["cut", "none", "wild", "long"]
+    "data",
+    [b"123", bytes(7), b"\xff" * 7, bytes(6) + bytes([MAX_LODS + 1]), bytes(7 * (MAX_INVENTORY_TILES + 1))],
+    ids=["cut", "none", "wild", "deep", "long"],
 )
 def test_what_is_no_inventory_is_refused(data):
     with pytest.raises(ProtocolError, match="inventory"):

@@ -9,8 +9,9 @@ import pytest
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
+from cags_protocol.encoding import encode
 from cags_protocol.inventory import pack_inventory
-from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample, RefusalCode
+from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample, RefusalCode, TileLayers
 from cags_server.bandwidth import MeasuredEstimator
 from cags_server.connection import Connection
 from cags_server.reference import FrameJob, FrameRender
@@ -78,6 +79,21 @@ def test_a_client_joins_plays_to_the_end_and_leaves() -> None:
     assert pair.connection.ending.code == "bye"
     assert pair.connection.next_timer_us() is None
     assert pair.connection.next_job(pair.now_us) is None
+
+
+def test_a_jump_takes_back_what_waits_for_the_picture_before() -> None:
+    pair = Pair()
+    pair.run(100)
+    connection, told = pair.connection, list[ev.Outgoing]()
+    late = ev.Outgoing(TileLayers(0, 0, 1, 2, (10,), (0,)), bytes(10), 2)
+    connection.session.queue(late, now_us=pair.now_us)
+    settled = connection.streamer._on_settled
+    connection.streamer._on_settled = lambda outgoing, delivered: (
+        told.append(outgoing),
+        settled(outgoing, delivered=delivered),
+    )
+    connection.receive(encode(Control("seek", 7, pair.now_us + 250_000)), pair.now_us)
+    assert told == [late]
 
 
 def test_two_runs_send_the_same() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cags_common.errors import DecodeError
-from cags_common.packing import check_crc, crc32, decode_ids, encode_ids, gunzip_bounded, gzip_bytes
+from cags_common.packing import check_crc, crc32, decode_ids, encode_ids, gunzip_bounded, gzip_bytes, squeeze, unsqueeze
 
 
 def test_gzip_holds_no_time_and_is_ordinary_gzip() -> None:
@@ -20,6 +20,21 @@ def test_gunzip_stops_at_its_limit_and_refuses_damage() -> None:
     for bad in (data[:-1], data + b"!", b"", b"nonsense"):
         with pytest.raises(DecodeError):
             gunzip_bounded(bad, 10_000, "x")
+
+
+def test_unsqueeze_takes_back_what_squeeze_made_and_nothing_else() -> None:
+    data = bytes(1000)
+    small = squeeze(data)
+    assert unsqueeze(small, 1000, "x") == data
+    assert unsqueeze(squeeze(b"\x01\xfe"), 2, "x") == b"\x01\xfe", "what deflate makes longer stays as it is"
+    for bad in (small[:-1], small + b"!", small[:-1] + b"\xff", b""):
+        with pytest.raises(DecodeError, match="x: "):
+            unsqueeze(bad, 1000, "x")
+    for size in (999, 1001):
+        with pytest.raises(DecodeError, match=f"other than its {size} bytes"):
+            unsqueeze(small, size, "x")
+    with pytest.raises(DecodeError, match="takes 1000 bytes, at most 10"):
+        unsqueeze(data, 10, "x")
 
 
 def test_crc_names_what_is_damaged() -> None:

@@ -56,6 +56,14 @@ def test_what_has_been_stale_for_longest_comes_first(policy: str) -> None:
     assert reached(decide(policy, 105, stale, moved)) == {0: 1}
 
 
+def test_what_is_stale_is_off_by_the_square_of_its_age() -> None:
+    """Two frames old and shown for as long: ten times the error that a new base layer removes, not five times."""
+    older = tile(0, depth=0, replaces=True, weight=1.0, stale_frames=2.0, frames_left=1.0)
+    wider = tile(1, depth=0, replaces=True, weight=7.0, stale_frames=1.0, frames_left=1.0)
+    assert reached(decide("utility", 105, older, wider)) == {0: 1}
+    assert reached(decide("utility", 105, older, replace(wider, weight=12.0))) == {1: 1}
+
+
 def test_two_halves_that_always_move_take_turns() -> None:
     ages, chosen = [1.0, 1.0], []
     for _ in range(8):
