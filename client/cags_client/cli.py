@@ -132,6 +132,8 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
     _check_json(outputs.json)
     truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
     info = fetch_info(outputs.url, settings.token)
+    if truth:
+        truth.check(info)
     if settings.start_frame >= info.frames:
         raise ConfigError(f"start_frame = {settings.start_frame} is outside the clip's {info.frames} frames")
     focus = Focus(info.focus_centre, info.focus_radius, info.up)
@@ -189,6 +191,8 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
     _check_json(outputs.json)
     truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
     info = fetch_info(outputs.url, settings.token)
+    if truth:
+        truth.check(info)
     focus = Focus(info.focus_centre, info.focus_radius, info.up)
     walk = open_poses(outputs.poses, focus, window_us=_window_us(settings, info))
     with _shown_live(info, outputs) as on_frame:

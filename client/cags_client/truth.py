@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from cags_client.settings import ClientSettings
 from cags_common import raster
-from cags_common.bundle import BundleReader
+from cags_common.bundle import BundleReader, Manifest
+from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import Exactness, RasterScene, RenderOptions
 
@@ -13,10 +14,16 @@ class BundleTruth:
     """Draws source frames of the bundle at ``url``. Raises :class:`BundleError` where there is none."""
 
     def __init__(self, url: str, settings: ClientSettings) -> None:
-        self._reader = BundleReader.open(url)
+        self._url, self._reader = url, BundleReader.open(url)
         self._rasteriser = raster.create(settings.raster)
         self._options = RenderOptions(exactness=Exactness(settings.exactness), threads=settings.threads)
         self._scene: tuple[int, RasterScene] | None = None
+
+    def check(self, info: Manifest) -> None:
+        """Raise :class:`ConfigError` where this cannot be the scene that a server streams, by its ``info``."""
+        frames = self._reader.manifest.frames
+        if frames != info.frames:
+            raise ConfigError(f"truth = {self._url!r} has {frames} frames and the stream {info.frames}: another scene")
 
     def __call__(self, frame: int, camera: Camera) -> tuple[F32, F32]:
         """Picture [H, W, 3] and alpha [H, W] of ``frame`` from ``camera``."""

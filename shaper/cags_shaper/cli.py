@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -103,6 +104,8 @@ def _run(argv: Sequence[str]) -> int:
     settings = load_settings(ShaperSettings, arguments)
     if bool(arguments.command) != settings.tun:
         raise ConfigError("--tun and a COMMAND go together: cags-shaper --tun --trace FILE -- COMMAND")
+    if arguments.command and shutil.which(arguments.command[0]) is None:
+        raise ConfigError(f"COMMAND {arguments.command[0]!r} is no program here; give one that the shell would find")
     from cags_shaper.trace import open_trace
 
     traces = [

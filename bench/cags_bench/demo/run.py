@@ -17,7 +17,9 @@ from cags_bench.jsonl import provenance
 from cags_bench.stream_report import STAGES_EVERY, capacity_series, plot_stream, read_lines, telling_frame, write_strip
 from cags_bench.traces import scaled_trace
 from cags_common.errors import CagsError, NetworkError
+from cags_common.poses import Focus, open_poses
 from cags_encoder import EncodeSettings
+from cags_shaper.trace import open_trace
 
 DEFAULT_FRAMES = 90
 TRACE_S = 60.0
@@ -67,8 +69,15 @@ def run_demo(scene: str, settings: DemoSettings, progress: IO[str]) -> dict[str,
     return summary
 
 
+def check_link_and_walk(settings: DemoSettings) -> None:
+    """What cannot be read is told before a scene is encoded for it. Raises :class:`CagsError`."""
+    open_trace(settings.trace)
+    open_poses(settings.poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
+
+
 def demo_bundle(scene: str, size: DemoSize, settings: DemoSettings) -> Path:
     """The scene, encoded now or before; the built-in one in the size that the machine can show."""
+    check_link_and_walk(settings)
     spec = size.scene if scene == "procedural" else scene
     return cached_bundle(spec, settings.cache, EncodeSettings(frames=settings.frames or DEFAULT_FRAMES))
 

@@ -41,14 +41,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="leave out the timings")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     parser.add_argument(
-        "--threads", type=int, default=0, metavar="N", help="threads of a render (default: cores, at most 4)"
+        "--threads", type=int, default=None, metavar="N", help="threads of a render (default: cores, at most 4)"
     )
     return parser
 
 
 def _run(argv: Sequence[str]) -> int:
     arguments = _parser().parse_args(argv)
-    if arguments.threads < 0:
+    if arguments.threads is not None and arguments.threads < 1:
         raise ConfigError(f"threads = {arguments.threads} must be at least 1")
     from cags_bench.bundles import default_cache
     from cags_bench.doctor.findings import Verdict

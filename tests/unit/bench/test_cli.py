@@ -5,6 +5,7 @@ import importlib
 import pytest
 
 from cags_bench.cli import SUBCOMMANDS, main
+from cags_bench.demo import cli as demo
 from cags_bench.demo.run import check_replaceable
 from cags_common.errors import CagsError
 
@@ -34,3 +35,15 @@ def test_the_demo_replaces_only_its_own_reports(tmp_path):
         check_replaceable(tmp_path)
     (tmp_path / "summary.json").write_text("{}")
     check_replaceable(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("flag", "words"), [("--trace", "no.such.trace: cannot be read"), ("--poses", "no.such.trace")]
+)
+@pytest.mark.parametrize("view", [[], ["--view"]])
+def test_the_demo_tells_what_cannot_be_read_before_it_encodes(tmp_path, monkeypatch, capsys, flag, words, view):
+    monkeypatch.setattr("cags_bench.demo.run.cached_bundle", lambda *rest: pytest.fail("a scene was encoded"))
+    given = ["procedural:size=500", flag, "no.such.trace", "--out", str(tmp_path / "out"), *view]
+    assert demo.main(given) == 1
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
 from cags_client import cli
+from cags_client.settings import ClientSettings
+from cags_client.truth import BundleTruth
+from cags_common.bundle import BundleReader
+from cags_common.errors import ConfigError
+from cags_encoder import EncodeSettings, encode
+from cags_encoder.scenes import open_scene
 
 NOWHERE = ["--url", "ws://127.0.0.1:1/stream", "--reconnect-s", "0"]
 
@@ -34,3 +43,16 @@ def test_what_is_misspelt_is_told_without_a_server(
 def test_what_is_right_goes_on_to_the_server(capsys: pytest.CaptureFixture[str], restore: str) -> None:
     assert cli.main([*NOWHERE, "--restore", restore]) == 1
     assert "no server answers" in capsys.readouterr().err
+
+
+def test_a_truth_of_another_length_is_told_before_the_play(tmp_path: Path) -> None:
+    scene = open_scene("procedural:size=500,frames=2")
+    encode(
+        scene, EncodeSettings(frames=2, quantiser="paper-66", train_splats=500, lod_order="paper"), str(tmp_path / "b")
+    )
+    truth = BundleTruth(str(tmp_path / "b"), ClientSettings())
+    info = BundleReader.open(str(tmp_path / "b")).manifest
+    truth.check(info)
+    longer = replace(info, frames=3)
+    with pytest.raises(ConfigError, match=r"has 2 frames and the stream 3: another scene"):
+        truth.check(longer)

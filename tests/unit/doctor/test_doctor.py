@@ -228,5 +228,5 @@ def test_every_width_of_a_terminal_shows_what_to_do(
 
 
 def test_wrong_use_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["--threads", "-2"]) == 2
+    assert cli.main(["--threads", "-2"]) == cli.main(["--threads", "0"]) == 2
     assert "threads" in capsys.readouterr().err

@@ -59,6 +59,7 @@ def test_nothing_is_left_behind_and_the_exit_status_is_the_commands(capfd):
     [
         (["--tun"], "--tun and a COMMAND go together"),
         (["--", "true"], "--tun and a COMMAND go together"),
+        (["--tun", "--", "no-such-program"], "COMMAND 'no-such-program' is no program here"),
         (["--loss", "0.1"], "--loss and --queue-packets act on packets"),
         (["--tun", "--loss", "1.5", "--", "true"], "loss = 1.5 must lie in"),
     ],
