@@ -11,7 +11,7 @@ from math import ceil
 from cags_protocol import events as ev
 from cags_protocol.messages import ReferenceFrame, TileLayers
 from cags_server.records import FrameRecord
-from cags_server.tiles import PASSING_PRIORITY
+from cags_server.tiles import BASE_PRIORITY
 
 MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
 """Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""
@@ -61,14 +61,14 @@ class ByteBudget:
         message = outgoing.message
         if isinstance(message, TileLayers):
             self._travelling[id(outgoing)] = now_us
-            self._detail_bytes += _size(outgoing) if outgoing.priority > PASSING_PRIORITY else 0
+            self._detail_bytes += _size(outgoing) if outgoing.priority > BASE_PRIORITY else 0
         elif isinstance(message, ReferenceFrame):
             self._references.now_bytes += _size(outgoing)
 
     def settled(self, outgoing: ev.Outgoing) -> None:
         """A message was delivered or dropped."""
         self._outstanding_bytes -= _size(outgoing)
-        if self._travelling.pop(id(outgoing), None) is not None and outgoing.priority > PASSING_PRIORITY:
+        if self._travelling.pop(id(outgoing), None) is not None and outgoing.priority > BASE_PRIORITY:
             self._detail_bytes -= _size(outgoing)
 
     def waiting_us(self, now_us: int) -> int:

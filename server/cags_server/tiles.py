@@ -13,7 +13,7 @@ from cags_server.library import SceneLibrary, VisibleTile
 from cags_server.opening import opening_tiles
 from cags_server.staleness import Staleness
 
-BASE_PRIORITY, PASSING_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3, 4
+BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3
 """Base layers and ends of frames, detail, what is out of view; references go before, in the session's own order."""
 
 WHOLE_TILES_CODEC = "video"
@@ -63,7 +63,7 @@ class TileSender:
         fresh = [u for u in upgrades if u.from_lod == 0]
         base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh]
         detail = [
-            self._tile((u.frame, u.tile), run, PASSING_PRIORITY if u.urgent else ENHANCEMENT_PRIORITY, deadline_us)
+            self._tile((u.frame, u.tile), run, BASE_PRIORITY if u.urgent else ENHANCEMENT_PRIORITY, deadline_us)
             for u in sorted(upgrades, key=lambda u: u.from_lod > 0)
             for run in self._missing_runs(u.frame, u.tile, max(u.from_lod, 1), u.to_lod)
         ]
@@ -76,8 +76,7 @@ class TileSender:
         parts: tuple[list[ev.Outgoing], list[ev.Outgoing]] = [], []
         for u in upgrades:
             again = u.from_lod > 0
-            again_priority = PASSING_PRIORITY if u.urgent else ENHANCEMENT_PRIORITY
-            priority = again_priority if again else BASE_PRIORITY
+            priority = ENHANCEMENT_PRIORITY if again and not u.urgent else BASE_PRIORITY
             parts[again].append(self._tile((u.frame, u.tile), (u.to_lod - 1, u.to_lod), priority, deadline_us))
         return parts
 
