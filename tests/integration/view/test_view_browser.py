@@ -261,6 +261,26 @@ def test_a_phone_sees_the_picture_without_scrolling_sideways(show: BallShow, tmp
         assert complaints(running) == []
 
 
+def test_a_phone_on_its_side_has_picture_and_settings_beside_each_other(show: BallShow, tmp_path: Path) -> None:
+    show.controls.play()
+    with chromium(tmp_path, width=844, height=390, phone=True) as running:
+        running.get(show.view.url)
+        wait(running, lambda: measured(running)["frames"] > 3)
+        script = "return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()"
+        picture, transport, panel = (running.execute_script(script, s) for s in ("#picture", ".transport", "#panel"))
+        assert picture["height"] > 240
+        assert picture["bottom"] <= transport["top"] + 1
+        assert transport["bottom"] <= 390
+        assert transport["right"] <= panel["left"] + 1
+        assert (panel["right"], panel["bottom"]) == (844, 390)
+        inside = "const t = document.querySelector('.transport'); return t.scrollWidth <= t.clientWidth"
+        assert running.execute_script(inside)
+        running.execute_script("document.getElementById('delay').scrollIntoView()")
+        assert running.execute_script(script, "#picture") == picture
+        keep_screenshot(running, "phone-landscape-dark")
+        assert complaints(running) == []
+
+
 def test_controls_have_names_and_are_reached_by_tab(page: Any) -> None:
     unnamed = page.execute_script(
         """return [...document.querySelectorAll('button, input, select, [role=slider], canvas')].filter((node) =>

@@ -49,7 +49,7 @@ def test_texts_can_be_read(look: str) -> None:
 @pytest.mark.parametrize("look", LOOKS)
 def test_marks_lines_of_plots_and_focus_rings_can_be_seen(look: str) -> None:
     named = LOOKS[look]
-    marks = ["accent", "good", "warn", "bad", *(f"s{number}" for number in range(1, 7))]
+    marks = ["accent", "good", "warn", "bad", *(f"s{number}" for number in range(1, 9))]
     for mark in marks:
         for ground in ("ground", "surface"):
             assert contrast(named[mark], named[ground]) >= MARK_LEAST, f"{mark} on {ground}"

@@ -4,7 +4,7 @@ const SPAN_MS = 20000;
 const REDRAW_MS = 1050; // of all plots, one after another: without a GPU each costs a fifth of a picture, for what the
 // screen shows is put together anew from the picture's corner to the plot's
 const SAMPLE_MS = 100; // about a pixel of a plot
-const STAGE_COLOURS = ["--s1", "--s2", "--s3", "--s4", "--s5", "--s6"];
+const STAGE_COLOURS = ["--s1", "--s2", "--s3", "--s4", "--s5", "--s6", "--s7", "--s8"];
 
 const PLOTS = [
   { title: "Rate", unit: "Mbps", series: [["goodput", "goodput_mbps", "--s1"], ["capacity", "capacity_mbps", "--s2"]] },
