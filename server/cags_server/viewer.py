@@ -67,4 +67,4 @@ class Viewer:
 
     def margins(self, frame: int, predicted: PoseDistribution) -> tuple[float, float]:
         """How much wider than the viewer's own picture the reference of ``frame`` must look."""
-        return self._fov.scale(FovObservation(frame, predicted, self._intrinsics, self._history.newest.pose))
+        return self._fov.scale(FovObservation(frame, predicted, self._intrinsics))

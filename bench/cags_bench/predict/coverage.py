@@ -116,7 +116,7 @@ def _along(
         actual = trace.pose_at(display_us)
         seen = room.points(np.array(actual.position), actual.rotation_matrix, RAYS)
         points = in_reference(seen, actual, guess.pose)
-        observation = FovObservation(frame, guess, CLIENT, history.newest.pose)
+        observation = FovObservation(frame, guess, CLIENT)
         for name, policy in policies.items():
             started = time.perf_counter()
             margins = policy.scale(observation)

@@ -16,7 +16,7 @@ WRITE_BUFFER_BYTES = 8 * 1024
 """Unsent bytes in the process above which a writer waits."""
 
 _INFO = struct.Struct("=8B24I4Q6IQ")  # struct tcp_info of linux/tcp.h, up to tcpi_delivery_rate
-_FLAGS, _RTT, _RTTVAR, _NOTSENT, _MIN_RTT, _DELIVERY_RATE = 7, 23, 24, 38, 39, 42
+_FLAGS, _RTT, _MIN_RTT, _DELIVERY_RATE = 7, 23, 39, 42
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,9 @@ class TcpInfo:
     """What Linux knows of a TCP connection."""
 
     rtt_us: int
-    rtt_variation_us: int
     min_rtt_us: int
     delivery_rate_bps: float
     app_limited: bool
-    not_sent_bytes: int
 
 
 def tune_socket(sock: Any) -> None:
@@ -52,9 +50,7 @@ def tcp_info(sock: Any) -> TcpInfo | None:
     fields = _INFO.unpack(raw)
     return TcpInfo(
         rtt_us=fields[_RTT],
-        rtt_variation_us=fields[_RTTVAR],
         min_rtt_us=fields[_MIN_RTT],
         delivery_rate_bps=fields[_DELIVERY_RATE] * 8.0,
         app_limited=bool(fields[_FLAGS] & 1),
-        not_sent_bytes=fields[_NOTSENT],
     )

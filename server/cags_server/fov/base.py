@@ -24,7 +24,6 @@ class FovObservation:
     frame: int
     predicted: PoseDistribution
     client: Intrinsics
-    newest_pose: Pose  # newest pose that is known to be true, T_world_camera
 
 
 class FovPolicy(Protocol):

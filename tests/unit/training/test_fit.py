@@ -86,7 +86,7 @@ def test_the_server_runs_what_torch_trained() -> None:
         policy._true = type(state)(state.hidden, state.cell, state.rotation, state.position, part.fast[i])
     for i in range(21, 27):
         pose = _pose(part, i, "predicted_")
-        margins = policy.scale(FovObservation(i, PoseDistribution(pose, (0,) * 3, (0,) * 3), CLIENT, pose))
+        margins = policy.scale(FovObservation(i, PoseDistribution(pose, (0,) * 3, (0,) * 3), CLIENT))
     assert margins == pytest.approx(np.maximum(expected, 0), abs=1e-4)
 
 

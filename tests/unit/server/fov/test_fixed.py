@@ -36,7 +36,7 @@ def test_a_client_off_centre_is_covered_on_its_wide_side() -> None:
 def test_fixed_is_fixed() -> None:
     policy = create_fov_policy("fixed", FovOptions(margin=0.15))
     distribution = PoseDistribution(Pose.identity(), (0.3,) * 3, (0.3,) * 3)
-    assert policy.scale(FovObservation(3, distribution, CLIENT, Pose.identity())) == (0.15, 0.15)
+    assert policy.scale(FovObservation(3, distribution, CLIENT)) == (0.15, 0.15)
 
 
 def test_an_unknown_policy_is_named() -> None:

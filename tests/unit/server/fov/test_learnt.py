@@ -15,7 +15,7 @@ CLIENT = Intrinsics.of_fov(1600, 1200, 1.48, 1.20)
 
 
 def observed(frame: int, pose: Pose, std: float = 0.05) -> FovObservation:
-    return FovObservation(frame, PoseDistribution(pose, (std,) * 3, (std,) * 3), CLIENT, pose)
+    return FovObservation(frame, PoseDistribution(pose, (std,) * 3, (std,) * 3), CLIENT)
 
 
 def test_a_sure_prediction_needs_no_margin() -> None:
@@ -33,8 +33,8 @@ def test_margins_grow_with_uncertainty_and_quantile() -> None:
 def test_yaw_widens_the_sides_and_pitch_the_height() -> None:
     yaw = PoseDistribution(Pose.identity(), (0.0, 0.1, 0.0), (0.0,) * 3)
     pitch = PoseDistribution(Pose.identity(), (0.1, 0.0, 0.0), (0.0,) * 3)
-    assert QuantileFov(0.9).scale(FovObservation(0, yaw, CLIENT, Pose.identity()))[1] == 0
-    assert QuantileFov(0.9).scale(FovObservation(0, pitch, CLIENT, Pose.identity()))[0] == 0
+    assert QuantileFov(0.9).scale(FovObservation(0, yaw, CLIENT))[1] == 0
+    assert QuantileFov(0.9).scale(FovObservation(0, pitch, CLIENT))[0] == 0
 
 
 @pytest.mark.parametrize("quantile", [0.0, 1.0, -1.0])
@@ -46,7 +46,7 @@ def test_a_quantile_lies_between_zero_and_one(quantile: float) -> None:
 def test_who_stands_still_gets_nearly_no_margin_from_the_quantile() -> None:
     pose = swaying_pose(123)
     distribution = create_predictor("autoregressive").predict(history_of(lambda _: pose), 200_000)
-    assert max(QuantileFov(0.9).scale(FovObservation(0, distribution, CLIENT, pose))) < 1e-6
+    assert max(QuantileFov(0.9).scale(FovObservation(0, distribution, CLIENT))) < 1e-6
 
 
 def test_who_stands_still_gets_nearly_no_margin_from_the_lstm() -> None:
