@@ -1,4 +1,6 @@
+import gzip
 import tracemalloc
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -73,3 +75,32 @@ def test_many_small_codebooks_that_unpack_to_gigabytes_are_refused_unread() -> N
         tracemalloc.stop()
     assert len(data) < 10_000
     assert most_bytes < 50e6
+
+
+def serialised(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """Codebooks whose body, inside its gzip frame, is changed."""
+    magic = data[: data.index(b"\x1f\x8b")]
+    return magic + gzip_bytes(change(gzip.decompress(data[len(magic) :])))
+
+
+def infinite(body: bytes) -> bytes:
+    return body[:-2] + np.float16(np.inf).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda body: body + b"\0", "1 bytes too many"),
+        (lambda body: body[:-1], "cut short"),
+        (infinite, "holds a value that is not finite"),
+        (lambda body: bytes([2]) + body[1:] * 2, "an attribute appears twice"),
+        (lambda body: body[:2] + b"\xff" + body[3:], "with flags 255 is unknown"),
+        (lambda body: body[:5] + b"\0" + body[6:], "outside the allowed range"),
+    ],
+)
+def test_codebooks_that_are_not_whole_are_refused(change: Callable[[bytes], bytes], words: str) -> None:
+    values = np.arange(16, dtype=np.float32)[:, None]
+    data = CodebookSet({"opacity": Codebook("opacity", (4,), (values,))}).to_bytes()
+    assert CodebookSet.from_bytes(serialised(data, lambda body: body)).to_bytes() == data
+    with pytest.raises(DecodeError, match=words):
+        CodebookSet.from_bytes(serialised(data, change))

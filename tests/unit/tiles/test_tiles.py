@@ -1,3 +1,5 @@
+import struct
+
 import numpy as np
 import pytest
 
@@ -6,7 +8,7 @@ from cags_common.dequantise import Dequantiser, native_available
 from cags_common.errors import DecodeError
 from cags_common.lod import LodLayer
 from cags_common.packing import U32
-from cags_common.splats import Splats
+from cags_common.splats import MAX_SPLATS, Splats
 from cags_common.svq import CodebookSet
 from cags_common.tile_state import TileState
 from cags_common.tiles import (
@@ -20,6 +22,9 @@ from cags_common.tiles import (
 from support.codec_scenes import books, cloud
 
 BOOKS = books((4, 2, 2))
+HEADER = struct.Struct("<BBBBIII4f")
+FIRST_ID, GRID = 5, 7
+"""Fields of a base layer's header: first id or bytes of the id list, then the grid's origin and step."""
 ORDER = tuple(LodLayer(name, layer) for layer in (1, 2) for name in BOOKS.attributes)
 
 
@@ -105,6 +110,7 @@ def test_a_layer_that_is_there_already_changes_nothing() -> None:
     tile, layers = state(10, full_codes(10))
     assert tile.add_layer(1, layers[0])
     assert not tile.add_layer(1, layers[0])
+    assert not tile.add_layer(1, b"damaged"), "nor is it decoded again"
 
 
 def test_decoded_rotations_are_unit_with_a_positive_real_part() -> None:
@@ -160,3 +166,34 @@ def test_a_claim_beyond_the_bounds_is_refused_before_anything_is_allocated() -> 
         decode_base(bytes(data), BOOKS)
     with pytest.raises(DecodeError, match="outside the allowed range"):
         decode_layer(b"", 2**30, 2)
+
+
+def changed(data: bytes, field: int, value: int | float) -> bytes:
+    """A base layer with one field of its header replaced."""
+    fields = list(HEADER.unpack_from(data))
+    fields[field] = value
+    return HEADER.pack(*fields) + data[HEADER.size :]
+
+
+def test_ids_that_reach_beyond_the_largest_scene_are_refused() -> None:
+    data = payload(10, full_codes(10), id_range=True)[0]
+    last = changed(data, FIRST_ID, MAX_SPLATS - 10)
+    assert decode_base(last, BOOKS).ids.tolist() == list(range(MAX_SPLATS - 10, MAX_SPLATS))
+    with pytest.raises(DecodeError, match="first id"):
+        decode_base(changed(data, FIRST_ID, MAX_SPLATS - 9), BOOKS)
+
+
+def test_as_many_ids_as_splats() -> None:
+    (ten, *_), (nine, *_) = payload(10, full_codes(10)), payload(9, full_codes(9))
+    ids, other = (data[HEADER.size : HEADER.size + HEADER.unpack_from(data)[FIRST_ID]] for data in (ten, nine))
+    swapped = changed(ten, FIRST_ID, len(other))[: HEADER.size] + other + ten[HEADER.size + len(ids) :]
+    with pytest.raises(DecodeError, match="has 9 ids for 10 splats"):
+        decode_base(swapped, BOOKS)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [(GRID, 9e30), (GRID + 2, -9e30), (GRID + 3, 1e30), (GRID + 3, -1.0), (GRID, float("nan"))]
+)
+def test_a_grid_that_float32_cannot_hold_is_refused(field: int, value: float) -> None:
+    with pytest.raises(DecodeError, match="position grid"):
+        decode_base(changed(payload(10, full_codes(10))[0], field, value), BOOKS)
