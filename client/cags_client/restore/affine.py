@@ -21,7 +21,8 @@ the difference lands in the wrong place just as well. Blocks that disagree by mu
 (:func:`registration`) keep the distorted picture. Splats of few bits need large corrections, which stay. Where
 one splat makes up much of the picture, it may veil one view alone (large splats close to a camera, haze). Then the
 correction counts as far as it is worth more than the average difference of the two views, and where it would correct
-what is at full LoD almost everywhere, it is taken for the veil's (:mod:`cags_client.restore.veil`).
+what is at full LoD almost everywhere, it is taken for the veil's (:mod:`cags_client.restore.veil`). Under a step that
+is large against what is looked at it fades altogether (:mod:`cags_client.restore.parallax`).
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from cags_client.align.base import ReferencePicture
 from cags_client.align.fast import sample
 from cags_client.restore.base import COMPARED, RestoreInput
 from cags_client.restore.pair import OncePerPair
+from cags_client.restore.parallax import kept
 from cags_client.restore.veil import plausible
 from cags_common.geometry import F32
 from cags_common.settings import check_settings, setting
@@ -127,6 +129,8 @@ def corrected(inputs: RestoreInput, own: F32, settings: AffineSettings, fields: 
     Fields that are given count as far as they are plausible (``inputs.expected``).
     """
     aligned = inputs.aligned
+    share = kept(aligned.geometry)
+    confidence = aligned.confidence if share is None else aligned.confidence * share
     if fields is not None and inputs.expected is not None:
         fields = plausible(fields, own, inputs.reference.rgb, inputs.expected)
     if cags_kernels.native_available():
@@ -135,13 +139,14 @@ def corrected(inputs: RestoreInput, own: F32, settings: AffineSettings, fields: 
         parameters = _parameters(settings, inputs.reference)
         parameters = replace(parameters, block_px=aligned.geometry.block_px, veil=inputs.veil)
         view = kernels.Reprojection(aligned.geometry.depth, *aligned.geometry.matrix)
-        pictures = {"distorted": inputs.distorted, "confidence": aligned.confidence}
+        pictures = {"distorted": inputs.distorted, "confidence": confidence}
         return kernels.correct(own, inputs.reference.rgb, view, parameters, **pictures, fields=fields)
     if fields is None:
         fields = correction_fields(own, inputs.reference, settings)
     sampled = sample(fields, aligned.x, aligned.y)
     change = inputs.distorted * sampled[..., :1] + sampled[..., 1:]
-    change *= (aligned.confidence * registration(inputs, own, fields, settings.misregistration))[..., None]
+    trusting = replace(inputs, aligned=replace(aligned, confidence=confidence))
+    change *= (confidence * registration(trusting, own, fields, settings.misregistration))[..., None]
     change += inputs.distorted
     return np.clip(change, 0.0, 1.0, out=change)
 

@@ -176,7 +176,7 @@ def test_an_unknown_restorer_is_named() -> None:
 def slanted(truth: np.ndarray, distorted: np.ndarray, *, bend: float) -> RestoreInput:
     """The same pictures under a reference a step to the side; with ``bend`` a ripple of wrong depth."""
     given = inputs(truth, distorted)
-    camera = Camera(SMALL, Pose((0.4, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+    camera = Camera(SMALL, Pose((0.3, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
     ripple = np.sin(np.arange(160, dtype=np.float32) / 5)[None] * np.float32(bend)
     depth = (np.full((120, 160), 2.0, np.float32) * (1 + ripple)).astype(np.float32)
     reference = ReferencePicture(given.reference.rgb, camera, 0)
@@ -186,11 +186,11 @@ def slanted(truth: np.ndarray, distorted: np.ndarray, *, bend: float) -> Restore
 @pytest.mark.parametrize("sigma", [3, 6])
 def test_splats_that_are_nearly_right_are_not_harmed_by_a_wrong_alignment(affine: AffineRestorer, sigma: int) -> None:
     truth = smooth(120, 160, sigma)
-    distorted = np.clip(truth + 0.2 * (smooth(120, 160, 8, seed=1) - 0.5), 0, 1).astype(np.float32)
+    distorted = np.clip(truth + 0.07 * (smooth(120, 160, 8, seed=1) - 0.5), 0, 1).astype(np.float32)
     given = slanted(truth, distorted, bend=0.3)
     trusting = AffineRestorer(AffineSettings(misregistration=0.0)).restore(given).copy()
-    assert psnr(trusting, truth) < psnr(distorted, truth) - 0.3
-    assert psnr(affine.restore(given), truth) > psnr(distorted, truth) - 0.1
+    assert psnr(trusting, truth) < psnr(distorted, truth) - 0.12
+    assert psnr(affine.restore(given), truth) > psnr(distorted, truth) - 0.01
 
 
 def test_large_corrections_outweigh_a_wrong_alignment(affine: AffineRestorer) -> None:
