@@ -141,6 +141,9 @@ def _canonical_quats(quats: F32, source: str) -> F32:
     norms = np.linalg.norm(wide, axis=1, keepdims=True)
     zero = norms[:, 0] < 1e-12
     if zero.any():
-        raise SceneError(f"{source}: quats[{int(np.argmax(zero))}] is zero and has no direction; repair the file")
+        raise SceneError(
+            f"{source}: quats[{int(np.argmax(zero))}] is zero and has no direction; repair the file, or leave such "
+            "splats out by the scene's option repair=drop"
+        )
     sign = np.where(wide[:, :1] < 0, -1.0, 1.0)
     return np.ascontiguousarray(wide * (sign / norms), dtype=np.float32)

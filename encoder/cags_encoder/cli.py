@@ -94,8 +94,8 @@ def _encode(arguments: argparse.Namespace) -> None:
         found = summarise(reader, out)
     pruned = found["pruning"]
     text = (
-        f"{out}: {found['frames']} frames, {found['lods']} LoDs, {found['bytes_tiles'] / 1e6:.2f} MB of tiles, "
-        f"first frame {found['bytes_first_frame'] / 1e6:.2f} MB ({found['bytes_a_splat']:.2f} bytes a splat)"
+        f"{out}: {found['frames']} frames, {found['lods']} LoDs, {found['bytes_tiles'] / 1e3:,.1f} kB of tiles, "
+        f"first frame {found['bytes_first_frame'] / 1e3:,.1f} kB ({found['bytes_a_splat']:.2f} bytes a splat)"
     )
     if pruned:
         text += f"; pruned to {pruned['splats_after']} splats, {pruned['psnr_db']:.2f} dB against all"

@@ -53,5 +53,10 @@ class DropBroken:
             raise SceneError(f"{source}: none of its {gone} splats can be drawn; give another file")
         if gone and (source, gone) not in _said:
             _said.add((source, gone))
-            _log.warning("%s: left out %d of %d splats that hold values that are not finite", source, gone, len(good))
+            _log.warning(
+                "%s: left out %d of %d splats that hold values that are not finite, or a rotation of length zero",
+                source,
+                gone,
+                len(good),
+            )
         return (splats.take(good) if gone else splats).checked(source)
