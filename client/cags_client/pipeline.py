@@ -75,7 +75,7 @@ class ClientPipeline:
         self._changes = self._corrections = 0  # of the scene, and of its colours alone
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
-        self._stand_in = StandIn(self._aligner)
+        self._stand_in = StandIn(self._aligner, settings.threads)
         self._resolutions = Resolutions(1e3 / info.fps)
         self._weights: dict[str, Weights] = {}
         self._restorer_wanted = self.live.restore
@@ -183,9 +183,8 @@ class ClientPipeline:
         seen_by = halved(camera) if half else camera
         with watch("raster"):
             view = scene.render(seen_by, self._drawing(plan, half=half))
-        distorted = np.clip(view.rgb, 0.0, 1.0, out=view.rgb)  # a new array costs 6 MB of page faults
-        drawn = _Drawn(scene, store, seen_by, distorted, view)
-        aligned, own, shown = None, None, distorted
+        drawn = _Drawn(scene, store, seen_by, view.rgb, view)
+        aligned, own, shown = None, None, view.rgb
         if reference is not None:
             aligned, own, shown = self._with_reference(plan, drawn, reference, frame, watch)
             if own is not None and own.contribution is not None:
@@ -199,7 +198,7 @@ class ClientPipeline:
             frame=frame,
             camera=camera,
             rgb=shown,
-            drawn=distorted,
+            drawn=view.rgb,
             aligned=aligned,
             depth=view.depth,
             alpha=view.alpha,
@@ -360,7 +359,7 @@ class ClientPipeline:
         )
 
     def _drawing(self, plan: EffectPlan, *, half: bool) -> RenderOptions:
-        options = self._options(plan)
+        options = replace(self._options(plan), displayed=True)
         return replace(options, footprint=options.footprint.at_half_resolution()) if half else options
 
     def _reference_options(self, plan: EffectPlan, reference: ReferencePicture) -> RenderOptions:

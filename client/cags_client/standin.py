@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+import cags_kernels
 from cags_client.align import Aligner, ReferencePicture
 from cags_client.align.base import Reprojection
 from cags_client.align.fast import sample
@@ -68,8 +69,8 @@ class Drawn:
 class StandIn:
     """Paints the reference over what the client's splats cannot show. Keeps the disagreement of one reference."""
 
-    def __init__(self, aligner: Aligner) -> None:
-        self._aligner = aligner
+    def __init__(self, aligner: Aligner, threads: int = 2) -> None:
+        self._aligner, self._threads = aligner, threads
         self._of: tuple[ReferencePicture, RenderedView] | None = None
         self._disagreement = np.zeros((1, 1), np.float32)
         self._own = np.zeros((1, 1, 3), np.float32)
@@ -104,10 +105,7 @@ class StandIn:
         seen = Intrinsics(columns, rows, i.fx_px, i.fy_px, i.cx_px - left, i.cy_px - top)
         there = Camera(seen, camera.pose, camera.near)
         bent = self._aligner.align(reference, np.ascontiguousarray(full[part]), there, occlusion=False, colours=True)
-        change = bent.rgb  # made for this call alone
-        change -= out[part]
-        change *= (share[part] * bent.confidence)[..., None]
-        out[part] += change
+        lay_over(out[part], bent.rgb, share[part], bent.confidence, self._threads)
 
     def _weight(self, drawn: Drawn, depth: F32, reference: ReferencePicture) -> F32:
         """How much the reference stands in [gh, gw] of the client's view."""
@@ -122,6 +120,16 @@ class StandIn:
         bending = _rms(bent - on_grid(drawn.rgb))
         ratio = disagreeing / (bending + np.float32(LEAST_ERROR))
         return np.asarray(np.clip((ratio - STARTS) / (ENDS - STARTS), 0, 1) * inside, dtype=np.float32)
+
+
+def lay_over(shown: F32, over: F32, share: F32, confidence: F32, threads: int) -> None:
+    """Change ``shown`` [H, W, 3] towards ``over`` [H, W, 3] by ``share`` times ``confidence`` [H, W], in place."""
+    if cags_kernels.native_available():
+        from cags_kernels.align import lay
+
+        lay(shown, over, share, confidence, threads)
+    else:
+        shown += (over - shown) * (share * confidence)[..., None]
 
 
 def on_grid(picture: F32) -> F32:

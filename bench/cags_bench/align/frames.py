@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-import numpy as np
-
 from cags_bench.align.command import AlignBenchSettings
 from cags_bench.jsonl import JsonObject, check, provenance
 from cags_bench.restore.cases import Case, Cases
@@ -56,20 +54,19 @@ class Client:
         from the second on, have that from before.
         """
         watch, case = Watch(), self._case
-        options, half = RenderOptions(exactness=self._accuracy.exactness, threads=self._threads), self._accuracy.half
-        camera = case.camera
+        options = RenderOptions(exactness=self._accuracy.exactness, threads=self._threads, displayed=True)
+        camera, half = case.camera, self._accuracy.half
         if half:
             camera, options = halved(camera), replace(options, footprint=options.footprint.at_half_resolution())
         view = case.held.render(camera, options)
         assert view.depth is not None
-        distorted = np.clip(view.rgb, 0.0, 1.0, out=view.rgb)
         watch("raster")
         if new_reference:
             self._own = case.own()
             watch("own")
         aligned = self._aligner.align(case.reference, view.depth, camera)
         watch("align")
-        shown = self._restorer.restore(RestoreInput(distorted, view.alpha, aligned, case.reference, self._own))
+        shown = self._restorer.restore(RestoreInput(view.rgb, view.alpha, aligned, case.reference, self._own))
         watch("restore")
         if half:
             shown = enlarged(shown, case.camera, self._threads)

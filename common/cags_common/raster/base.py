@@ -135,6 +135,8 @@ class RenderOptions:
     """Pixels of less alpha are void: their depth is +inf."""
     max_sh_degree: int = 3
     threads: int = 2
+    displayed: bool = False
+    """Whether colours end at 1, as a display shows them."""
     shortcuts: Shortcuts = Shortcuts()
 
     def __post_init__(self) -> None:
@@ -150,7 +152,7 @@ class RenderOptions:
 class RenderedView:
     """One rendered view over a black background."""
 
-    rgb: F32  # [H, W, 3] in [0, inf): premultiplied, display-referred; clip to [0, 1] to show
+    rgb: F32  # [H, W, 3] in [0, inf): premultiplied, display-referred; up to 1 where ``displayed``
     alpha: F32  # [H, W] in [0, 1]
     depth: F32 | None  # [H, W] camera-space z, world units; +inf where void. None for DepthKind.NONE
     contribution: F32 | None  # [N] sum over pixels of the splat's compositing weight, in pixels

@@ -96,7 +96,7 @@ class CpuScene:
         if half.contribution is not None:
             half.contribution[:] *= 4  # pixels of the whole image
         width, height = camera.width_px, camera.height_px
-        return self._native.upsample(half, width, height, options.void_alpha, options.threads)
+        return self._native.upsample(half, width, height, _options(options))
 
     def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
         """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
@@ -123,7 +123,7 @@ def _camera(camera: Camera) -> RasterCamera:
 
 
 def _options(options: RenderOptions) -> RasterOptions:
-    from cags_kernels.raster import RasterOptions
+    from cags_kernels.raster import BRIGHTEST, RasterOptions
 
     return RasterOptions(
         dilation=options.footprint.dilation_px2,
@@ -134,4 +134,5 @@ def _options(options: RenderOptions) -> RasterOptions:
         max_sh_degree=options.max_sh_degree,
         threads=options.threads,
         colour_angle=options.shortcuts.colour_angle_rad,
+        brightest=1.0 if options.displayed else BRIGHTEST,
     )

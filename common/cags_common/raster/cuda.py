@@ -113,7 +113,7 @@ class CudaScene:
         void = alpha < max(options.void_alpha, 1e-12)
         finished = torch.where(void, torch.inf, depth / torch.where(void, 1.0, alpha))
         return RenderedView(
-            _array(rgb),
+            _array(rgb.clamp(max=1.0) if options.displayed else rgb),
             _array(alpha),
             None if options.depth is DepthKind.NONE else _array(finished),
             None if contribution is None else _array(contribution[0, :, 0]),

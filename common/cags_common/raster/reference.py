@@ -98,7 +98,7 @@ class ReferenceScene:
             contribution[projected.rows[step.index]] = weight.sum()
         alpha = 1.0 - transmittance
         return RenderedView(
-            rgb.astype(np.float32),
+            np.minimum(rgb, 1.0 if options.displayed else np.inf).astype(np.float32),
             alpha.astype(np.float32),
             _finished_depth(depth, alpha, options),
             contribution.astype(np.float32) if options.contribution else None,

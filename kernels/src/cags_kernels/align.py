@@ -61,6 +61,14 @@ class _CorrectInput(ctypes.Structure):
     ]
 
 
+class _LayInput(ctypes.Structure):
+    _fields_ = [
+        *((name, _Pointer) for name in ("over", "share", "confidence")),
+        *((name, ctypes.c_int64) for name in ("share_pitch", "shown_pitch")),
+        *((name, _int32) for name in ("width", "height", "threads")),
+    ]
+
+
 class _CarryInput(ctypes.Structure):
     _fields_ = [
         *((name, _Pointer) for name in ("reference", "then", "now")),
@@ -211,6 +219,21 @@ def carry(reference: F32, then: F32, now: F32, parameters: CarryParameters) -> F
     out = _buffers.empty((height, width, 3))
     check(library().cags_carry(ctypes.byref(given), _address(out)), "carry")
     return out
+
+
+def lay(shown: F32, over: F32, share: F32, confidence: F32, threads: int) -> None:
+    """Change ``shown`` [H, W, 3] towards ``over`` [H, W, 3] by ``share`` times ``confidence`` [H, W], in place.
+
+    ``shown`` and ``share`` may be parts of larger pictures. Raises ``KernelError`` and, for arrays that do not fit,
+    ``ValueError``.
+    """
+    height, width = share.shape
+    over, confidence = _checked(over, (height, width, 3)), _checked(confidence, (height, width))
+    if shown.shape != over.shape or shown.strides[1:] != (12, 4) or share.strides[1] != 4:
+        raise ValueError(f"array of shape {shown.shape}, expected {over.shape} in whole rows")
+    pitches = share.strides[0] // 4, shown.strides[0] // 4
+    given = _LayInput(_address(over), _address(share), _address(confidence), *pitches, width, height, threads)
+    check(library().cags_lay(ctypes.byref(given), _address(shown)), "lay")
 
 
 def _correct_input(view: _Reprojection, own: F32, reference: F32, p: CorrectParameters) -> _CorrectInput:

@@ -48,7 +48,7 @@ class _Camera(ctypes.Structure):
 
 
 class _Options(ctypes.Structure):
-    _fields_ = [(name, _float) for name in ("dilation", "filter", "void_alpha", "colour_angle")] + [
+    _fields_ = [(name, _float) for name in ("dilation", "filter", "void_alpha", "brightest", "colour_angle")] + [
         (name, _int32) for name in ("exactness", "depth", "max_sh_degree", "threads")
     ]
 
@@ -91,6 +91,8 @@ class RasterOptions:
     threads: int
     colour_angle: float = 0.0
     """Radians that a splat's direction may turn before its harmonics are evaluated again; 0: every frame."""
+    brightest: float = BRIGHTEST
+    """No colour comes out above it."""
 
 
 @dataclass(frozen=True)
@@ -168,14 +170,15 @@ class NativeScene:
         figures = (getattr(statistics, name) for name, *_ in _Statistics._fields_)
         return RasterImage(rgb, alpha, depth, weights, RasterStatistics(*figures))
 
-    def upsample(self, half: RasterImage, width: int, height: int, void_alpha: float, threads: int) -> RasterImage:
+    def upsample(self, half: RasterImage, width: int, height: int, options: RasterOptions) -> RasterImage:
         """A view of twice the resolution: ``half`` is of (width + 1) // 2 by (height + 1) // 2 pixels."""
         if half.alpha.shape != _half_shape(width, height):
             raise ValueError(f"alpha of shape {half.alpha.shape} is not half of {width}x{height} px")
         shape = (height, width)
         rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
         depth = None if half.depth is None else self._buffers.empty(shape)
-        _upsample((half.rgb, half.alpha, half.depth), (rgb, alpha, depth), void_alpha, BRIGHTEST, threads)
+        limits = options.void_alpha, options.brightest, options.threads
+        _upsample((half.rgb, half.alpha, half.depth), (rgb, alpha, depth), *limits)
         return RasterImage(rgb, alpha, depth, half.contribution, half.statistics)
 
     def back_project(self, camera: RasterCamera, residual: F32, options: RasterOptions) -> tuple[F32, F32]:
@@ -235,7 +238,7 @@ def _arguments(camera: RasterCamera, options: RasterOptions) -> tuple[object, ob
         *(camera.fx, camera.fy, camera.cx, camera.cy, camera.near, camera.width, camera.height),
     )
     native_options = _Options(
-        *(options.dilation, options.filter, options.void_alpha, options.colour_angle),
+        *(options.dilation, options.filter, options.void_alpha, options.brightest, options.colour_angle),
         *(options.exactness, options.depth, options.max_sh_degree, options.threads),
     )
     return ctypes.byref(native_camera), ctypes.byref(native_options)

@@ -31,6 +31,7 @@ struct CagsCamera {
 struct CagsRasterOptions {
   float dilation, filter;  // squared pixels, see Footprint
   float void_alpha;
+  float brightest;       // no colour comes out above it
   float colour_angle;    // radians that a splat's direction may turn before its harmonics are evaluated again; 0: always
   int32_t exactness, depth, max_sh_degree, threads;
 };

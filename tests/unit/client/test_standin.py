@@ -8,12 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import cags_kernels
 from cags_client import align
 from cags_client.align import ReferencePicture
-from cags_client.standin import FAR, Drawn, StandIn, disagreement, surrogate_depth
+from cags_client.standin import FAR, Drawn, StandIn, disagreement, lay_over, surrogate_depth
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
 from cags_common.metrics import psnr
 from cags_common.raster.base import RenderedView
+from cags_kernels import align as kernels
 
 HERE = Camera(Intrinsics.of_fov(160, 120, 1.2, 1.0), Pose.identity())
 THERE = Camera(Intrinsics.of_fov(120, 90, 1.4, 1.2), Pose((0.3, -0.1, 0.05), (0.9995, 0.02, 0.02, 0.01)))
@@ -142,3 +144,35 @@ def test_whatever_is_drawn_the_picture_stays_one(mine: tuple[int, int], theirs: 
     assert np.isfinite(out).all()
     assert out.min() >= 0
     assert out.max() <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("instructions", ["portable", "avx2", "avx512"])
+@pytest.mark.parametrize("shape", [(1, 1), (5, 7), (9, 8), (33, 67)])
+def test_laying_over_is_the_weighted_mean_and_touches_nothing_else(instructions, shape):
+    before = cags_kernels.instruction_set()
+    try:
+        cags_kernels.use_instruction_set(instructions)
+    except cags_kernels.KernelError:
+        pytest.skip(f"this processor does not run {instructions}")
+    try:
+        h, w = shape
+        rng = np.random.default_rng(h)
+        whole, over = rng.random((h + 4, w + 6, 3), np.float32), rng.random((h, w, 3), np.float32)
+        share, confidence = rng.random((h, w + 3), np.float32)[:, :w], rng.random((h, w), np.float32)
+        share[:, : w // 2] = 0
+        part, out = np.s_[2 : 2 + h, 3 : 3 + w], whole.copy()
+        lay_over(out[part], over, share, confidence, threads=2)
+        weight = (share * confidence)[..., None]
+        np.testing.assert_allclose(out[part], whole[part] + weight * (over - whole[part]), atol=1e-6)
+        out[part][weight[..., 0] > 0] = whole[part][weight[..., 0] > 0]
+        np.testing.assert_array_equal(out, whole)
+    finally:
+        cags_kernels.use_instruction_set(before)
+
+
+def test_what_is_laid_over_must_fit():
+    shown, share = np.zeros((4, 6, 3), np.float32), np.ones((4, 6), np.float32)
+    with pytest.raises(ValueError, match="expected"):
+        kernels.lay(shown, np.zeros((4, 5, 3), np.float32), share, share, 1)
+    with pytest.raises(ValueError, match="whole rows"):
+        kernels.lay(shown[:, ::2], np.zeros((4, 3, 3), np.float32), share[:, :3], share[:, :3], 1)

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import cags_kernels
 from cags_common.errors import ConfigError, SceneError
+from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster import DepthKind, Exactness, Footprint, RenderOptions, create
 from cags_common.splats import Splats
 from support.raster_scenes import assert_sound, camera, psnr_db, random_splats, splat, tilted_camera
@@ -218,3 +220,31 @@ def test_the_residual_is_checked():
     bad[0, 0, 0] = np.inf
     with pytest.raises(ValueError, match="finite"):
         scene.back_project(camera(), bad, RenderOptions())
+
+
+@pytest.mark.parametrize("backend", ["reference", "cpu"])
+def test_a_displayed_picture_ends_at_white_and_is_else_the_same(backend, instruction_set):
+    splats = random_splats(60, seed=4)
+    bright = create(backend).load(replace(splats, sh0=splats.sh0 + F(4)))
+    plain, shown = (bright.render(tilted_camera(), RenderOptions(displayed=displayed)) for displayed in (False, True))
+    assert plain.rgb.max() > 1.2
+    np.testing.assert_array_equal(shown.rgb, np.minimum(plain.rgb, 1))
+    np.testing.assert_array_equal(shown.alpha, plain.alpha)
+
+
+@pytest.mark.parametrize("depth", DepthKind)
+def test_a_large_picture_is_the_same_written_past_the_caches(instruction_set, depth):
+    """Rows of whole cache lines are; with eight pixels more in each, the same view is not."""
+    narrow, wide = (Camera(Intrinsics(width, 520, 700.0, 700.0, 400.0, 260.0), Pose.identity()) for width in (800, 808))
+    scene = create("cpu").load(replace(random_splats(400, seed=5), means=_in_front(400)))
+    ours, there = (scene.render(camera, RenderOptions(depth=depth, threads=2)) for camera in (narrow, wide))
+    np.testing.assert_array_equal(ours.rgb, there.rgb[:, :800])
+    np.testing.assert_array_equal(ours.alpha, there.alpha[:, :800])
+    if depth is not DepthKind.NONE:
+        assert ours.depth is not None and there.depth is not None
+        np.testing.assert_array_equal(ours.depth, there.depth[:, :800])
+
+
+def _in_front(count: int) -> NDArray[np.float32]:
+    """Means well inside of a view from the origin along z, where no width's limits on the projection reach."""
+    return np.random.default_rng(6).uniform((-1, -0.7, 4), (1, 0.7, 6), (count, 3)).astype(F)

@@ -223,6 +223,15 @@ int32_t cags_fields(const CagsCorrectInput* input, float* fields) {
   return cags::guarded([&] { cags::align::fields_of(*input, fields); });
 }
 
+int32_t cags_lay(const CagsLayInput* input, float* shown) {
+  using namespace cags::align;
+  if (!side(input->width) || !side(input->height) || input->threads < 1) return CAGS_INVALID;
+  return cags::guarded([&] {
+    for_rows(std::min(input->threads, cags::kMaxThreads), input->height,
+             [&](int row, int) { stages().lay(*input, row, shown + row * input->shown_pitch); });
+  });
+}
+
 int32_t cags_correct(const CagsCorrectInput* input, float* restored) {
   if (!valid(*input)) return CAGS_INVALID;
   return cags::guarded([&] { cags::align::correct(*input, restored); });

@@ -40,6 +40,13 @@ struct CagsCorrectInput {
   int32_t threads;
 };
 
+// A picture laid over part of another: `over` [height, width, 3] by share x confidence [height, width].
+struct CagsLayInput {
+  const float *over, *share, *confidence;
+  int64_t share_pitch, shown_pitch;  // floats from row to row of `share` and of what is shown
+  int32_t width, height, threads;
+};
+
 struct CagsCarryInput {
   const float *reference, *then, *now;  // [height, width, 3]: the reference, and the client's own views of it
   int32_t width, height, radius;        // of the pictures; of the local powers
@@ -50,5 +57,6 @@ struct CagsCarryInput {
 CAGS_API int32_t cags_align(const CagsAlignInput* input, const CagsAlignOutput* output);
 // The closed form's factors and offsets [reference_height, reference_width, 4]; what is of the client's view is not read.
 CAGS_API int32_t cags_fields(const CagsCorrectInput* input, float* fields);
+CAGS_API int32_t cags_lay(const CagsLayInput* input, float* shown);  // shown += weight (over - shown)
 CAGS_API int32_t cags_carry(const CagsCarryInput* input, float* carried);  // [height, width, 3] in [0, 1]
 CAGS_API int32_t cags_correct(const CagsCorrectInput* input, float* restored);  // [height, width, 3] in [0, 1]

@@ -93,6 +93,8 @@ struct Stages {
   void (*carry_powers)(const CagsCarryInput&, int row, float* line, float* sums);
   void (*carry_means)(const CagsCarryInput&, int row, const float* sums, float* means);
   void (*carry)(const CagsCarryInput&, int row, const float* means, float most, float* carried);
+  // One row of a picture laid over another, of which `shown` is the row.
+  void (*lay)(const CagsLayInput&, int row, float* shown);
   // One row of the client's picture: distorted + weight confidence (factor distorted + offset), clipped.
   // `line` [blocks.width + kLineSlack] is scratch.
   void (*correct)(const CagsCorrectInput&, const Padded& fields, const Blocks& blocks, int row, float* line, float* restored);

@@ -54,7 +54,7 @@ bool valid(const CagsCamera& camera, const CagsRasterOptions& options) {
   return camera.width >= 1 && camera.width <= kMaxSide && camera.height >= 1 && camera.height <= kMaxSide && camera.fx > 0 &&
          camera.fy > 0 && camera.near_plane > 0 && options.threads >= 1 && options.exactness >= CAGS_FAST &&
          options.exactness <= CAGS_EXACT && options.depth >= CAGS_DEPTH_NONE && options.depth <= CAGS_DEPTH_MEDIAN &&
-         options.max_sh_degree >= 0 && options.colour_angle >= 0 && options.colour_angle < kMaxColourAngle && options.dilation >= 0 && options.filter >= 0 && options.dilation + options.filter > 0;
+         options.max_sh_degree >= 0 && options.brightest >= 0 && options.colour_angle >= 0 && options.colour_angle < kMaxColourAngle && options.dilation >= 0 && options.filter >= 0 && options.dilation + options.filter > 0;
 }
 
 int32_t run(CagsRasterScene* scene, const CagsCamera& camera, const CagsRasterOptions& options,

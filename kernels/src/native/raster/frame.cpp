@@ -55,7 +55,7 @@ View make_view(const CagsCamera& camera, const CagsRasterOptions& options) {
   view.sh_degree = options.max_sh_degree, view.exactness = options.exactness, view.depth = options.depth;
   const float sine = std::sin(options.colour_angle);
   view.colour_turn = sine * sine;
-  view.void_alpha = options.void_alpha, view.stop = stop_of(options.exactness);
+  view.brightest = options.brightest, view.void_alpha = options.void_alpha, view.stop = stop_of(options.exactness);
   return view;
 }
 

@@ -42,6 +42,7 @@ struct View {
   int width, height, tiles_x, tiles_y;
   int sh_degree, exactness, depth;
   float colour_turn;              // squared sine of the angle after which colours are evaluated again; 0: always
+  float brightest;                // no colour comes out above it
   float void_alpha, stop;                           // a block is finished when no pixel transmits more than `stop`
 };
 

@@ -46,19 +46,19 @@ void carry(const CagsCarryInput& in, int row, const float* means, float most, fl
   const float *reference = in.reference + start, *then = in.then + start, *now = in.now + start;
   for (int first = 0; first < w; first += kRun) {
     const int count = std::min(kRun, w - first);
-    float kept[kRun], better[kRun];
+    float kept[kRun], lost[kRun];
     for (int i = 0; i < count; i++) {
       const float a = against_then[first + i] + kLeastCarried, b = against_now[first + i];
       const float worth = std::min(a, b + kLeastCarried), plausible = std::min(most / worth, 1.0f);
       const float share = std::max(1.0f - b / a, 0.0f);
       kept[i] = plausible * ((1.0f - share) * worth / (worth + in.caution * changed[first + i]));
-      better[i] = plausible * share;
+      lost[i] = (1.0f - plausible * share) - kept[i];
     }
     for (int i = 0; i < count; i++) {
       for (int c = 3 * (first + i); c < 3 * (first + i) + 3; c++) {
-        const float after = clipped(now[c]);
-        const float change = kept[i] * (reference[c] - clipped(then[c])) + better[i] * (reference[c] - after);
-        carried[start + c] = clipped(change + after);
+        const float after = clipped(now[c]);  // where nothing has changed, the reference stays as it is to the bit
+        const float change = kept[i] * (after - clipped(then[c])) - lost[i] * (reference[c] - after);
+        carried[start + c] = clipped(reference[c] + change);
       }
     }
   }

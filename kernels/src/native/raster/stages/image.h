@@ -57,8 +57,14 @@ struct PixelRun {
   float rgb[3 * kBlock], alpha[kBlock], depth[kBlock];
 };
 
-inline Interleaved colours_of_run(const BlockState& state, int at) {
-  return interleaved(load_quad(state.rgb[0] + at), load_quad(state.rgb[1] + at), load_quad(state.rgb[2] + at));
+inline Interleaved colours_of_run(const View& view, const BlockState& state, int at) {
+  const Quad most = Quad{} + view.brightest;
+  Quad colour[3];
+  for (int c = 0; c < 3; c++) {
+    const Quad sum = load_quad(state.rgb[c] + at);
+    colour[c] = sum < most ? sum : most;
+  }
+  return interleaved(colour[0], colour[1], colour[2]);
 }
 
 inline Quad alpha_of_run(const BlockState& state, int at) { return 1.0f - load_quad(state.transmittance + at); }
@@ -69,7 +75,7 @@ inline Quad depth_of_run(const View& view, const BlockState& state, int at) {
 
 inline void write_run(const View& view, const BlockState& state, int at, const Targets& to) {
   if (to.rgb) {
-    const Interleaved colours = colours_of_run(state, at);
+    const Interleaved colours = colours_of_run(view, state, at);
     std::memcpy(to.rgb, &colours, sizeof colours);
   }
   if (to.alpha) store(to.alpha, alpha_of_run(state, at));
@@ -106,7 +112,7 @@ inline void stream_rows(const View& view, const TileArea& area, const BlockState
     const Targets to = moved(targets, size_t(area.y + y) * view.width + area.x);
     const int n = area.width / kBlock, at = y % kBlock * kBlock;
     for (int i = 0; to.rgb && i < n; i++) {
-      const Interleaved colours = colours_of_run(row[i], at);
+      const Interleaved colours = colours_of_run(view, row[i], at);
       for (int k = 0; k < 3; k++) stream(to.rgb + (3 * i + k) * kBlock, colours.part[k]);
     }
     for (int i = 0; to.alpha && i < n; i++) stream(to.alpha + i * kBlock, alpha_of_run(row[i], at));
