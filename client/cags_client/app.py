@@ -26,6 +26,7 @@ from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.viewpoint import PoseSource
 from cags_common.errors import CagsError, NetworkError
 from cags_common.transport import Transport
+from cags_common.wake import woken
 from cags_protocol.client import ClientSession
 
 SINK_BACKLOG = 8
@@ -156,17 +157,8 @@ class Shell:
             self._caught_up.set()
         if self.player.finished:  # by a timer, or by what sending met: nothing would wake this up
             return
-        await self._woken_by(self.player.next_timer_us())
-
-    async def _woken_by(self, timer_us: int | None) -> None:
-        """Until something happens, or ``timer_us``. Hundreds of times a second: ``wait_for`` would make a task each."""
-        if timer_us is None:
-            await self._wake.wait()
-            return
-        loop = asyncio.get_running_loop()
-        timer = loop.call_later((timer_us - now_us()) / 1e6, self._wake.set)
-        await self._wake.wait()
-        timer.cancel()
+        timer = self.player.next_timer_us()
+        await woken(self._wake, None if timer is None else (timer - now_us()) / 1e6)
 
     async def _send(self) -> None:
         transport = self._transport

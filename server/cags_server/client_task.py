@@ -7,7 +7,6 @@ run in one event loop, so the connection needs no lock; only jobs leave the loop
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import time
 from collections.abc import Coroutine
@@ -16,6 +15,7 @@ from typing import Any
 
 from cags_common.errors import CagsError
 from cags_common.transport.base import ConnectionEndedError, Transport
+from cags_common.wake import woken
 from cags_protocol.messages import RefusalCode
 from cags_server.connection import Connection
 from cags_server.reference import FrameJob
@@ -111,7 +111,8 @@ class ClientTask:
             if job is not None:
                 self._begin(self._run(job, loop))
                 continue
-            await self._sleep_until(self._connection.next_timer_us())
+            timer = self._connection.next_timer_us()
+            await woken(self._to_plan, None if timer is None else (timer - now_us()) / 1e6)
 
     def _begin(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
@@ -136,11 +137,6 @@ class ClientTask:
             self._connection.job_failed(job)
         self._wake()
         self._executor.submit(job.library.prepare, job.plan.frame + 1)
-
-    async def _sleep_until(self, timer_us: int | None) -> None:
-        timeout = None if timer_us is None else max(0.0, (timer_us - now_us()) / 1e6)
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._to_plan.wait(), timeout)
 
     async def _flush(self) -> None:
         """Write the last words; a client that does not take them is cut off."""

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cags_common.errors import NetworkError
+from cags_common.wake import woken
 from cags_shaper.link import SEGMENT_BYTES, Link, tcp_wire_bytes
 from cags_shaper.link_clock import LinkClock
 
@@ -87,12 +88,7 @@ class ShapedDirection:
     async def _sleep(self) -> None:
         """Until the link has something to deliver or room to give, or something is pushed."""
         times = [t for t in (self.link.next_delivery_us(), self.link.next_room_us()) if t is not None]
-        timeout = None if not times else max(min(times) - self.now_us(), 0) / 1e6
-        try:
-            async with asyncio.timeout(timeout):
-                await self._wake.wait()
-        except TimeoutError:
-            pass
+        await woken(self._wake, None if not times else (min(times) - self.now_us()) / 1e6)
 
 
 def _write(piece: Piece) -> None:
