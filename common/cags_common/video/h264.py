@@ -139,6 +139,7 @@ class H264Decoder:
         """As :meth:`decode`, in YCbCr codes."""
         data = bytes(access_unit)
         if not 0 < len(data) <= MAX_ACCESS_UNIT_BYTES:
+            self.reset()
             raise DecodeError(f"H.264 access unit of {len(data)} bytes must hold 1 to {MAX_ACCESS_UNIT_BYTES}")
         kinds = set(nal_types(data))
         if not kinds & {_NAL_SLICE, _NAL_IDR}:
