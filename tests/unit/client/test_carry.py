@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import cags_kernels
 from cags_bench.align.ages import COMINGS, AgeCase, AgedPlay, gains
 from cags_client.align import ReferencePicture
 from cags_client.carry import OnDisplay, ReferenceViews, carried, carried_as_defined
@@ -38,6 +39,14 @@ def groups(tmp_path_factory: pytest.TempPathFactory) -> BundleReader:
     settings = EncodeSettings(frames=7, gof_frames=2, train_splats=2048, lod_order="paper")
     encode(open_scene("procedural:size=3000,frames=7"), settings, str(folder))
     return BundleReader.open(str(folder))
+
+
+@pytest.mark.skipif(not cags_kernels.native_available(), reason=cags_kernels.why_unavailable())
+def test_a_reference_of_a_scene_in_which_nothing_has_changed_stays_as_it_is_to_the_bit():
+    rng = np.random.default_rng(3)
+    view = rng.random((37, 70, 3), np.float32)
+    reference = np.clip(view + rng.normal(0, 0.05, view.shape), 0, 1).astype(np.float32)
+    np.testing.assert_array_equal(carried(reference, view, view), reference)
 
 
 def played(reader: BundleReader, case: AgeCase, **more: object) -> list[dict[str, float]]:

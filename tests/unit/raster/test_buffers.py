@@ -62,3 +62,9 @@ def test_arrays_that_live_to_the_end_of_the_program_end_it_quietly():
     code = "import sys; from cags_kernels.buffers import BufferPool; sys.kept = kept = BufferPool().empty((9,))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stderr == ""
+
+
+def test_blocks_begin_where_a_cache_line_does():
+    pool = BufferPool()
+    held = [pool.empty(shape) for shape in ((1,), (3, 5), (300, 400, 3), (1200, 1600))]
+    assert all(address(array) % 64 == 0 for array in held)
