@@ -40,7 +40,7 @@ from cags_client.align.base import ReferencePicture
 from cags_client.align.fast import sample
 from cags_client.restore.base import COMPARED, RestoreInput
 from cags_client.restore.pair import OncePerPair
-from cags_client.restore.parallax import kept
+from cags_client.restore.parallax import PLACED_FROM, kept, placed, relative_step
 from cags_client.restore.veil import plausible
 from cags_common.geometry import F32
 from cags_common.settings import check_settings, setting
@@ -129,6 +129,9 @@ def corrected(inputs: RestoreInput, own: F32, settings: AffineSettings, fields: 
     Fields that are given count as far as they are plausible (``inputs.expected``).
     """
     aligned = inputs.aligned
+    step = relative_step(aligned.geometry)
+    if step > PLACED_FROM:
+        fields = placed(fields_of(own, inputs.reference, settings) if fields is None else fields, own, step)
     share = kept(aligned.geometry)
     confidence = aligned.confidence if share is None else aligned.confidence * share
     if fields is not None and inputs.expected is not None:

@@ -27,6 +27,16 @@ WORKED_OUT = 2
 """Every so many pixels and rows the share is worked out; the others take their neighbour's."""
 
 
+MISSING_POWER = 0.35
+"""Local power of a correction, over three channels in 0..1, that stands for something missing."""
+
+MISSING_STEP, PLACED_FROM = 0.1, 0.03
+"""Step as a share of the depth at which half of such a correction is left; that under which it is in place."""
+
+WINDOW_PX = 5
+"""Side of the window over which a correction's power is taken: that of the closed form's local fit."""
+
+
 def kept(geometry: Reprojection) -> F32 | None:
     """Share [H, W] in [0, 1] of corrections that counts, 1 / (1 + (step / depth / HALF_AT)^8); None for all of all."""
     there, here = geometry.reference.pose.position, geometry.camera.pose.position
@@ -42,3 +52,25 @@ def kept(geometry: Reprojection) -> F32 | None:
     ratio += 1
     share, size = np.reciprocal(ratio, out=ratio), geometry.depth.shape[::-1]
     return np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_NEAREST), dtype=np.float32)
+
+
+def relative_step(geometry: Reprojection) -> float:
+    """The step between both cameras as a share of the median depth of the client's view; 0 for a view of nothing."""
+    sampled = geometry.depth[::LOOKED_AT, ::LOOKED_AT]
+    known = sampled[(sampled > 0) & np.isfinite(sampled)]
+    there, here = geometry.reference.pose.position, geometry.camera.pose.position
+    return float(np.linalg.norm(np.subtract(there, here)) / np.median(known)) if known.size else 0.0
+
+
+def placed(fields: F32, own: F32, step: float) -> F32:
+    """``fields`` [h, w, 4] of a correction of ``own`` [h, w, 3], less what lands in a wrong place after a ``step``.
+
+    Corrections beyond what quantisation does stand for something that is missing. It is placed by the depth of what
+    lies behind it, so the further the reference stands aside, the more of it is left out:
+    1 / (1 + (power / MISSING_POWER)^2 (step / MISSING_STEP)^4).
+    """
+    size = (WINDOW_PX, WINDOW_PX)
+    change = own * fields[..., :1] + fields[..., 1:]
+    power = cv2.blur(np.square(change).sum(axis=2), size, borderType=cv2.BORDER_REFLECT)
+    weight = np.reciprocal(1 + np.square(power * np.float32((step / MISSING_STEP) ** 2 / MISSING_POWER)))
+    return np.asarray(fields * weight[..., None], dtype=np.float32)

@@ -12,7 +12,7 @@ from cags_client.align import ReferencePicture, create
 from cags_client.align.base import Reprojection
 from cags_client.restore import RestoreInput
 from cags_client.restore.affine import AffineRestorer
-from cags_client.restore.parallax import HALF_AT, kept
+from cags_client.restore.parallax import HALF_AT, MISSING_POWER, MISSING_STEP, kept, placed, relative_step
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster.base import RenderedView
 
@@ -78,3 +78,21 @@ def test_a_correction_from_far_aside_leaves_the_picture_as_it_is(monkeypatch: py
         changes.append(np.abs(AffineRestorer().restore(given_) - distorted)[sure].max())
     assert changes[0] > 0.15
     assert changes[1] < 0.005
+
+
+def test_what_is_missing_counts_from_near_and_not_from_aside() -> None:
+    own = np.zeros((24, 32, 3), np.float32)
+    fields = np.zeros((24, 32, 4), np.float32)
+    fields[:, :16, 1:] = 0.02
+    fields[:, 16:, 1:] = np.sqrt(MISSING_POWER / 3)
+    near, aside = placed(fields, own, MISSING_STEP / 4), placed(fields, own, MISSING_STEP)
+    np.testing.assert_allclose(near, fields, rtol=0.005)
+    np.testing.assert_allclose(aside[:, :12], fields[:, :12], rtol=0.001)
+    np.testing.assert_allclose(aside[:, 20:], fields[:, 20:] / 2, rtol=0.001)
+
+
+def test_a_step_is_measured_against_the_median_depth_of_what_is_there() -> None:
+    depth = np.full((48, 64), 2.0)
+    depth[:20], depth[20:24], depth[24:28] = np.inf, 0.0, np.nan
+    assert relative_step(geometry(depth, 0.5)) == pytest.approx(0.25)
+    assert relative_step(geometry(np.full((48, 64), np.inf), 0.5)) == 0.0
