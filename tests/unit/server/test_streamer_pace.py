@@ -6,6 +6,7 @@ import pytest
 
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_server.schedule import MAX_LEAD_STRETCH
 from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
@@ -39,6 +40,14 @@ def test_a_late_reference_is_sent_as_long_as_it_serves_and_the_next_is_planned_e
     assert rig.streamer.stats.records[0].reference_late
     lead = rig.streamer._viewer.clock.to_server(round(300_000 + PERIOD_US)) - rig.streamer.next_due_us()
     assert 300_000 < lead <= 3 * SETTINGS.lead_frames * PERIOD_US
+
+
+@pytest.mark.parametrize(("took_us", "leads"), [(20_000, 1.0), (60_000_000, MAX_LEAD_STRETCH)])
+def test_a_slow_renderer_is_asked_earlier_but_not_ever_earlier(took_us: int, leads: float) -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer._schedule.pace.observe(took_us, 1000, 1e9)
+    assert rig.streamer._schedule.lead_us(rtt_us=0) == pytest.approx(leads * SETTINGS.lead_frames * PERIOD_US, rel=1e-6)
 
 
 def test_a_reference_too_late_for_anything_is_not_sent() -> None:
