@@ -56,6 +56,8 @@ class ClientTask:
                 self._connection.connection_lost("the connection ended", now_us())
             await self._flush()
         finally:
+            if not self._connection.closed:  # cancelled, with the request that it serves
+                self._connection.connection_lost("the connection ended", now_us())
             tasks += self._work
             for task in tasks:
                 task.cancel()
