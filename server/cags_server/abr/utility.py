@@ -22,9 +22,6 @@ from cags_server.abr.plan import Plan
 HOLE_DB, STALE_DB = 20.0, 6.0
 """How much worse than a base layer is nothing at all, and the splats of the frame before."""
 
-LONGEST_SHOWN = 60.0
-"""Frames for which a base layer is credited with being shown, however long the last one was."""
-
 FIRST_GAIN_DB, GAIN_DECAY = 2.0, 0.85
 """Gains of enhancement layers where the bundle measured none."""
 
@@ -85,15 +82,12 @@ def _frames_left(tile: TileView) -> float:
 def _absent(tile: TileView) -> float:
     """Squared error without the tile, relative to that of its base layer, as a mean over the frames that it has left.
 
-    What moves on steadily is off by the time that it has been stale, and its error by the square. What comes will in
-    turn be shown until something replaces it: for as long as what it replaces was, to judge by that.
+    What moves is taken to wander: its squared error grows with the time for which it has been stale, up to a hole's.
     """
     hole = float(10.0 ** (HOLE_DB / 10.0))
     if not tile.replaces:
         return hole
-    stale = min(float(10.0 ** (STALE_DB / 10.0)) * tile.stale_frames**2, hole)
-    shown = max(min(tile.stale_frames, LONGEST_SHOWN) / _frames_left(tile), 1.0)
-    return 1.0 + (stale - 1.0) * shown
+    return min(float(10.0 ** (STALE_DB / 10.0)) * tile.stale_frames, hole)
 
 
 def _runs(observation: Observation, tile: TileView, distortions: tuple[float, ...]) -> list[_Run]:

@@ -56,12 +56,12 @@ def test_what_has_been_stale_for_longest_comes_first(policy: str) -> None:
     assert reached(decide(policy, 105, stale, moved)) == {0: 1}
 
 
-def test_what_is_stale_is_off_by_the_square_of_its_age() -> None:
-    """Two frames old and shown for as long: ten times the error that a new base layer removes, not five times."""
+def test_the_squared_error_of_what_is_stale_grows_with_its_age() -> None:
+    """Four times a base layer's at one frame and eight at two: a new base layer removes 3 and 7."""
     older = tile(0, depth=0, replaces=True, weight=1.0, stale_frames=2.0, frames_left=1.0)
-    wider = tile(1, depth=0, replaces=True, weight=7.0, stale_frames=1.0, frames_left=1.0)
+    wider = tile(1, depth=0, replaces=True, weight=2.2, stale_frames=1.0, frames_left=1.0)
     assert reached(decide("utility", 105, older, wider)) == {0: 1}
-    assert reached(decide("utility", 105, older, replace(wider, weight=12.0))) == {1: 1}
+    assert reached(decide("utility", 105, older, replace(wider, weight=2.5))) == {1: 1}
 
 
 def test_two_halves_that_always_move_take_turns() -> None:
@@ -74,11 +74,12 @@ def test_two_halves_that_always_move_take_turns() -> None:
     assert chosen == [1, 0] * 4
 
 
-def test_a_base_layer_that_will_be_shown_for_long_is_worth_more_than_detail_for_a_few_frames() -> None:
-    late = tile(0, depth=0, replaces=True, stale_frames=40.0, frames_left=1.0)
-    fine = tile(1, weight=20.0, frames_left=6.0)
-    assert reached(decide("utility", 105, late, fine)) == {0: 1}
-    assert reached(decide("utility", 105, replace(late, stale_frames=1.0), fine)) == {1: 5}
+def test_what_is_stale_is_no_worse_than_a_hole() -> None:
+    """25 frames old it is as bad as nothing at all, and 1,000 frames old no worse."""
+    hole = tile(0, depth=0, weight=1.0)
+    for frames, weight, first in ((25.0, 1.01, 1), (1000.0, 1.01, 1), (1000.0, 0.99, 0)):
+        stale = tile(1, depth=0, replaces=True, weight=weight, stale_frames=frames, frames_left=hole.frames_left)
+        assert reached(decide("utility", 105, hole, stale)) == {first: 1}
 
 
 def test_what_stays_may_come_late_and_what_passes_may_not() -> None:
