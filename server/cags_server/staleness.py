@@ -6,6 +6,8 @@ been stale for longest. Judged by this frame alone, the same tile would win ever
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from cags_server.library import SceneLibrary
@@ -21,7 +23,15 @@ class Staleness:
     def clear(self) -> None:
         """The client holds nothing."""
         self._gof = -1
+        self._claimed: tuple[tuple[int, int], ...] = ()
         self._arrived = self._sent = np.zeros(0, np.int32)  # [capacity] media frame
+
+    def held(self, tiles: Iterable[tuple[int, int]]) -> None:
+        """The client says that it holds these (media frame, tile) of an earlier session.
+
+        They are looked up when their group begins, and what the bundle does not have is passed over.
+        """
+        self._claimed = tuple(tiles)
 
     def sent(self, frame: int, tile: int) -> None:
         """The splats of a tile were queued, in their version of ``frame``."""
@@ -59,5 +69,13 @@ class Staleness:
         if gof > self._gof:
             self._gof = gof
             self._arrived = np.full(manifest.capacity[gof], manifest.gof_starts[gof] - 1, np.int32)
+            for key in self._held_of(gof):
+                ids = self._library.tile_ids(*key)
+                self._arrived[ids] = np.maximum(self._arrived[ids], key[0])
             self._sent = self._arrived.copy()
         return gof == self._gof
+
+    def _held_of(self, gof: int) -> list[tuple[int, int]]:
+        frames = self._library.manifest.gof_frames(gof)
+        claimed = [(frame, tile) for frame, tile in self._claimed if frame in frames]
+        return [(frame, tile) for frame, tile in claimed if tile < len(self._library.entry(frame).tiles)]

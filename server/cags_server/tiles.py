@@ -38,11 +38,10 @@ class TileSender:
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles from an earlier session: they are not sent again."""
-        for held in inventory:
-            if held.lods:
-                self.inventory.hold(held.frame, held.tile, held.lods)
-                self._staleness.sent(held.frame, held.tile)
-                self._staleness.settled(held.frame, held.tile, delivered=True)
+        tiles = [held for held in inventory if held.lods]
+        for held in tiles:
+            self.inventory.hold(held.frame, held.tile, held.lods)
+        self._staleness.held((held.frame, held.tile) for held in tiles)
 
     def upgrades(self, frame: int, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
         """Messages of a frame: new tiles, the frame's end, detail."""

@@ -21,9 +21,9 @@ VIEWS = st.builds(Intrinsics, SIDES, SIDES, FOCALS, FOCALS, CENTRES, CENTRES)
 PLACES = st.tuples(*[st.sampled_from([0.0, -3.0, 1e9]) | st.floats(-1e9, 1e9)] * 3)
 TURNS = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(c * c for c in q) > 0.01)
 NEARS = st.sampled_from([1e-6, 0.2, 1e6]) | st.floats(1e-6, 1e6)
-HELD = st.lists(
-    st.builds(HeldTile, st.integers(0, 2**31 - 1), st.integers(0, 2**16 - 1), st.integers(1, 64)), max_size=5
-)
+FRAMES = st.integers(0, 15) | st.integers(0, 2**31 - 1)  # the clip has twelve
+TILES = st.integers(0, 40) | st.integers(0, 2**16 - 1)
+HELD = st.lists(st.builds(HeldTile, FRAMES, TILES, st.integers(1, 64)), max_size=5)
 
 LIBRARY = library()
 
@@ -34,7 +34,7 @@ def hellos(draw: st.DrawFn) -> Hello:
         hello(Pose(draw(PLACES), draw(TURNS))),
         intrinsics=draw(VIEWS),
         near=draw(NEARS),
-        start_frame=draw(st.integers(0, 2**31 - 1)),
+        start_frame=draw(FRAMES),
         resume=draw(st.sampled_from(["", f"{LIBRARY.digest}-s9", "another-s1"])),
         inventory=pack_inventory(draw(HELD)),
     )

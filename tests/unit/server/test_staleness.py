@@ -54,6 +54,24 @@ def test_a_group_of_frames_begins_with_what_was_shown_before_it() -> None:
     assert staleness.frames(CHANGED[0], *CHANGED) == CHANGED[0] + 1
 
 
+def test_what_a_client_holds_of_an_earlier_session_has_arrived() -> None:
+    staleness = Staleness(library())
+    staleness.held([CHANGED])
+    assert staleness.frames(CHANGED[0] + 2, *CHANGED) == 2.0
+    staleness.sent(*CHANGED)
+    staleness.settled(*CHANGED, delivered=False)
+    assert staleness.frames(CHANGED[0] + 2, *CHANGED) == 2.0
+
+
+def test_what_the_bundle_does_not_have_cannot_be_held() -> None:
+    """A client that named a frame beyond the clip's end ended its session with an error of the server's."""
+    frames, tiles = library().manifest.frames, len(library().entry(0).tiles)
+    staleness = Staleness(library())
+    staleness.held([(frames, 0), (2**31 - 1, 0), (0, tiles), (0, 2**16 - 1), (CHANGED[0], 2**16 - 1)])
+    assert staleness.frames(CHANGED[0], *CHANGED) == CHANGED[0] + 1
+    assert staleness.frames(frames - 1, library().manifest.gof_starts[-1], 0) >= 1.0
+
+
 @given(st.lists(st.tuples(st.sampled_from(TILES), st.sampled_from(["sent", "delivered", "dropped"])), max_size=25))
 def test_it_never_exceeds_the_time_since_the_group_began(steps: list[tuple[tuple[int, int], str]]) -> None:
     staleness = Staleness(library())
