@@ -102,8 +102,8 @@ class AffineRestorer:
         """See :class:`cags_client.restore.base.Restorer`."""
         own = own_view(inputs)
         # the kernel makes and applies fields in one go, which is the quicker way for those that no later frame uses
-        kept = self._fields.repeats(inputs) or inputs.expected is not None
-        return corrected(inputs, own, self._settings, self._fields.of(inputs, own) if kept else None)
+        needed = self._fields.repeats(inputs) or inputs.expected is not None
+        return corrected(inputs, own, self._settings, self._fields.of(inputs, own) if needed else None)
 
 
 def own_view(inputs: RestoreInput) -> F32:

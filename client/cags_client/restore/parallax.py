@@ -26,7 +26,6 @@ LOOKED_AT = 4
 WORKED_OUT = 2
 """Every so many pixels and rows the share is worked out; the others take their neighbour's."""
 
-
 MISSING_POWER = 0.35
 """Local power of a correction, over three channels in 0..1, that stands for something missing."""
 
