@@ -113,6 +113,9 @@ class Connection:
         if self.closed or self._fetching is not None:
             return None
         self._fetching = self._needed()
+        if self._fetching is None and self._unopened and self.streamer is not None:
+            # Read for somebody else since the client joined: a fetch that finds it there still opens the stream.
+            self._fetching = self.streamer.first_frame
         return self._fetching
 
     def fetch(self, frame: int) -> None:

@@ -281,6 +281,17 @@ def test_a_stream_waits_for_its_frames_to_be_read_and_asks_for_each_once() -> No
     assert {0, 6} <= set(pair.fetched), "a group's first frame brings its others along"
 
 
+def test_a_frame_that_was_read_for_somebody_else_meanwhile_opens_the_stream_too() -> None:
+    """A client that joined while another's frame was being read waited for its first picture for ever."""
+    pair = FetchingPair()
+    pair.run(50)
+    with pair.elsewhere():
+        pair.connection._library.fetch(0)
+    pair.read()
+    pair.run(100)
+    assert [e.message.frame for e in pair.of(ev.FrameEnded)] == [0]
+
+
 def test_a_frame_that_could_not_be_read_ends_the_wait() -> None:
     pair = FetchingPair()
     pair.run(50)
