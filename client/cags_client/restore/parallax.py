@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from cags_client.align.base import Reprojection
+from cags_client.restore.local import correction_power
 from cags_common.geometry import F32
 
 HALF_AT = 0.29
@@ -32,14 +33,10 @@ MISSING_POWER = 0.35
 MISSING_STEP, PLACED_FROM = 0.1, 0.03
 """Step as a share of the depth at which half of such a correction is left; that under which it is in place."""
 
-WINDOW_PX = 5
-"""Side of the window over which a correction's power is taken: that of the closed form's local fit."""
-
 
 def kept(geometry: Reprojection) -> F32 | None:
     """Share [H, W] in [0, 1] of corrections that counts, 1 / (1 + (step / depth / HALF_AT)^8); None for all of all."""
-    there, here = geometry.reference.pose.position, geometry.camera.pose.position
-    step = np.float32(np.linalg.norm(np.subtract(there, here)))
+    step = np.float32(_step(geometry))
     sampled = geometry.depth[::LOOKED_AT, ::LOOKED_AT]
     if not (step > np.float32(FROM) * sampled[sampled > 0]).any():
         return None
@@ -57,8 +54,7 @@ def relative_step(geometry: Reprojection) -> float:
     """The step between both cameras as a share of the median depth of the client's view; 0 for a view of nothing."""
     sampled = geometry.depth[::LOOKED_AT, ::LOOKED_AT]
     known = sampled[(sampled > 0) & np.isfinite(sampled)]
-    there, here = geometry.reference.pose.position, geometry.camera.pose.position
-    return float(np.linalg.norm(np.subtract(there, here)) / np.median(known)) if known.size else 0.0
+    return float(_step(geometry) / np.median(known)) if known.size else 0.0
 
 
 def placed(fields: F32, own: F32, step: float) -> F32:
@@ -68,8 +64,12 @@ def placed(fields: F32, own: F32, step: float) -> F32:
     lies behind it, so the further the reference stands aside, the more of it is left out:
     1 / (1 + (power / MISSING_POWER)^2 (step / MISSING_STEP)^4).
     """
-    size = (WINDOW_PX, WINDOW_PX)
-    change = own * fields[..., :1] + fields[..., 1:]
-    power = cv2.blur(np.square(change).sum(axis=2), size, borderType=cv2.BORDER_REFLECT)
+    power = correction_power(fields, own)
     weight = np.reciprocal(1 + np.square(power * np.float32((step / MISSING_STEP) ** 2 / MISSING_POWER)))
     return np.asarray(fields * weight[..., None], dtype=np.float32)
+
+
+def _step(geometry: Reprojection) -> float:
+    """Between both cameras, in the scene's unit."""
+    there, here = geometry.reference.pose.position, geometry.camera.pose.position
+    return float(np.linalg.norm(np.subtract(there, here)))

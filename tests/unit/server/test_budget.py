@@ -130,13 +130,19 @@ def test_detail_is_overtaken_but_for_what_has_left_the_queue() -> None:
     assert budget.timely(50_000, PERIOD_US, 8e6, 0) == 33_000, "one base layer after the other"
 
 
-def test_references_of_the_frames_planned_meanwhile_go_first() -> None:
+def after_references_of(size: int) -> ByteBudget:
+    """Sixty frames have been planned, each with a reference of ``size`` bytes that has arrived."""
     budget = ByteBudget(queue_ms=1_000.0)
     for _ in range(60):
-        each = reference(8_000)
+        each = reference(size)
         budget.planned(each, 0)
         budget.settled(each)
         budget.close(0, 8e6)
+    return budget
+
+
+def test_references_of_the_frames_planned_meanwhile_go_first() -> None:
+    budget = after_references_of(8_000)
     assert budget.timely(300_000, PERIOD_US, 8e6, 0) == pytest.approx(300_000 - 2 * 8_000, abs=50)
     assert budget.timely(201_000, PERIOD_US, 8e6, 0) == pytest.approx(200_000 - 8_000, abs=50), "gone before the last"
     assert budget.timely(90_000, PERIOD_US, 8e6, 0) == 90_000
@@ -154,12 +160,7 @@ def test_a_base_layer_goes_if_it_arrives_in_time_or_never_could() -> None:
 
 def test_a_base_layer_that_never_fits_behind_the_references_goes_late() -> None:
     """Else a slow link saved up for it in every frame, and sent nothing at all."""
-    budget = ByteBudget(queue_ms=1_000.0)
-    for _ in range(60):
-        each = reference(60_000)
-        budget.planned(each, 0)
-        budget.settled(each)
-        budget.close(0, 8e6)
+    budget = after_references_of(60_000)
     assert budget.timely(199_000, PERIOD_US, 8e6, 120_000) < 150_000
     assert budget.timely(199_000, PERIOD_US, 8e6, 150_000) == 150_000
 
