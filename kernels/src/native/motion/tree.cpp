@@ -13,8 +13,9 @@ constexpr int kMaxSpan = 64, kMaxSplats = 1 << 16;
 constexpr int64_t kMaxSamples = int64_t{1} << 20;
 constexpr int kFractionBits = 6;
 constexpr int kEscape = 254;
-constexpr int kMagnitude = 63;
+constexpr int kMagnitude = 63, kClasses = 10, kRealClasses = 4;
 constexpr int kSums = 2 * 3 * kMagnitude + 2 * 6 * kMagnitude + 3 * 2 * kMagnitude + 1;  // as cags_common.motion.contexts
+constexpr int kKnown = 9;
 constexpr int kStrides[] = {32, 16, 8, 4, 2, 1};
 
 
@@ -22,7 +23,9 @@ constexpr int kStrides[] = {32, 16, 8, 4, 2, 1};
 bool valid(const CagsMotionTree& tree) {
   if (tree.span < 1 || tree.span > kMaxSpan || tree.splats < 0 || tree.splats > kMaxSplats) return false;
   if (int64_t{tree.splats} * (tree.span + 1) > kMaxSamples || tree.knots < 0 || tree.knots > tree.span + 1) return false;
-  if (tree.parts != (tree.turn ? 4 : 3)) return false;
+  if (tree.turn < 0 || tree.turn > 1 || tree.parts != 3 + tree.turn) return false;
+  if (std::min(tree.first_table, tree.first_real_table) < 0 || std::max(tree.first_table, tree.first_real_table) > 32) return false;
+  if (std::any_of(tree.classes, tree.classes + kKnown * kSums, [](uint8_t c) { return c >= kClasses; })) return false;
   auto within = [&](int32_t sample) { return sample >= 0 && sample <= tree.span; };
   return std::all_of(tree.order, tree.order + tree.knots, [&](const CagsKnot& knot) {
     const bool samples = within(knot.at) && within(knot.left) && within(knot.right);
@@ -32,9 +35,11 @@ bool valid(const CagsMotionTree& tree) {
 }
 
 int32_t wrapped_sum(int32_t a, int32_t b) { return static_cast<int32_t>(static_cast<uint32_t>(a) + static_cast<uint32_t>(b)); }
-int32_t wrapped_negative(int32_t a) { return static_cast<int32_t>(0u - static_cast<uint32_t>(a)); }
 int32_t fixed(int32_t residual) { return static_cast<int32_t>(static_cast<uint32_t>(residual) << kFractionBits); }
-int magnitude(int32_t residual) { return static_cast<int>(std::min<int64_t>(std::abs(int64_t{residual}), kMagnitude)); }
+int magnitude(int32_t residual) {
+  const uint32_t size = residual < 0 ? 0u - static_cast<uint32_t>(residual) : static_cast<uint32_t>(residual);
+  return static_cast<int>(std::min<uint32_t>(size, kMagnitude));
+}
 
 // What the samples before `knot` lead to expect of it, for `count` numbers of a row.
 void predict(const CagsKnot& knot, int64_t count, const int32_t* samples, int32_t* guess) {
@@ -75,16 +80,17 @@ class Walk {
  public:
   explicit Walk(const CagsMotionTree& tree)
       : tree_(tree),
-        residuals_(size_t(tree.splats) * tree.parts),
+        residuals_(size_t(tree.splats) * tree.parts + 1),
         activity_(size_t(tree.splats) * (tree.span + 1)),
         coded_(tree.span + 1),
         told_(tree.splats),
         which_(tree.splats) {}
 
-  int32_t* residuals() { return residuals_.data(); }
+  int32_t* residuals(int part) { return &residuals_[size_t(tree_.splats) * part]; }
 
-  // Goes through the residuals of `knot`: code(first row, step, count, part, tables, flips) for every run; flips(i) says
-  // whether the i-th residual's sign is turned, put(i, residual) takes it.
+  // Goes through the residuals of `knot` run by run: code(group, part, tables, activity) codes those of one part, with
+  // residuals() known afterwards, and adds their magnitudes to what the splats' `activity` is so far; null: it does not
+  // count.
   template <typename Code>
   int32_t knot(const CagsKnot& knot, const Code& code) {
     uint8_t* activity = &activity_[size_t(tree_.splats) * knot.at];
@@ -97,26 +103,21 @@ class Walk {
       const int known = 2 * has_parent + 4 * (group.stride > 0);
       for (int part = tree_.turn; part < tree_.parts; part++) {
         choose(group, activity, known + part - tree_.turn);
-        if (const int32_t status = code(group, part, which_.data())) return status;
-        for (int i = 0, row = group.first; i < group.count; i++, row += group.step) {
-          activity[row] = static_cast<uint8_t>(activity[row] + magnitude(residuals_[size_t(row) * tree_.parts + part]));
-        }
+        if (const int32_t status = code(group, part, which_.data(), activity)) return status;
       }
       if (tree_.turn) {
         choose_real(group, activity);
-        if (const int32_t status = code(group, 0, which_.data())) return status;
+        if (const int32_t status = code(group, 0, which_.data(), nullptr)) return status;
       }
     }
     coded_[knot.at] = true;
     return CAGS_OK;
   }
 
-  // Whether the neighbours' residuals of `part` add up to less than nothing.
-  bool flips(const Group& group, int row, int part) const {
+  // Whether the neighbours' residuals of a part, `column`, add up to less than nothing.
+  bool flips(const Group& group, int row, const int32_t* column) const {
     if (group.stride == 0) return false;
-    const int32_t* column = residuals_.data() + part;
-    return int64_t{column[size_t(group.left(row)) * tree_.parts]} +
-               column[size_t(group.right(row, tree_.splats)) * tree_.parts] < 0;
+    return int64_t{column[group.left(row)]} + column[group.right(row, tree_.splats)] < 0;
   }
 
  private:
@@ -143,7 +144,7 @@ class Walk {
   }
 
   const CagsMotionTree& tree_;
-  std::vector<int32_t> residuals_;
+  std::vector<int32_t> residuals_;  // [parts, splats] of the knot
   std::vector<uint8_t> activity_;  // [span + 1, splats]
   std::vector<bool> coded_;
   std::vector<uint16_t> told_;
@@ -166,15 +167,19 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
   std::vector<uint8_t> symbols(tree.splats);
   const int64_t row_size = int64_t{tree.splats} * tree.parts;
   std::fill_n(samples, row_size * (tree.span + 1), 0);
-  const int32_t tables = decoder.tables;
-  auto code = [&](const Group& group, int part, const uint8_t* which) -> int32_t {
-    if (std::any_of(which, which + group.count, [=](uint8_t table) { return table >= tables; })) return CAGS_SYMBOLS_TABLE;
+  const bool all_there = std::max(tree.first_table + kClasses, tree.first_real_table + kRealClasses) <= decoder.tables;
+  auto code = [&](const Group& group, int part, const uint8_t* which, uint8_t* activity) -> int32_t {
+    if (!all_there && std::any_of(which, which + group.count, [=](uint8_t table) { return table >= decoder.tables; })) {
+      return CAGS_SYMBOLS_TABLE;
+    }
     if (!decoder.take(group.count, which, symbols.data())) return CAGS_SYMBOLS_END;
-    int32_t* out = walk.residuals() + part;
+    int32_t* out = walk.residuals(part);
     for (int i = 0, row = group.first; i < group.count; i++, row += group.step) {
       int32_t value = symbols[i] >> 1 ^ -(symbols[i] & 1);
-      if (symbols[i] == kEscape && !escapes.next(value)) return CAGS_ESCAPES_END;
-      out[size_t(row) * tree.parts] = walk.flips(group, row, part) ? wrapped_negative(value) : value;
+      if (symbols[i] == kEscape && !escapes.next(value)) [[unlikely]] return CAGS_ESCAPES_END;
+      const int32_t sign = -int32_t{walk.flips(group, row, out)};
+      out[row] = wrapped_sum(value ^ sign, -sign);
+      if (activity) activity[row] = static_cast<uint8_t>(activity[row] + magnitude(value));
     }
     return CAGS_OK;
   };
@@ -182,7 +187,11 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
     if (const int32_t status = walk.knot(*knot, code)) return status;
     int32_t* sample = samples + knot->at * row_size;
     predict(*knot, row_size, samples, sample);
-    for (int64_t i = 0; i < row_size; i++) sample[i] = wrapped_sum(sample[i], fixed(walk.residuals()[i]));
+    for (int part = 0; part < tree.parts; part++) {
+      const int32_t* residuals = walk.residuals(part);
+      int32_t* to = sample + part;
+      for (int i = 0; i < tree.splats; i++, to += tree.parts) *to = wrapped_sum(*to, fixed(residuals[i]));
+    }
   }
   return CAGS_OK;
 }
@@ -204,7 +213,7 @@ struct Written {
   int64_t count = 0, escape_count = 0;
 
   void put(uint8_t table, int32_t value) {
-    const uint32_t folded = value < 0 ? 2u * static_cast<uint32_t>(-value) - 1 : 2u * static_cast<uint32_t>(value);
+    const uint32_t folded = static_cast<uint32_t>(value) << 1 ^ static_cast<uint32_t>(value >> 31);
     tables[count] = table;
     symbols[count++] = static_cast<uint8_t>(std::min<uint32_t>(folded, kEscape));
     if (folded >= kEscape) escapes[escape_count++] = value;
@@ -216,11 +225,12 @@ void encode(const CagsMotionTree& tree, double* left, int32_t unit, double deadz
   const int64_t row_size = int64_t{tree.splats} * tree.parts, all = row_size * (tree.span + 1);
   std::vector<int32_t> samples(all);
   const Quantiser quantised{1.0 / unit, 0.5 - deadzone};
-  auto code = [&](const Group& group, int part, const uint8_t* which) -> int32_t {
-    const int32_t* residuals = walk.residuals() + part;
+  auto code = [&](const Group& group, int part, const uint8_t* which, uint8_t* activity) -> int32_t {
+    const int32_t* residuals = walk.residuals(part);
     for (int i = 0, row = group.first; i < group.count; i++, row += group.step) {
-      const int32_t value = residuals[size_t(row) * tree.parts];
-      out.put(which[i], walk.flips(group, row, part) ? -value : value);
+      const int32_t value = residuals[row], sign = -int32_t{walk.flips(group, row, residuals)};
+      out.put(which[i], (value ^ sign) - sign);
+      if (activity) activity[row] = static_cast<uint8_t>(activity[row] + magnitude(value));
     }
     return CAGS_OK;
   };
@@ -228,10 +238,12 @@ void encode(const CagsMotionTree& tree, double* left, int32_t unit, double deadz
     int32_t* sample = &samples[knot->at * row_size];
     predict(*knot, row_size, samples.data(), sample);
     const double* wanted = left + knot->at * row_size;
-    for (int64_t i = 0; i < row_size; i++) {
-      const int32_t residual = quantised(wanted[i], sample[i]);
-      walk.residuals()[i] = residual;
-      sample[i] = wrapped_sum(sample[i], fixed(residual));
+    for (int part = 0; part < tree.parts; part++) {
+      int32_t* residuals = walk.residuals(part);
+      for (int64_t i = 0, at = part; i < tree.splats; i++, at += tree.parts) {
+        residuals[i] = quantised(wanted[at], sample[at]);
+        sample[at] = wrapped_sum(sample[at], fixed(residuals[i]));
+      }
     }
     walk.knot(*knot, code);
   }
