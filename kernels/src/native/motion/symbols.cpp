@@ -45,7 +45,7 @@ int32_t SymbolDecoder::open(const uint8_t* data, int64_t bytes) {
   return CAGS_OK;
 }
 
-bool SymbolDecoder::take(int64_t taken, const uint8_t* which, uint8_t* out) {
+bool SymbolDecoder::take(int64_t taken, const uint8_t* __restrict which, uint8_t* __restrict out) {
   for (int64_t row = 0; row < taken; row += lanes) {
     const int width = static_cast<int>(std::min<int64_t>(lanes, taken - row));
     if (count - at < width) return take_last(taken - row, which + row, out + row);
