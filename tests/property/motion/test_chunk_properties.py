@@ -19,7 +19,7 @@ from cags_common.motion.chunk import DEADZONE, FADE_WIDTHS, MAX_SAMPLES, Blocks,
 native_only = pytest.mark.skipif(not cags_kernels.native_available(), reason="needs the native kernels")
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large]
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=SLOW)
-FEW = settings(max_examples=12, deadline=None, suppress_health_check=SLOW)
+FEW = settings(max_examples=8, deadline=None, suppress_health_check=SLOW)
 """The definition takes its time over a chunk."""
 
 SIZES = (0.0, 1e-9, 0.3, 3.0, 60.0, 5e3, 1e6, 3e7)
