@@ -100,41 +100,47 @@ class _Tables:
             self.symbol[i] = np.repeat(np.arange(count, dtype=np.uint8), table.frequencies)
 
 
-def encode(parts: Sequence[tuple[U8, U8]]) -> bytes:
-    """The symbols of ``parts`` in order: each (table of every symbol [n], symbol [n]). The same input, the same bytes.
+def encode(tables: U8, symbols: U8, runs: NDArray[np.int64]) -> bytes:
+    """The ``symbols`` [n], each by its table [n], to be read in ``runs`` that add up to n. Same input, same bytes.
 
-    Tables are numbered from 0; those of the whole data are made first, from what occurs.
+    Tables are numbered from 0; they are made from what occurs. Raises ``ValueError`` for more than ``MAX_TABLES``.
     """
-    count = 1 + max((int(tables.max(initial=0)) for tables, _ in parts), default=0)
-    counts = np.zeros((count, 256), np.int64)
-    for tables, symbols in parts:
-        np.add.at(counts, (tables, symbols), 1)
+    count = 1 + int(tables.max(initial=0))
+    if count > MAX_TABLES:
+        raise ValueError(f"symbols: table {count - 1} is asked for, the last one is {MAX_TABLES - 1}")
+    if len(tables) != len(symbols) or int(runs.sum()) != len(symbols) or int(runs.min(initial=0)) < 0:
+        raise ValueError(f"symbols: {len(symbols)} of them have {len(tables)} tables and runs of {int(runs.sum())}")
+    counts = np.bincount(tables.astype(np.int64) * 256 + symbols, minlength=256 * count).reshape(count, 256)
     made = [Table.of(row) for row in counts]
-    lanes = min(max(sum(len(symbols) for _, symbols in parts) // SYMBOLS_A_LANE, 1), MAX_LANES)
-    states, words = _encoded(_Tables(made), parts, lanes)
+    lanes = min(max(len(symbols) // SYMBOLS_A_LANE, 1), MAX_LANES)
+    states, words = _encoded(_Tables(made), tables, symbols, runs, lanes)
     head = _HEAD.pack(lanes, count, len(words))
     return head + b"".join(table.to_bytes() for table in made) + states.astype("<u4").tobytes() + words.tobytes()
 
 
-def _encoded(tables: _Tables, parts: Sequence[tuple[U8, U8]], lanes: int) -> tuple[NDArray[np.uint64], U16]:
+def _encoded(
+    made: _Tables, tables: U8, symbols: U8, runs: NDArray[np.int64], lanes: int
+) -> tuple[NDArray[np.uint64], U16]:
     states = np.full(lanes, _LOW, np.uint64)
+    frequency = made.frequency[tables, symbols].astype(np.uint64)
+    first = made.first[tables, symbols].astype(np.uint64)
     out: list[NDArray[Any]] = []
-    for which, symbols in reversed(parts):
-        frequency = tables.frequency[which, symbols].astype(np.uint64)
-        first = tables.first[which, symbols].astype(np.uint64)
-        for row in range((len(symbols) + lanes - 1) // lanes - 1, -1, -1):
-            at = slice(row * lanes, min((row + 1) * lanes, len(symbols)))
+    end = len(symbols)
+    for run in runs[::-1].tolist():
+        for row in range((run + lanes - 1) // lanes - 1, -1, -1):
+            at = slice(end - run + row * lanes, min(end - run + (row + 1) * lanes, end))
             f, x = frequency[at], states[: at.stop - at.start]
             full = x >= f << np.uint64(32 - PROBABILITY_BITS)
             out.append(x[full].astype("<u2"))
             x = np.where(full, x >> np.uint64(16), x)
             states[: len(x)] = (x // f << np.uint64(PROBABILITY_BITS)) + x % f + first[at]
+        end -= run
     words = np.concatenate([np.zeros(0, "<u2"), *reversed(out)]).astype("<u2")
     return states, words
 
 
 class Decoder:
-    """Reads what :func:`encode` wrote, part by part. Raises :class:`DecodeError` for damaged data."""
+    """Reads what :func:`encode` wrote, run by run. Raises :class:`DecodeError` for damaged data."""
 
     def __init__(self, data: bytes | memoryview) -> None:
         view = memoryview(data)
