@@ -22,6 +22,7 @@ from cags_client.past import SplatPast
 from cags_client.shown import Held, Shown
 from cags_client.waiting import Key
 from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.errors import DecodeError
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.motion.chunk import Chunk
@@ -78,7 +79,8 @@ class GofStore:
             before_move=lambda frame, rows: self.past.record(frame, rows, self._buffer.splats, moved=True),
             threads=opener.threads,
         )
-        self._tiles = GofTiles(frames, self.capacity, opener, in_motion=manifest.motion is not None)
+        layered, in_motion = manifest.codec != WHOLE_TILES_CODEC, manifest.motion is not None
+        self._tiles = GofTiles(frames, self.capacity, opener, layered=layered, in_motion=in_motion)
         self._shown: list[Held] = []
         self._coarse: dict[Key, HeldMotion | HeldUpdate] = {}  # shown below its highest level
         self._shown_frame = -1

@@ -42,9 +42,14 @@ Layers: TypeAlias = list[tuple[int, memoryview]]
 class GofTiles:
     """Tiles of one group of frames. One thread may add and flush while another takes what is staged."""
 
-    def __init__(self, frames: range, capacity: int, opener: TileOpener, *, in_motion: bool) -> None:
-        """Of media ``frames`` and ids below ``capacity``; ``in_motion`` where the bundle has motion."""
-        self._frames, self._capacity, self._in_motion, self._opener = frames, capacity, in_motion, opener
+    def __init__(
+        self, frames: range, capacity: int, opener: TileOpener, *, layered: bool = True, in_motion: bool = False
+    ) -> None:
+        """Of media ``frames`` and ids below ``capacity``; ``layered`` unless any payload is a whole tile, ``in_motion``
+        where the bundle has motion.
+        """
+        self._frames, self._capacity, self._opener = frames, capacity, opener
+        self._layered, self._in_motion = layered, in_motion
         self.keeps = True
         """Whether earlier frames of the group can be shown again from what is held."""
         self._tiles: dict[Key, AnyHeld | None] = {}  # None: nothing of it is shown any more, and it is not kept
@@ -108,13 +113,17 @@ class GofTiles:
         coming = {arrival.key for arrival in arrivals if arrival.from_lod == 0}
         first: dict[Key, int] = {}
         for at, arrival in enumerate(arrivals):
-            if arrival.from_lod or not arrival.payloads or arrival.key in self._tiles:
+            if not arrival.payloads or not self._opens(arrival.from_lod) or arrival.key in self._tiles:
                 continue
             looks = _looks_of(self._first(arrival))
             if looks is None or looks in self._tiles or looks in coming:
                 first.setdefault(arrival.key, at)
         places = list(first.values())
         return dict(zip(places, self._opener.open([arrivals[at].payloads[0] for at in places]), strict=True))
+
+    def _opens(self, lod: int) -> bool:
+        """Whether a payload of ``lod`` opens a tile of which nothing is held: its base, or the whole of it."""
+        return lod == 0 or not self._layered
 
     def _add(self, key: Key, layers: Layers, ahead: Opened | DecodeError | None) -> None:
         if key in self._tiles and self._tiles[key] is None:
@@ -125,7 +134,7 @@ class GofTiles:
             return
         changed = held is None
         if held is None:
-            if not layers or layers[0][0] > 0 or self._waits(key, layers[0][1]):
+            if not layers or not self._opens(layers[0][0]) or self._waits(key, layers[0][1]):
                 self._wait(key, layers)
                 return
             held = self._take(key, layers[0][1], ahead or self._opener.open([layers[0][1]])[0])

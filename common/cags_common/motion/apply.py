@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import cags_kernels
 from cags_common.geometry import F32, F64
 from cags_common.motion.chunk import TURN_UNIT, Chunk
 from cags_common.motion.knots import FRACTION_BITS, I32
@@ -75,21 +76,53 @@ def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
         return Looks(at.astype(np.float32), rotated, opacities(chunk, moment.time, looks.logit_opacities))
 
 
-def move_rows(tiles: Sequence[MovingTile], looks: Looks, into: Looks, threads: int = 1) -> None:
+def move_rows(
+    tiles: Sequence[MovingTile], looks: Looks, into: Looks, threads: int = 1, *, native: bool | None = None
+) -> None:
     """Evaluate the splats of ``tiles``: from rows of ``looks`` to the same rows of ``into``, other arrays by id.
 
-    Arrays by id are C-contiguous [capacity, ...]. Raises ``ValueError`` for rows that they do not have and a time that
+    Arrays by id are C-contiguous float32 [capacity, ...]; no row is in two tiles. ``native`` None takes the kernel
+    where there is one, on ``threads``. Raises ``ValueError`` for rows that the arrays do not have and for a time that
     is not a number, and then nothing is written.
     """
-    del threads
     for tile in tiles:
         _check_tile(tile, len(looks.means))
+    if cags_kernels.native_available() if native is None else native:
+        _move_natively(tiles, looks, into, threads)
+        return
     for tile in tiles:
         mine = np.flatnonzero(tile.rows >= 0)
         rows, moved = tile.rows[mine], evaluate(tile.chunk, tile.time, looks.take(np.maximum(tile.rows, 0)), tile.steps)
         into.means[rows] = moved.means[mine]
         into.quats[rows] = moved.quats[mine]
         into.logit_opacities[rows] = moved.logit_opacities[mine]
+
+
+def _move_natively(tiles: Sequence[MovingTile], looks: Looks, into: Looks, threads: int) -> None:
+    """By the kernel, but for the opacities of tiles with fades: logarithms differ from processor to processor."""
+    from cags_kernels import motion
+
+    given, out = ((a.means, a.quats, a.logit_opacities) for a in (looks, into))
+    motion.move_rows([_kernel_tile(tile) for tile in tiles], given, out, threads)
+    for tile in tiles:
+        if tile.chunk.fades is not None:
+            logits = looks.logit_opacities[np.maximum(tile.rows, 0)]
+            mine, faded_ = tile.rows >= 0, opacities(tile.chunk, moment_of(tile.chunk, tile.time).time, logits)
+            into.logit_opacities[tile.rows[mine]] = faded_[mine]
+
+
+def _kernel_tile(tile: MovingTile) -> Any:
+    from cags_kernels import motion
+
+    chunk, moment = tile.chunk, moment_of(tile.chunk, tile.time)
+    blocks = chunk.blocks
+    return motion.TileMotion(
+        *(chunk.splats, chunk.span, moment.time, moment.sample, moment.share, tile.rows, chunk.moves, chunk.turns),
+        *(tile.steps.moves, tile.steps.turns),
+        None if blocks is None else (blocks.size, float(np.float32(blocks.unit)), blocks.shifts, blocks.turns),
+        chunk.lives,
+        chunk.fades is not None,
+    )
 
 
 def _check_tile(tile: MovingTile, capacity: int) -> None:

@@ -90,12 +90,14 @@ def encode(
     lives: NDArray[np.uint8] | None = None,
     fades: NDArray[np.int64] | None = None,
     blocks: Blocks | None = None,
+    native: bool | None = None,
 ) -> tuple[bytes, ...]:
     """The payload of each level. ``moves`` [span + 1, n, 3] and ``turns`` [span + 1, n, 4] are in finest units, those
     of ``turns`` against (1, 0, 0, 0); ``fades`` [n, 2] are an index of :data:`FADE_WIDTHS` plus one (0: none) and the
     centre in ``FADE_STEP`` parts of the width, from the middle of the life.
 
-    Raises ``ValueError`` for arrays that do not fit each other, that are beyond the format's bounds or not finite.
+    ``native`` None takes the kernel where there is one, to the same bytes. Raises ``ValueError`` for arrays that do not
+    fit each other, are beyond the format's bounds or not finite.
     """
     left = {name: part.copy() for name, part in (("moves", moves), ("turns", turns)) if part is not None}
     span, splats = _bounds(left)
@@ -105,7 +107,7 @@ def encode(
     flags |= LIVES * (lives is not None) | FADES * (fades is not None)
     payloads = []
     for level in range(LEVELS):
-        writer = SymbolWriter()
+        writer = SymbolWriter(native=native)
         if level == 0:
             _write_sides(writer, lives, fades)
         for name, part in left.items():
@@ -177,10 +179,11 @@ def _write_sides(writer: SymbolWriter, lives: NDArray[np.uint8] | None, fades: N
 class ChunkDecoder:
     """A chunk as far as it has come. Not thread-safe."""
 
-    def __init__(self, payload: bytes | memoryview) -> None:
-        """Decode level 0. Raises :class:`DecodeError`."""
+    def __init__(self, payload: bytes | memoryview, *, native: bool | None = None) -> None:
+        """Decode level 0; ``native`` None takes the kernel where there is one. Raises :class:`DecodeError`."""
         head, rigid, escapes, symbols = _sections(payload)
-        self.chunk, self.levels = _opened(head, rigid, escapes, symbols), 1
+        self._native = native
+        self.chunk, self.levels = _opened(head, rigid, SymbolReader(escapes, symbols, native=native)), 1
 
     @property
     def looks(self) -> tuple[int, int]:
@@ -195,7 +198,7 @@ class ChunkDecoder:
         escapes = 4 + struct.unpack_from("<I", view)[0]
         if escapes > len(view):
             raise DecodeError("motion: a level's escapes are cut short")
-        reader = SymbolReader(view[4:escapes], view[escapes:])
+        reader = SymbolReader(view[4:escapes], view[escapes:], native=self._native)
         chunk = self.chunk
         moves, turns = _read_trees(reader, chunk, self.levels, (chunk.moves is not None, chunk.turns is not None))
         reader.finish()
@@ -239,8 +242,8 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
     return head, view[_HEAD.size : rigid], view[rigid:escapes], view[escapes:]
 
 
-def _opened(head: _Head, rigid: memoryview, escapes: memoryview, symbols: memoryview) -> Chunk:
-    reader, n = SymbolReader(escapes, symbols), head.splats
+def _opened(head: _Head, rigid: memoryview, reader: SymbolReader) -> Chunk:
+    n = head.splats
     lives = reader.plain(LIFE, n) if head.has(LIVES) else None
     if lives is not None and int(lives.max(initial=0)) > head.span + 1:
         raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
@@ -260,7 +263,7 @@ def _read_trees(
     for i, parts in enumerate((3, 4)):
         if has[i]:
             tree = reader.tree(order, (chunk.span + 1, chunk.splats, parts), turn=parts == 4)
-            trees[i] = np.multiply(tree, unit, out=tree)
+            trees[i] = tree if unit == 1 else np.multiply(tree, unit, out=tree)
     return trees[0], trees[1]
 
 

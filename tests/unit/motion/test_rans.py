@@ -63,7 +63,7 @@ def test_too_many_tables_and_runs_that_do_not_fit_are_refused() -> None:
 
 def test_a_table_that_the_data_lacks_cannot_be_asked_for() -> None:
     one = np.zeros(1, np.uint8)
-    with pytest.raises(DecodeError, match="table 3 of 1"):
+    with pytest.raises(DecodeError, match="is asked for"):
         rans.decoder(rans.encode(one, one, np.array([1]))).take(one + np.uint8(3))
 
 
