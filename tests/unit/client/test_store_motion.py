@@ -365,7 +365,7 @@ def test_many_at_once_in_any_order_are_opened_together() -> None:
     assert xs(store, 1)[:4] == [6, 6, -1, 9]
 
 
-# ------------------------------------------------------------------------------------------------------------ the buffer
+# ----------------------------------------------------------------------------------------------------------- the buffer
 
 
 def test_an_update_of_the_opacity_of_splats_that_are_to_come_waits_for_them() -> None:
