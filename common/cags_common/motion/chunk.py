@@ -20,7 +20,7 @@ from cags_common.motion.symbols import CENTRE, LIFE, WIDTH, SymbolReader, Symbol
 from cags_common.packing import squeeze, unsqueeze
 
 VERSION = 1
-LEVELS = 2
+LEVELS = 3
 REFINEMENT = 4
 """A level's unit is so many times the next one's."""
 
