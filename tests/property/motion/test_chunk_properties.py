@@ -102,11 +102,10 @@ def test_so_it_does_by_the_kernel(case: Case) -> None:
 
 def check_round_trip(case: Case, *, native: bool) -> None:
     payloads = case.encode(native=native)
-    chunks = [decoded(payloads, native=native, levels=levels) for levels in range(1, LEVELS + 1)]
-    bounds = [REFINEMENT ** (LEVELS - 1 - level) * (0.5 + DEADZONE * (level == 0)) for level in range(LEVELS)]
-    fine = chunks[-1]
+    coarse, fine = (decoded(payloads, native=native, levels=levels) for levels in (1, LEVELS))
+    unit = REFINEMENT ** (LEVELS - 1)
     for name, wanted in (("moves", case.moves), ("turns", case.turns)):
-        for chunk, bound in zip(chunks, bounds, strict=True):
+        for chunk, bound in ((coarse, unit * (0.5 + DEADZONE)), (fine, 0.5)):
             got = getattr(chunk, name)
             assert (got is None) == (wanted is None)
             if got is not None:
