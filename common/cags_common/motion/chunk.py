@@ -105,14 +105,15 @@ def encode(
     order = knots(span, start=starts)
     flags = STARTS * starts | MOVES * (moves is not None) | TURNS * (turns is not None)
     flags |= LIVES * (lives is not None) | FADES * (fades is not None)
+    told = {name: np.zeros(part.shape, np.uint8) for name, part in left.items()}
     payloads = []
     for level in range(LEVELS):
         writer = SymbolWriter(native=native)
         if level == 0:
             _write_sides(writer, lives, fades)
         for name, part in left.items():
-            deadzone = DEADZONE if level == 0 else 0.0
-            writer.tree(order, part, REFINEMENT ** (LEVELS - 1 - level), deadzone, turn=name == "turns")
+            unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), DEADZONE if level == 0 else 0.0
+            writer.tree(order, part, told[name], unit, deadzone, turn=name == "turns")
         escapes, symbols = writer.to_bytes()
         sizes = len(escapes), len(symbols)
         if level == 0:
@@ -182,8 +183,8 @@ class ChunkDecoder:
     def __init__(self, payload: bytes | memoryview, *, native: bool | None = None) -> None:
         """Decode level 0; ``native`` None takes the kernel where there is one. Raises :class:`DecodeError`."""
         head, rigid, escapes, symbols = _sections(payload)
-        self._native = native
-        self.chunk, self.levels = _opened(head, rigid, SymbolReader(escapes, symbols, native=native)), 1
+        self._native, self._told = native, _Told.of(head)
+        self.chunk, self.levels = _opened(head, rigid, SymbolReader(escapes, symbols, native=native), self._told), 1
 
     @property
     def looks(self) -> tuple[int, int]:
@@ -199,9 +200,10 @@ class ChunkDecoder:
         if escapes > len(view):
             raise DecodeError("motion: a level's escapes are cut short")
         reader = SymbolReader(view[4:escapes], view[escapes:], native=self._native)
-        chunk = self.chunk
-        moves, turns = _read_trees(reader, chunk, self.levels, (chunk.moves is not None, chunk.turns is not None))
+        chunk, told = self.chunk, self._told.copy()
+        moves, turns = _read_trees(reader, chunk, self.levels, told)
         reader.finish()
+        self._told = told
         for have, more in ((chunk.moves, moves), (chunk.turns, turns)):
             if have is not None and more is not None:
                 np.add(have, more, out=have)
@@ -219,6 +221,25 @@ class _Head:
 
     def has(self, flag: int) -> bool:
         return bool(self.flags & flag)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Told:
+    """Where a level that was read had residuals; None where there are none."""
+
+    moves: NDArray[np.uint8] | None  # [span + 1, n, 3]
+    turns: NDArray[np.uint8] | None  # [span + 1, n, 4]
+
+    @staticmethod
+    def of(head: _Head) -> _Told:
+        """Nowhere yet."""
+        shape = head.span + 1, head.splats
+        kinds = ((MOVES, 3), (TURNS, 4))
+        return _Told(*(np.zeros((*shape, parts), np.uint8) if head.has(flag) else None for flag, parts in kinds))
+
+    def copy(self) -> _Told:
+        """One that changes apart."""
+        return _Told(*(None if part is None else part.copy() for part in (self.moves, self.turns)))
 
 
 def read_looks(payload: bytes | memoryview) -> tuple[int, int]:
@@ -242,27 +263,25 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
     return head, view[_HEAD.size : rigid], view[rigid:escapes], view[escapes:]
 
 
-def _opened(head: _Head, rigid: memoryview, reader: SymbolReader) -> Chunk:
+def _opened(head: _Head, rigid: memoryview, reader: SymbolReader, told: _Told) -> Chunk:
     n = head.splats
     lives = reader.plain(LIFE, n) if head.has(LIVES) else None
     if lives is not None and int(lives.max(initial=0)) > head.span + 1:
         raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
     fades = _read_fades(reader, head, lives) if head.has(FADES) else None
     blank = Chunk(head.looks, head.span, n, lives, fades, _read_blocks(head, rigid), None, None, head.has(STARTS))
-    moves, turns = _read_trees(reader, blank, 0, (head.has(MOVES), head.has(TURNS)))
+    moves, turns = _read_trees(reader, blank, 0, told)
     reader.finish()
     return replace(blank, moves=moves, turns=turns)
 
 
-def _read_trees(
-    reader: SymbolReader, chunk: Chunk, level: int, has: tuple[bool, bool]
-) -> tuple[I32 | None, I32 | None]:
-    """What ``level`` adds to the positions and rotations of ``chunk``, where it ``has`` them."""
+def _read_trees(reader: SymbolReader, chunk: Chunk, level: int, told: _Told) -> tuple[I32 | None, I32 | None]:
+    """What ``level`` adds to the positions and rotations of ``chunk``, where it has them."""
     order, unit = knots(chunk.span, start=chunk.starts), np.int32(REFINEMENT ** (LEVELS - 1 - level))
     trees: list[I32 | None] = [None, None]
-    for i, parts in enumerate((3, 4)):
-        if has[i]:
-            tree = reader.tree(order, (chunk.span + 1, chunk.splats, parts), turn=parts == 4)
+    for i, part in enumerate((told.moves, told.turns)):
+        if part is not None:
+            tree = reader.tree(order, part, turn=i == 1)
             trees[i] = tree if unit == 1 else np.multiply(tree, unit, out=tree)
     return trees[0], trees[1]
 

@@ -3,6 +3,9 @@
 The splats of a knot are coded in groups of halved strides, so that every later splat has coded neighbours on both
 sides (tiles are in Morton order); the parts of a splat come one after the other, the real part of a quaternion last.
 Everything here is integer arithmetic on what encoder and decoder both have.
+
+A residual of a knot that a coarser level has told apart from its guess lies anywhere within that level's unit: neither
+neighbours nor samples tell more of it, so these have a table of their own, and count for nobody else.
 """
 
 from __future__ import annotations
@@ -32,7 +35,11 @@ CLASSES = len(_EDGES) + 1
 _UNKNOWN = 2
 """Class of a residual that nothing came before."""
 
+TOLD = CLASSES
+"""Table, after those of the classes, of residuals that a coarser level told apart from their guess."""
+
 REAL_CLASSES = 4
+REAL_TOLD = REAL_CLASSES
 _REAL_EDGES = np.array([0, 2, 6])
 _LARGEST = 2 * 3 * MAGNITUDE + 2 * 6 * MAGNITUDE + 3 * 2 * MAGNITUDE
 _WEIGHTS = 2 + 4 + 3
@@ -86,22 +93,27 @@ class Contexts:
         self._shape, self._first = (splats, parts), int(turn)
         self._activity: dict[int, NDArray[np.int64]] = {}
 
-    def walk(self, knot: Knot, code: Code) -> I32:
-        """The residuals [splats, parts] of ``knot``, each run of them as ``code`` says."""
+    def walk(self, knot: Knot, told: NDArray[np.bool_], code: Code) -> I32:
+        """The residuals [splats, parts] of ``knot``, each run of them as ``code`` says.
+
+        ``told`` [splats, parts]: a coarser level told them apart from their guess.
+        """
         out, activity = np.zeros(self._shape, np.int32), np.zeros(self._shape[0], np.int64)
         parent = self._activity.get(knot.parent)
         for group in _groups(self._shape[0]):
             rows, known = group.rows, 2 * (parent is not None) + 4 * (group.left is not None)
-            told = np.zeros(len(rows), np.int64) if parent is None else 2 * parent[rows]
+            size = np.zeros(len(rows), np.int64) if parent is None else 2 * parent[rows]
             if group.left is not None:
-                told += 2 * (activity[group.left] + activity[group.right])
+                size += 2 * (activity[group.left] + activity[group.right])
             for part in range(self._first, self._shape[1]):
                 before = part - self._first
-                table = class_tables()[known + before, told + 3 * activity[rows]]
+                apart, table = told[rows, part], class_tables()[known + before, size + 3 * activity[rows]]
+                table = np.where(apart, np.uint8(TOLD), table)
                 out[rows, part] = code(table, _flips(out, group, part), rows, part)
-                activity[rows] += _magnitude(out[rows, part])
+                activity[rows] += np.where(apart, 0, _magnitude(out[rows, part]))
             if self._first:
                 table = np.searchsorted(_REAL_EDGES, activity[rows], side="left").astype(np.uint8)
+                table = np.where(told[rows, 0], np.uint8(REAL_TOLD), table)
                 out[rows, 0] = code(table, _flips(out, group, 0), rows, 0)
         self._activity[knot.at] = activity
         return out

@@ -12,15 +12,15 @@ import cags_kernels
 from cags_common import rans
 from cags_common.errors import DecodeError
 from cags_common.geometry import F64
-from cags_common.motion.contexts import CLASSES, U8, Contexts, class_tables, runs
+from cags_common.motion.contexts import TOLD, U8, Contexts, class_tables, runs
 from cags_common.motion.knots import FRACTION_BITS, I32, Knot, predicted, quantised
 
 ESCAPE = 254
 """Signed numbers from here on, folded, stand beside the symbols in four bytes."""
 
 LIFE, WIDTH, CENTRE, MOVE = 0, 1, 2, 3
-TURN = MOVE + CLASSES
-REAL = TURN + CLASSES
+TURN = MOVE + TOLD + 1
+REAL = TURN + TOLD + 1
 """First tables of: lives, widths and centres of fades, positions, rotations, their real part; the latter by class."""
 
 
@@ -51,24 +51,26 @@ class SymbolWriter:
         self._symbols.append(symbols)
         self._runs.append(np.atleast_1d(np.asarray(lengths, np.int64)))
 
-    def tree(self, order: tuple[Knot, ...], left: F64, unit: int, deadzone: float, *, turn: bool) -> None:
+    def tree(self, order: tuple[Knot, ...], left: F64, told: U8, unit: int, deadzone: float, *, turn: bool) -> None:
         """What is ``left`` [span + 1, n, c] to be said, in finest units, in units of ``unit``; takes it off there.
 
-        A residual within half a unit and ``deadzone`` units is zero: a sample is off by no more than that.
+        A residual within half a unit and ``deadzone`` units is zero: a sample is off by no more than that. ``told``
+        [span + 1, n, c] is 1 where a coarser level had a residual, and becomes so where this one has.
         """
         splats, parts = left.shape[1:]
         if self._native:
             from cags_kernels import motion
 
             tables, symbols, escapes = motion.encode_tree(
-                kernel_tree(order, left.shape, turn=turn), left, unit, deadzone
+                kernel_tree(order, left.shape, turn=turn), left, told, unit, deadzone
             )
             self._escapes.append(escapes)
             self._add(tables, symbols, np.tile(runs(splats, parts), len(order)))
             return
         contexts, samples = Contexts(splats, parts, turn=turn), np.zeros(left.shape, np.int32)
         for knot in order:
-            guess = predicted(samples, knot)
+            apart = told[knot.at] != 0
+            guess = np.where(apart, np.int32(0), predicted(samples, knot))
             residual = quantised(left[knot.at] / unit, guess, deadzone)
 
             def code(tables: U8, flips: Any, rows: Any, part: int, residual: I32 = residual) -> I32:
@@ -78,8 +80,9 @@ class SymbolWriter:
                 )
                 return values
 
-            contexts.walk(knot, code)
+            contexts.walk(knot, apart, code)
             samples[knot.at] = guess + (residual << FRACTION_BITS)
+            told[knot.at] |= residual != 0
         left -= samples * (unit / (1 << FRACTION_BITS))
 
     def to_bytes(self) -> tuple[bytes, bytes]:
@@ -134,12 +137,15 @@ class SymbolReader:
             self._at += len(large)
         return values
 
-    def tree(self, order: tuple[Knot, ...], shape: tuple[int, int, int], *, turn: bool) -> I32:
-        """Samples [span + 1, n, c] of one level, in 1/64 of its unit."""
+    def tree(self, order: tuple[Knot, ...], told: U8, *, turn: bool) -> I32:
+        """Samples [span + 1, n, c] of one level, in 1/64 of its unit. ``told`` [span + 1, n, c] is 1 where a coarser
+        level had a residual, and becomes so where this one has.
+        """
+        shape = told.shape
         if isinstance(self._symbols, rans.NativeDecoder):
             with rans.refused():
                 kernel, tree = self._symbols.kernel, kernel_tree(order, shape, turn=turn)
-                samples, self._at = kernel.tree(tree, self._escapes, self._at)
+                samples, self._at = kernel.tree(tree, told, self._escapes, self._at)
             return samples
         contexts, samples = Contexts(*shape[1:], turn=turn), np.zeros(shape, np.int32)
 
@@ -148,8 +154,10 @@ class SymbolReader:
             return values if flips is None else np.where(flips, -values, values)
 
         for knot in order:
-            residual = contexts.walk(knot, code)
-            samples[knot.at] = predicted(samples, knot) + (residual << FRACTION_BITS)
+            apart = told[knot.at] != 0
+            residual = contexts.walk(knot, apart, code)
+            samples[knot.at] = np.where(apart, np.int32(0), predicted(samples, knot)) + (residual << FRACTION_BITS)
+            told[knot.at] |= residual != 0
         return samples
 
     def finish(self) -> None:

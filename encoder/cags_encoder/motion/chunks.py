@@ -11,7 +11,7 @@ from cags_common.bundle import TilePayloads
 from cags_common.geometry import F32, F64
 from cags_common.motion import chunk
 from cags_common.motion.apply import Steps, product
-from cags_common.motion.chunk import Blocks
+from cags_common.motion.chunk import LEVELS, REFINEMENT, Blocks
 from cags_common.tile_kinds import TileKind
 from cags_encoder.frames.tiling import corners
 from cags_encoder.motion.rigid import carried, rigid_blocks
@@ -22,6 +22,9 @@ BLOCK = 128
 
 STRAIGHT = 1.0
 """A trajectory within so many finest units of a line is told as the line."""
+
+ROUGH = 0.75
+"""Ends of lines are rounded to a coarser level's unit where no sample is then off by more finest units than this."""
 
 ROUND = 1.05
 """Ratio of a splat's longest to its shortest axis below which nobody sees it turn."""
@@ -67,7 +70,7 @@ def encode_span(span: TrackSpan) -> TilePayloads:
         turns = _beside(np.broadcast_to(np.eye(4)[0], block_turns.shape) if turns is None else turns, block_turns)
     else:
         base = anchors[None]
-    residuals = _straight(np.clip((moves - base) / unit, -MOST_UNITS, MOST_UNITS), span.present)
+    residuals = _straight(np.clip((moves - base) / unit, -MOST_UNITS, MOST_UNITS), span.present, starts=span.starts)
     rotations = None if turns is None else _turn_residuals(span, turns)
     if rotations is None or np.abs(residuals).max(initial=0.0) > LEAST_UNITS:
         told: F64 | None = residuals
@@ -124,12 +127,37 @@ def _line(values: F64, present: NDArray[np.bool_]) -> F64:
     return line
 
 
-def _straight(values: F64, present: NDArray[np.bool_]) -> F64:
-    """``values`` [frames, n, c] in finest units, with those that are within :data:`STRAIGHT` of a line put on it."""
-    line = _line(values, present)
-    off = np.where(present[:, :, None], np.abs(values - line), 0.0).max(axis=(0, 2))
-    out: F64 = np.where((off <= STRAIGHT)[None, :, None], line, values)
-    return out
+def _straight(values: F64, present: NDArray[np.bool_], *, starts: bool) -> F64:
+    """``values`` [frames, n, c] in finest units, with those that are within :data:`STRAIGHT` of a line put on it.
+
+    Lines begin where the client has the splats: without ``starts`` at nothing, whatever the first sample. Their ends
+    are as round as they may be, so that levels have less to add: a short life needs no exact end of the span.
+    """
+    line = _line(values, present) if starts else _line_from_nothing(values, present)
+    times = np.arange(len(values), dtype=np.float64)[:, None, None] / (len(values) - 1)
+    seen = present[:, :, None] & (times >= (0.0 if starts else 1e-9))
+
+    def off(tried: F64) -> F64:
+        furthest: F64 = np.where(seen, np.abs(values - tried), 0.0).max(axis=0)
+        return furthest
+
+    straight: NDArray[np.bool_] = np.logical_and.reduce(off(line) <= STRAIGHT, axis=1)
+    first = np.rint(line[0])
+    chosen = first + np.rint(line[-1] - first) * times
+    limit = np.maximum(off(chosen), ROUGH)
+    for unit in (REFINEMENT**level for level in range(1, LEVELS)):
+        rounder = first + np.rint((line[-1] - first) / unit) * unit * times
+        chosen = np.where(off(rounder) <= limit, rounder, chosen)
+    return np.where(straight[:, None], chosen, values)
+
+
+def _line_from_nothing(values: F64, present: NDArray[np.bool_]) -> F64:
+    """The line [frames, n, c] from zero through ``values`` [frames, n, c] where ``present``, by least squares."""
+    times = np.arange(len(values), dtype=np.float64)[:, None]
+    weights = np.where(present, times, 0.0)
+    slope = (weights[:, :, None] * values).sum(axis=0) / np.maximum((weights * times).sum(axis=0), 1e-12)[:, None]
+    line: F64 = times[:, :, None] * slope
+    return line
 
 
 def _turn_residuals(span: TrackSpan, turns: F64) -> F64 | None:
@@ -139,7 +167,7 @@ def _turn_residuals(span: TrackSpan, turns: F64) -> F64 | None:
     if not span.present.all():
         last = span.span - span.present[::-1].argmax(axis=0)
         units = np.where(span.present[:, :, None], units, units[last, np.arange(units.shape[1])][None])
-    units = _straight(np.clip(units, -MOST_UNITS, MOST_UNITS), span.present)
+    units = _straight(np.clip(units, -MOST_UNITS, MOST_UNITS), span.present, starts=span.starts)
     return units if np.abs(units).max(initial=0.0) > LEAST_UNITS else None
 
 

@@ -141,13 +141,17 @@ class SymbolDecoder:
         _check_data(status, "symbols_take")
         return symbols
 
-    def tree(self, tree: Tree, escapes: NDArray[Any], at: int) -> tuple[I32, int]:
-        """Samples [span + 1, splats, parts], and the next of the ``escapes`` [n] after those from ``at`` on."""
+    def tree(self, tree: Tree, told: U8, escapes: NDArray[Any], at: int) -> tuple[I32, int]:
+        """Samples [span + 1, splats, parts], and the next of the ``escapes`` [n] after those from ``at`` on.
+
+        ``told`` [span + 1, splats, parts]: see ``cags_common.motion``; it is changed.
+        """
         escapes, given = _typed(escapes, np.int32), tree.structure()
+        pointer = _fitting(told, np.uint8, tree.shape)
         samples, escape = np.empty(tree.shape, np.int32), _int64(at)
         status = library().cags_motion_decode_tree(
             *(ctypes.byref(given), _address(self._state), _address(escapes), _int64(len(escapes))),
-            *(ctypes.byref(escape), _address(samples)),
+            *(ctypes.byref(escape), pointer, _address(samples)),
         )
         _check_data(status, "motion_decode_tree")
         return samples, escape.value
@@ -157,17 +161,17 @@ class SymbolDecoder:
         _check_data(library().cags_symbols_finish(_address(self._state)), "symbols_finish")
 
 
-def encode_tree(tree: Tree, left: F64, unit: int, deadzone: float) -> tuple[U8, U8, I32]:
+def encode_tree(tree: Tree, left: F64, told: U8, unit: int, deadzone: float) -> tuple[U8, U8, I32]:
     """Tables and symbols [n] and large residuals of what is ``left`` [span + 1, splats, parts], from which it is taken.
 
-    Every value of ``left`` is within 2**26.
+    Every value of ``left`` is within 2**26. ``told``, of its shape: see ``cags_common.motion``; it is changed.
     """
     if left.shape != tree.shape or left.dtype != np.float64 or not left.flags.c_contiguous:
         raise ValueError(f"residuals of shape {left.shape} and {left.dtype}, expected {tree.shape} and float64")
     tables, symbols = (np.empty(tree.symbols, np.uint8) for _ in range(2))
     escapes, written, given = np.empty(tree.symbols, np.int32), _int64(), tree.structure()
     status = library().cags_motion_encode_tree(
-        *(ctypes.byref(given), _address(left), _int32(unit), _double(deadzone)),
+        *(ctypes.byref(given), _address(left), _fitting(told, np.uint8, tree.shape), _int32(unit), _double(deadzone)),
         *(_address(array) for array in (tables, symbols, escapes)),
         ctypes.byref(written),
     )

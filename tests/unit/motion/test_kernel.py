@@ -56,9 +56,9 @@ def test_a_tree_that_would_lead_out_of_its_arrays_is_refused(changes: dict[str, 
     empty = np.zeros(0, np.uint8)
     decoder = motion.SymbolDecoder(rans.encode(empty, empty, np.zeros(0, np.int64)))
     with pytest.raises((cags_kernels.KernelError, ValueError), match=r"out of range|negative"):
-        decoder.tree(wrong, np.zeros(0, np.int32), 0)
+        decoder.tree(wrong, np.zeros(wrong.shape, np.uint8), np.zeros(0, np.int32), 0)
     with pytest.raises((cags_kernels.KernelError, ValueError), match=r"out of range|negative"):
-        motion.encode_tree(wrong, np.zeros(wrong.shape), 4, 0.0)
+        motion.encode_tree(wrong, np.zeros(wrong.shape), np.zeros(wrong.shape, np.uint8), 4, 0.0)
 
 
 def test_arrays_of_another_kind_or_shape_are_refused() -> None:
@@ -76,10 +76,13 @@ def test_arrays_of_another_kind_or_shape_are_refused() -> None:
     for runs, lanes in (([5], 1), ([-1, 5], 1), ([3], 1), ([4], 0), ([4], 33)):
         with pytest.raises((cags_kernels.KernelError, ValueError)):
             motion.encode_symbols(bytes_, bytes_, np.array(runs), lanes, (one, one))
+    apart = np.zeros((SPAN + 1, SPLATS, 3), np.uint8)
+    with pytest.raises(ValueError):
+        motion.encode_tree(tree(), np.zeros(apart.shape), apart[1:], 4, 0.0)
     with pytest.raises(ValueError, match="expected"):
-        motion.encode_tree(tree(), np.zeros((SPAN, SPLATS, 3)), 4, 0.0)
+        motion.encode_tree(tree(), np.zeros((SPAN, SPLATS, 3)), apart, 4, 0.0)
     with pytest.raises(cags_kernels.KernelError):
-        motion.encode_tree(tree(), np.zeros((SPAN + 1, SPLATS, 3)), 3, 0.0)
+        motion.encode_tree(tree(), np.zeros((SPAN + 1, SPLATS, 3)), apart, 3, 0.0)
 
 
 def motion_of(**changes: Any) -> Any:

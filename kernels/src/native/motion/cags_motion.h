@@ -65,13 +65,15 @@ CAGS_API int32_t cags_symbols_open(const uint8_t* data, int64_t bytes, void* dec
 CAGS_API int32_t cags_symbols_take(void* decoder, int64_t count, const uint8_t* tables, uint8_t* symbols);
 CAGS_API int32_t cags_symbols_finish(const void* decoder);
 
-// samples [span + 1, splats, parts]; *escape is the next of escapes [escape_count], little-endian and of any alignment
+// samples [span + 1, splats, parts]; *escape is the next of escapes [escape_count], little-endian and of any alignment;
+// told, of the samples' shape: not 0 where a coarser level had a residual, becomes 1 where this one has
 CAGS_API int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes,
-                                         int64_t escape_count, int64_t* escape, int32_t* samples);
-// left [span + 1, splats, parts], every value within 2^26: what was said is taken off; tables and symbols
+                                         int64_t escape_count, int64_t* escape, uint8_t* told, int32_t* samples);
+// left [span + 1, splats, parts], every value within 2^26: what was said is taken off; told as above; tables and symbols
 // [knots splats parts]; escapes as many at most, *escape_count of them
-CAGS_API int32_t cags_motion_encode_tree(const CagsMotionTree* tree, double* left, int32_t unit, double deadzone,
-                                         uint8_t* tables, uint8_t* symbols, int32_t* escapes, int64_t* escape_count);
+CAGS_API int32_t cags_motion_encode_tree(const CagsMotionTree* tree, double* left, uint8_t* told, int32_t unit,
+                                         double deadzone, uint8_t* tables, uint8_t* symbols, int32_t* escapes,
+                                         int64_t* escape_count);
 
 CAGS_API int32_t cags_motion_rows(const CagsMotionTile* tiles, int32_t count, const CagsMotionArrays* arrays,
                                   int32_t threads);

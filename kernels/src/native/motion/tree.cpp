@@ -1,4 +1,5 @@
 // Trees of residuals, both ways. Sums of untrusted numbers wrap, as numpy's do: unsigned arithmetic.
+#include "motion/lattice.h"
 #include "motion/symbols.h"
 #include "support/calls.h"
 
@@ -13,12 +14,9 @@ constexpr int kMaxSpan = 64, kMaxSplats = 1 << 16;
 constexpr int64_t kMaxSamples = int64_t{1} << 20;
 constexpr int kFractionBits = 6;
 constexpr int kEscape = 254;
-constexpr int kMagnitude = 63, kClasses = 10, kRealClasses = 4;
+constexpr int kMagnitude = 63, kClasses = 10, kRealClasses = 4;  // and one more table each: residuals told before
 constexpr int kSums = 2 * 3 * kMagnitude + 2 * 6 * kMagnitude + 3 * 2 * kMagnitude + 1;  // as cags_common.motion.contexts
 constexpr int kKnown = 9;
-constexpr int kStrides[] = {32, 16, 8, 4, 2, 1};
-
-
 
 bool valid(const CagsMotionTree& tree) {
   if (tree.span < 1 || tree.span > kMaxSpan || tree.splats < 0 || tree.splats > kMaxSplats) return false;
@@ -68,46 +66,6 @@ void predict(const CagsKnot& knot, int64_t count, const int32_t* samples, int32_
   }
 }
 
-// Splats that are coded together: `first`, `first + step`, ...; those after the first group have neighbours.
-struct Group {
-  int first, step, count;
-  bool between;  // neighbours
-
-  Group(int index, int splats) : between(index > 0) {
-    first = between ? kStrides[index] : 0, step = between ? 2 * kStrides[index] : kStrides[0];
-    count = splats > first ? (splats - first + step - 1) / step : 0;
-  }
-};
-
-// Numbers of the splats of all groups so far, in the splats' order: those of the next group come between them.
-template <typename Number>
-class Lattice {
- public:
-  explicit Lattice(int splats) : now_(splats + 2), next_(splats + 2), fresh_(splats + 1) {}
-  void clear() { count_ = 0; }
-  const Number* left() const { return now_.data(); }  // of the i-th of a group: [i], and to its right [i + 1]
-  Number* fresh() { return fresh_.data(); }           // the group's own
-
-  void merge(const Group& group) {
-    if (!group.between) {
-      std::copy_n(fresh_.data(), group.count, now_.data());
-    } else {
-      const Number *__restrict old = now_.data(), *__restrict fresh = fresh_.data();
-      Number* __restrict to = next_.data();
-      const int count = group.count;
-      for (int i = 0; i < count; i++) to[2 * i] = old[i], to[2 * i + 1] = fresh[i];
-      if (count_ > group.count) to[2 * group.count] = old[group.count];
-      now_.swap(next_);
-    }
-    count_ += group.count;
-    now_[count_] = count_ ? now_[count_ - 1] : Number{};  // the last has the same neighbour twice
-  }
-
- private:
-  std::vector<Number> now_, next_, fresh_;
-  int count_ = 0;
-};
-
 // One part of the splats of a group on its way.
 struct Run {
   const Group& group;
@@ -116,6 +74,7 @@ struct Run {
   const int32_t* left;  // residuals of neighbours, each run's i-th between [i] and [i + 1]; null: none
   int32_t* residuals;   // to be set
   uint8_t* activity;    // to which their magnitudes are added; null: they do not count
+  const uint8_t* told;  // not 0: a coarser level told it apart, and it counts for nobody; null: none
 };
 
 class Walk {
@@ -126,15 +85,19 @@ class Walk {
         activity_(tree.splats),
         all_activity_(size_t(tree.splats) * (tree.span + 1)),
         coded_(tree.span + 1),
-        told_(tree.splats),
-        which_(tree.splats) {}
+        size_(tree.splats),
+        which_(tree.splats),
+        told_(tree.splats) {}
 
   // [splats] of the last knot.
   const int32_t* residuals(int part) const { return residuals_[part].left(); }
 
-  // Goes through the residuals of `knot`: code(run) sets those of each run and returns a status.
+  // Goes through the residuals of `knot`: code(run) sets those of each run and returns a status. `told` [splats, parts]
+  // are not 0 where a coarser level told them apart.
   template <typename Code>
-  int32_t knot(const CagsKnot& knot, const Code& code) {
+  int32_t knot(const CagsKnot& knot, const uint8_t* told, const Code& code) {
+    const size_t all_told = size_t(tree_.splats) * tree_.parts;
+    if (std::none_of(told, told + all_told, [](uint8_t value) { return value != 0; })) told = nullptr;
     uint8_t* all = all_activity_.data() + size_t(tree_.splats) * knot.at;
     const bool has_parent = knot.parent >= 0 && coded_[knot.parent];
     const uint8_t* parent = has_parent ? all_activity_.data() + size_t(tree_.splats) * knot.parent : nullptr;
@@ -144,15 +107,17 @@ class Walk {
       const Group group(index, tree_.splats);
       uint8_t* activity = activity_.fresh();
       std::fill_n(activity, group.count, uint8_t{0});
-      tell(group, parent);
+      measure(group, parent);
       const int known = 2 * has_parent + 4 * group.between;
       for (int part = tree_.turn; part < tree_.parts; part++) {
         choose(group.count, activity, known + part - tree_.turn);
-        if (const int32_t status = code(run(group, part, activity))) return status;
+        if (told) set_apart(group, told + part, tree_.first_table + kClasses);
+        if (const int32_t status = code(run(group, part, activity, told))) return status;
       }
       if (tree_.turn) {
         choose_real(group.count, activity);
-        if (const int32_t status = code(run(group, 0, nullptr))) return status;
+        if (told) set_apart(group, told, tree_.first_real_table + kRealClasses);
+        if (const int32_t status = code(run(group, 0, nullptr, told))) return status;
       }
       all = std::copy_n(activity, group.count, all);
       if (parent) parent += group.count;
@@ -164,30 +129,41 @@ class Walk {
   }
 
  private:
-  Run run(const Group& group, int part, uint8_t* activity) {
+  Run run(const Group& group, int part, uint8_t* activity, const uint8_t* told) {
     Lattice<int32_t>& lattice = residuals_[part];
-    return {group, part, which_.data(), group.between ? lattice.left() : nullptr, lattice.fresh(), activity};
+    const int32_t* left = group.between ? lattice.left() : nullptr;
+    return {group, part, which_.data(), left, lattice.fresh(), activity, told ? told_.data() : nullptr};
   }
 
-  void tell(const Group& group, const uint8_t* parent) {
-    uint16_t* __restrict told = told_.data();
+  // Gives residuals that a coarser level told apart their own table.
+  void set_apart(const Group& group, const uint8_t* told, int table) {
+    const int64_t step = int64_t{group.step} * tree_.parts;
+    told += int64_t{group.first} * tree_.parts;
+    for (int i = 0; i < group.count; i++) {
+      told_[i] = told[i * step] != 0;
+      if (told_[i]) which_[i] = static_cast<uint8_t>(table);
+    }
+  }
+
+  void measure(const Group& group, const uint8_t* parent) {
+    uint16_t* __restrict size = size_.data();
     const uint8_t* __restrict left = activity_.left();
     const int count = group.count;
-    std::fill_n(told, count, uint16_t{0});
+    std::fill_n(size, count, uint16_t{0});
     if (parent) {
-      for (int i = 0; i < count; i++) told[i] = static_cast<uint16_t>(2 * parent[i]);
+      for (int i = 0; i < count; i++) size[i] = static_cast<uint16_t>(2 * parent[i]);
     }
     if (group.between) {
-      for (int i = 0; i < count; i++) told[i] = static_cast<uint16_t>(told[i] + 2 * (left[i] + left[i + 1]));
+      for (int i = 0; i < count; i++) size[i] = static_cast<uint16_t>(size[i] + 2 * (left[i] + left[i + 1]));
     }
   }
 
   void choose(int count, const uint8_t* activity, int known) {
     const uint8_t* __restrict classes = tree_.classes + known * kSums;
-    const uint16_t* __restrict told = told_.data();
+    const uint16_t* __restrict size = size_.data();
     const int first = tree_.first_table;
     uint8_t* __restrict which = which_.data();
-    for (int i = 0; i < count; i++) which[i] = static_cast<uint8_t>(first + classes[told[i] + 3 * activity[i]]);
+    for (int i = 0; i < count; i++) which[i] = static_cast<uint8_t>(first + classes[size[i] + 3 * activity[i]]);
   }
 
   void choose_real(int count, const uint8_t* activity) {
@@ -204,8 +180,8 @@ class Walk {
   Lattice<uint8_t> activity_;
   std::vector<uint8_t> all_activity_;  // [span + 1, splats] in the order of coding
   std::vector<bool> coded_;
-  std::vector<uint16_t> told_;
-  std::vector<uint8_t> which_;
+  std::vector<uint16_t> size_;
+  std::vector<uint8_t> which_, told_;
 };
 
 struct Escapes {
@@ -226,9 +202,11 @@ void unfold(const Run& run, const uint8_t* __restrict symbols) {
   for (int i = 0; i < count; i++) out[i] = symbols[i] >> 1 ^ -(symbols[i] & 1);
   uint8_t* __restrict activity = run.activity;
   if (!activity) return;
+  const uint8_t* __restrict told = run.told;
   for (int i = 0; i < count; i++) {
     const uint8_t size = static_cast<uint8_t>((symbols[i] + 1) >> 1);
-    activity[i] = static_cast<uint8_t>(activity[i] + std::min<uint8_t>(size, kMagnitude));
+    const uint8_t counted = std::min<uint8_t>(size, kMagnitude);
+    activity[i] = static_cast<uint8_t>(activity[i] + (told && told[i] ? 0 : counted));
   }
 }
 
@@ -238,7 +216,7 @@ bool unfold(const Run& run, const uint8_t* symbols, Escapes& escapes) {
     int32_t value = symbols[i] >> 1 ^ -(symbols[i] & 1);
     if (symbols[i] == kEscape && !escapes.next(value)) return false;
     run.residuals[i] = value;
-    if (run.activity) run.activity[i] = static_cast<uint8_t>(run.activity[i] + magnitude(value));
+    if (run.activity && !(run.told && run.told[i])) run.activity[i] = static_cast<uint8_t>(run.activity[i] + magnitude(value));
   }
   return true;
 }
@@ -253,21 +231,26 @@ void flip(const Run& run, int32_t* out) {
   }
 }
 
+// To guesses, which count for nothing where a coarser level told the residuals apart; and those that there are become told.
 template <int Parts>
-void add_residuals(const Walk& walk, int splats, int32_t* __restrict sample) {
+void add_residuals(const Walk& walk, int splats, int32_t* __restrict sample, uint8_t* __restrict told) {
   const int32_t* planes[Parts];
   for (int part = 0; part < Parts; part++) planes[part] = walk.residuals(part);
-  for (int i = 0; i < splats; i++, sample += Parts) {
-    for (int part = 0; part < Parts; part++) sample[part] = wrapped_sum(sample[part], fixed(planes[part][i]));
+  for (int i = 0; i < splats; i++, sample += Parts, told += Parts) {
+    for (int part = 0; part < Parts; part++) {
+      const int32_t residual = planes[part][i];
+      sample[part] = wrapped_sum(told[part] ? 0 : sample[part], fixed(residual));
+      told[part] = static_cast<uint8_t>(told[part] | (residual != 0));
+    }
   }
 }
 
-int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& escapes, int32_t* samples) {
+int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& escapes, uint8_t* told, int32_t* samples) {
   Walk walk(tree);
   std::vector<uint8_t> symbols(tree.splats);
   const int64_t row_size = int64_t{tree.splats} * tree.parts;
   std::fill_n(samples, row_size * (tree.span + 1), 0);
-  const bool all_there = std::max(tree.first_table + kClasses, tree.first_real_table + kRealClasses) <= decoder.tables;
+  const bool all_there = std::max(tree.first_table + kClasses, tree.first_real_table + kRealClasses) < decoder.tables;
   auto code = [&](const Run& run) -> int32_t {
     const int count = run.group.count;
     if (!all_there && std::any_of(run.tables, run.tables + count, [&](uint8_t t) { return t >= decoder.tables; })) {
@@ -283,10 +266,11 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
     return CAGS_OK;
   };
   for (const CagsKnot* knot = tree.order; knot < tree.order + tree.knots; knot++) {
-    if (const int32_t status = walk.knot(*knot, code)) return status;
     int32_t* sample = samples + knot->at * row_size;
+    uint8_t* apart = told + knot->at * row_size;
+    if (const int32_t status = walk.knot(*knot, apart, code)) return status;
     predict(*knot, row_size, samples, sample);
-    tree.turn ? add_residuals<4>(walk, tree.splats, sample) : add_residuals<3>(walk, tree.splats, sample);
+    tree.turn ? add_residuals<4>(walk, tree.splats, sample, apart) : add_residuals<3>(walk, tree.splats, sample, apart);
   }
   return CAGS_OK;
 }
@@ -324,7 +308,7 @@ struct Written {
   }
 };
 
-void encode(const CagsMotionTree& tree, double* left, int32_t unit, double deadzone, Written& out) {
+void encode(const CagsMotionTree& tree, double* left, uint8_t* told, int32_t unit, double deadzone, Written& out) {
   Walk walk(tree);
   const int64_t row_size = int64_t{tree.splats} * tree.parts, all = row_size * (tree.span + 1);
   std::vector<int32_t> samples(all), residuals(row_size + 1), values(tree.splats + 1);
@@ -336,7 +320,9 @@ void encode(const CagsMotionTree& tree, double* left, int32_t unit, double deadz
     int32_t* __restrict to = run.residuals;
     for (int i = 0; i < size; i++) to[i] = from[i * step];
     uint8_t* __restrict activity = run.activity;
-    for (int i = 0; activity && i < size; i++) activity[i] = static_cast<uint8_t>(activity[i] + magnitude(to[i]));
+    for (int i = 0; activity && i < size; i++) {
+      if (!run.told || !run.told[i]) activity[i] = static_cast<uint8_t>(activity[i] + magnitude(to[i]));
+    }
     if (!run.left) {
       out.put(run, to);
     } else {
@@ -349,11 +335,14 @@ void encode(const CagsMotionTree& tree, double* left, int32_t unit, double deadz
     int32_t* sample = samples.data() + knot->at * row_size;
     predict(*knot, row_size, samples.data(), sample);
     const double* wanted = left + knot->at * row_size;
+    uint8_t* apart = told + knot->at * row_size;
     for (int64_t i = 0; i < row_size; i++) {
-      residuals[i] = quantised(wanted[i], sample[i]);
-      sample[i] = wrapped_sum(sample[i], fixed(residuals[i]));
+      const int32_t guess = apart[i] ? 0 : sample[i];
+      residuals[i] = quantised(wanted[i], guess);
+      sample[i] = wrapped_sum(guess, fixed(residuals[i]));
     }
-    walk.knot(*knot, code);
+    walk.knot(*knot, apart, code);
+    for (int64_t i = 0; i < row_size; i++) apart[i] = static_cast<uint8_t>(apart[i] | (residuals[i] != 0));
   }
   const double scale = unit * (1.0 / (1 << kFractionBits));
   for (int64_t i = 0; i < all; i++) left[i] -= samples[i] * scale;
@@ -365,20 +354,20 @@ void encode(const CagsMotionTree& tree, double* left, int32_t unit, double deadz
 using namespace cags::motion;
 
 int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes, int64_t escape_count,
-                                int64_t* escape, int32_t* samples) {
+                                int64_t* escape, uint8_t* told, int32_t* samples) {
   if (!valid(*tree) || escape_count < 0 || *escape < 0) return CAGS_INVALID;
   int32_t status = CAGS_OK;
   Escapes large{escapes, escape_count, *escape};
-  const int32_t ran = cags::guarded([&] { status = decode(*tree, *static_cast<SymbolDecoder*>(decoder), large, samples); });
+  const int32_t ran = cags::guarded([&] { status = decode(*tree, *static_cast<SymbolDecoder*>(decoder), large, told, samples); });
   *escape = large.at;
   return ran == CAGS_OK ? status : ran;
 }
 
-int32_t cags_motion_encode_tree(const CagsMotionTree* tree, double* left, int32_t unit, double deadzone, uint8_t* tables,
-                                uint8_t* symbols, int32_t* escapes, int64_t* escape_count) {
+int32_t cags_motion_encode_tree(const CagsMotionTree* tree, double* left, uint8_t* told, int32_t unit, double deadzone,
+                                uint8_t* tables, uint8_t* symbols, int32_t* escapes, int64_t* escape_count) {
   if (!valid(*tree) || unit < 1 || !std::has_single_bit(static_cast<uint32_t>(unit))) return CAGS_INVALID;
   Written out{tables, symbols, escapes};
-  const int32_t ran = cags::guarded([&] { encode(*tree, left, unit, deadzone, out); });
+  const int32_t ran = cags::guarded([&] { encode(*tree, left, told, unit, deadzone, out); });
   *escape_count = out.escape_count;
   return ran;
 }

@@ -1,0 +1,61 @@
+"""Chunks of motion, the encoder's side: lines are told as lines, as roughly as a splat's life allows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cags_common.motion import chunk as chunks
+from cags_common.motion.apply import Steps
+from cags_common.motion.chunk import ChunkDecoder
+from cags_encoder.motion.chunks import STRAIGHT, TrackSpan, encode_span
+
+SPAN, SPLATS, STEP = 16, 64, 0.01
+
+
+def drifting(lives: np.ndarray, noise: float, **options: Any) -> TrackSpan:
+    """Splats [n] of so many frames that drift in straight lines, up to ``noise`` units off where they are held."""
+    random = np.random.default_rng(2)
+    times = np.arange(SPAN + 1)[:, None, None]
+    anchors = random.normal(size=(len(lives), 3)).astype(np.float32)
+    first = anchors + random.uniform(-noise, noise, anchors.shape) * STEP
+    means = (first + times * random.normal(size=anchors.shape) * STEP).astype(np.float32)
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (SPAN + 1, len(lives), 1))
+    still = np.zeros(len(lives), bool)
+    steps = Steps(*(np.full(len(lives), STEP, np.float32) for _ in range(2)))
+    present = np.arange(SPAN + 1)[:, None] < lives
+    told = np.minimum(lives, SPAN + 1).astype(np.uint8)
+    given = {"starts": False, "lives": None if present.all() else told, "fades": None, **options}
+    return TrackSpan((0, 0), means, quats, present, anchors, quats[0], steps, still, **given)
+
+
+def decoded(payloads: tuple[bytes, ...]) -> chunks.Chunk:
+    decoder = ChunkDecoder(payloads[0])
+    for payload in payloads[1:]:
+        decoder.add_level(payload)
+    return decoder.chunk
+
+
+@pytest.mark.parametrize("starts", [False, True])
+@pytest.mark.parametrize("longest", [2, 5, SPAN + 2])
+def test_lines_of_any_life_are_within_a_unit_where_they_are_seen(starts: bool, longest: int) -> None:
+    lives = np.random.default_rng(3).integers(1, longest, SPLATS)
+    span = drifting(lives, 0.7, starts=starts)
+    chunk = decoded(encode_span(span).payloads)
+    assert chunk.moves is not None
+    off = np.abs((span.means - span.anchors) / STEP - chunk.moves / 64)
+    seen = span.present[:, :, None] & (starts | (np.arange(SPAN + 1)[:, None, None] > 0))
+    assert np.where(seen, off, 0.0).max() <= STRAIGHT + 0.55
+
+
+def test_what_a_splat_is_off_when_it_comes_is_not_told() -> None:
+    lives = np.full(SPLATS, SPAN + 1)
+    exact, off = (sum(map(len, encode_span(drifting(lives, noise)).payloads)) for noise in (0.0, 0.7))
+    assert off <= 1.15 * exact
+
+
+def test_a_short_life_needs_no_exact_end_of_the_span() -> None:
+    long, short = (encode_span(drifting(np.full(20 * SPLATS, life), 0.0)).payloads for life in (SPAN + 1, 3))
+    assert len(short[2]) < 0.25 * len(long[2])
