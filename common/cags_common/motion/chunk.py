@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, F64
 from cags_common.motion.knots import I32, knots
-from cags_common.motion.symbols import CENTRE, LIFE, WIDTH, SymbolReader, SymbolWriter
+from cags_common.motion.symbols import SymbolReader, SymbolWriter, fade_tables, life_tables
 from cags_common.packing import squeeze, unsqueeze
 
 VERSION = 1
@@ -110,7 +110,7 @@ def encode(
     for level in range(LEVELS):
         writer = SymbolWriter(native=native)
         if level == 0:
-            _write_sides(writer, lives, fades)
+            _write_sides(writer, span, lives, fades)
         for name, part in left.items():
             unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), DEADZONE if level == 0 else 0.0
             writer.tree(order, part, told[name], unit, deadzone, turn=name == "turns")
@@ -168,13 +168,16 @@ def _check_sides(
             raise ValueError(f"motion: blocks in units of {blocks.unit} metres, 0 to {MAX_UNIT} expected")
 
 
-def _write_sides(writer: SymbolWriter, lives: NDArray[np.uint8] | None, fades: NDArray[np.int64] | None) -> None:
+def _write_sides(
+    writer: SymbolWriter, span: int, lives: NDArray[np.uint8] | None, fades: NDArray[np.int64] | None
+) -> None:
     if lives is not None:
-        writer.plain(LIFE, lives)
+        writer.plain(life_tables(len(lives)), lives)
     if fades is not None:
-        writer.plain(WIDTH, fades[:, 0].astype(np.uint8))
-        fading = fades[fades[:, 0] > 0, 1]
-        writer.signed(np.full(len(fading), CENTRE, np.uint8), fading)
+        widths, centres = fade_tables(span, len(fades), lives)
+        writer.plain(widths, fades[:, 0].astype(np.uint8))
+        fading = np.flatnonzero(fades[:, 0])
+        writer.signed(centres[fading], fades[fading, 1])
 
 
 class ChunkDecoder:
@@ -265,7 +268,7 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
 
 def _opened(head: _Head, rigid: memoryview, reader: SymbolReader, told: _Told) -> Chunk:
     n = head.splats
-    lives = reader.plain(LIFE, n) if head.has(LIVES) else None
+    lives = reader.plain(life_tables(n)) if head.has(LIVES) else None
     if lives is not None and int(lives.max(initial=0)) > head.span + 1:
         raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
     fades = _read_fades(reader, head, lives) if head.has(FADES) else None
@@ -287,13 +290,14 @@ def _read_trees(reader: SymbolReader, chunk: Chunk, level: int, told: _Told) -> 
 
 
 def _read_fades(reader: SymbolReader, head: _Head, lives: NDArray[np.uint8] | None) -> F32:
-    widths = reader.plain(WIDTH, head.splats)
+    of_widths, of_centres = fade_tables(head.span, head.splats, lives)
+    widths = reader.plain(of_widths)
     if int(widths.max(initial=0)) > len(FADE_WIDTHS):
         raise DecodeError(f"motion: a fade's width has index {int(widths.max())}, at most {len(FADE_WIDTHS)}")
     fading = np.flatnonzero(widths)
     out = np.full((head.splats, 2), np.inf, np.float32)
     out[:, 0] = 0.0
-    centres = reader.signed(np.full(len(fading), CENTRE, np.uint8))
+    centres = reader.signed(of_centres[fading])
     width = FADE_WIDTHS[widths[fading].astype(np.int64) - 1]
     out[fading, 0] = middle_of_life(head.span, lives, fading) + centres * width / FADE_STEP
     out[fading, 1] = width

@@ -18,10 +18,30 @@ from cags_common.motion.knots import FRACTION_BITS, I32, Knot, predicted, quanti
 ESCAPE = 254
 """Signed numbers from here on, folded, stand beside the symbols in four bytes."""
 
-LIFE, WIDTH, CENTRE, MOVE = 0, 1, 2, 3
+LIFE_EDGES = np.array([2, 3, 5, 8])
+"""Bounds of the kinds of lives that end within a span; one kind more are the others."""
+
+LIFE, WIDTH = 0, 1
+CENTRE = WIDTH + len(LIFE_EDGES) + 2
+MOVE = CENTRE + 2
 TURN = MOVE + TOLD + 1
 REAL = TURN + TOLD + 1
-"""First tables of: lives, widths and centres of fades, positions, rotations, their real part; the latter by class."""
+"""First tables of: lives; widths of fades by kind of life; centres by whether it ends; positions, rotations and their
+real part by class.
+"""
+
+
+def life_tables(splats: int) -> U8:
+    """Tables [n] of lives."""
+    return np.full(splats, LIFE, np.uint8)
+
+
+def fade_tables(span: int, splats: int, lives: U8 | None) -> tuple[U8, U8]:
+    """Tables [n] of the widths, and of the centres, of the fades of splats with these ``lives`` [n]."""
+    ends = np.zeros(splats, bool) if lives is None else lives <= span
+    kinds = np.zeros(splats, np.intp) if lives is None else np.searchsorted(LIFE_EDGES, lives, side="right")
+    widths = WIDTH + np.where(ends, kinds, len(LIFE_EDGES) + 1)
+    return widths.astype(np.uint8), (CENTRE + ends).astype(np.uint8)
 
 
 class SymbolWriter:
@@ -34,9 +54,9 @@ class SymbolWriter:
         self._escapes: list[I32] = []
         self._runs: list[NDArray[np.int64]] = []
 
-    def plain(self, table: int, values: U8) -> None:
-        """Numbers [n] below 256."""
-        self._add(np.full(len(values), table, np.uint8), values, len(values))
+    def plain(self, tables: U8, values: U8) -> None:
+        """Numbers [n] below 256, each by its table [n]."""
+        self._add(tables, values, len(values))
 
     def signed(self, tables: U8, values: NDArray[Any]) -> None:
         """Numbers [n] that fit 32 bits, of either sign, each by its table [n]."""
@@ -121,9 +141,9 @@ class SymbolReader:
         self._escapes, self._at = np.frombuffer(escapes, "<i4"), 0
         self._symbols = rans.decoder(symbols, native=native)
 
-    def plain(self, table: int, count: int) -> U8:
-        """The next ``count`` numbers, of one table."""
-        return self._symbols.take(np.full(count, table, np.uint8))
+    def plain(self, tables: U8) -> U8:
+        """The next numbers [n], by the table of each."""
+        return self._symbols.take(tables)
 
     def signed(self, tables: U8) -> I32:
         """The next numbers [n], by the table of each."""
