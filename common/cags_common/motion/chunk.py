@@ -35,7 +35,8 @@ MAX_UNITS = (1 << 25) - (1 << 10)
 """Residuals, finest units: fixed point fits 32 bits."""
 
 STARTS, TURNS, LIVES, FADES, MOVES = 1, 2, 4, 8, 16
-DEADZONE = 0.1
+DEADZONES = (0.2, 0.1, 0.25)
+"""Of each level, units beyond half a one up to which a residual is none: most of the bits tell such noise."""
 
 FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
 """Standard deviations of a fade, frames; index 0 of the payload stands for none."""
@@ -112,7 +113,7 @@ def encode(
         if level == 0:
             _write_sides(writer, span, lives, fades)
         for name, part in left.items():
-            unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), DEADZONE if level == 0 else 0.0
+            unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), DEADZONES[level]
             writer.tree(order, part, told[name], unit, deadzone, turn=name == "turns")
         escapes, symbols = writer.to_bytes()
         sizes = len(escapes), len(symbols)

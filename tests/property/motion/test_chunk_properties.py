@@ -15,7 +15,7 @@ from cags_common import rans
 from cags_common.errors import DecodeError
 from cags_common.motion.apply import Looks, MovingTile, Steps, evaluate, move_rows
 from cags_common.motion.chunk import (
-    DEADZONE,
+    DEADZONES,
     FADE_WIDTHS,
     LEVELS,
     MAX_SAMPLES,
@@ -105,7 +105,7 @@ def check_round_trip(case: Case, *, native: bool) -> None:
     coarse, fine = (decoded(payloads, native=native, levels=levels) for levels in (1, LEVELS))
     unit = REFINEMENT ** (LEVELS - 1)
     for name, wanted in (("moves", case.moves), ("turns", case.turns)):
-        for chunk, bound in ((coarse, unit * (0.5 + DEADZONE)), (fine, 0.5)):
+        for chunk, bound in ((coarse, unit * (0.5 + DEADZONES[0])), (fine, 0.5 + DEADZONES[-1])):
             got = getattr(chunk, name)
             assert (got is None) == (wanted is None)
             if got is not None:

@@ -13,6 +13,8 @@ from cags_common.motion import chunk as chunks
 from cags_common.motion.chunk import Blocks, ChunkDecoder, encode
 
 SPAN, SPLATS = 12, 70
+FINEST = 0.5 + chunks.DEADZONES[-1]
+"""Largest error of the last level, in its unit."""
 
 
 def wavy(random: np.random.Generator, parts: int, size: float = 40.0) -> np.ndarray:
@@ -44,7 +46,7 @@ def test_everything_that_a_chunk_can_say_comes_back() -> None:
     assert chunk.blocks is not None and chunk.fades is not None and chunk.moves is not None and chunk.turns is not None
     assert np.array_equal(chunk.blocks.shifts, blocks.shifts) and np.array_equal(chunk.blocks.turns, blocks.turns)
     for part, wanted in ((chunk.moves, moves), (chunk.turns, turns)):
-        assert np.abs(part / 64 - wanted).max() <= 0.5 + 1 / 64
+        assert np.abs(part / 64 - wanted).max() <= FINEST + 1 / 64
     width = chunks.FADE_WIDTHS[np.maximum(fades[:, 0], 1) - 1]
     assert np.array_equal(np.isfinite(chunk.fades[:, 1]), fades[:, 0] > 0)
     centre = (lives.astype(float) - 1) / 2 + fades[:, 1] * width / chunks.FADE_STEP
@@ -57,21 +59,21 @@ def test_the_first_level_alone_is_within_half_of_its_unit_and_the_dead_zone() ->
     chunk = ChunkDecoder(encode((0, 0), moves, None, starts=True)[0]).chunk
     assert chunk.moves is not None and chunk.turns is None
     unit = chunks.REFINEMENT ** (chunks.LEVELS - 1)
-    assert np.abs(chunk.moves / 64 - moves).max() <= unit * (0.5 + chunks.DEADZONE) + unit / 64
+    assert np.abs(chunk.moves / 64 - moves).max() <= unit * (0.5 + chunks.DEADZONES[0]) + unit / 64
 
 
 def test_without_a_start_the_first_sample_is_nothing() -> None:
     moves = wavy(np.random.default_rng(5), 3)
     chunk = decoded(encode((0, 0), moves, None, starts=False))
     assert chunk.moves is not None and not chunk.moves[0].any()
-    assert np.abs(chunk.moves[1:] / 64 - moves[1:]).max() <= 0.5 + 1 / 64
+    assert np.abs(chunk.moves[1:] / 64 - moves[1:]).max() <= FINEST + 1 / 64
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e6, chunks.MAX_UNITS * 0.999])
 def test_motion_of_any_size(size: float) -> None:
     moves = np.clip(wavy(np.random.default_rng(6), 3, 1.0), -1, 1) * size
     chunk = decoded(encode((0, 0), moves, None, starts=True))
-    assert chunk.moves is not None and np.abs(chunk.moves / 64 - moves).max() <= 0.5 + 1 / 64
+    assert chunk.moves is not None and np.abs(chunk.moves / 64 - moves).max() <= FINEST + 1 / 64
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e9])
