@@ -15,6 +15,7 @@ from cags_common.motion.chunk import LEVELS, REFINEMENT, Blocks
 from cags_common.tile_kinds import TileKind
 from cags_encoder.frames.tiling import corners
 from cags_encoder.motion.rigid import carried, rigid_blocks
+from cags_encoder.motion.smoothing import smoothed
 from cags_encoder.motion.turns import CONJUGATE, relative_turns
 
 BLOCK = 128
@@ -167,7 +168,8 @@ def _turn_residuals(span: TrackSpan, turns: F64) -> F64 | None:
     if not span.present.all():
         last = span.span - span.present[::-1].argmax(axis=0)
         units = np.where(span.present[:, :, None], units, units[last, np.arange(units.shape[1])][None])
-    units = _straight(np.clip(units, -MOST_UNITS, MOST_UNITS), span.present, starts=span.starts)
+    units = smoothed(np.clip(units, -MOST_UNITS, MOST_UNITS), starts=span.starts)
+    units = _straight(units, span.present, starts=span.starts)
     return units if np.abs(units).max(initial=0.0) > LEAST_UNITS else None
 
 
