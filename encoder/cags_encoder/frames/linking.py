@@ -126,8 +126,6 @@ class Tracks:
         ages = np.zeros(len(after), np.int64)
         came = rows[found]
         step[found] = after.means[found] - self.looks.means[came]
-        smooth = self.ages[came] >= 1
-        step[found] = np.where(smooth[:, None], 0.5 * (step[found] + self.velocities[came]), step[found])
         ages[found] = self.ages[came] + 1
         return Tracks(after, step, ages)
 
