@@ -19,7 +19,7 @@ from cags_encoder.frames.track_statistics import TrackCounter, TrackStatistics
 MIN_OVERLAP = 0.25
 """Share of rows that must be found again; with fewer a key frame costs no more than the differences."""
 
-MIN_ALIKE = 0.5
+MIN_ALIKE = 0.8
 """Share of the splats of one source identity that must look or lie alike in two frames for it to be believed."""
 
 

@@ -259,7 +259,9 @@ class _Linking:
         likely = own <= ACCEPTED
         if likely.mean() < ROWS_HOLD / 2:
             return False
-        best = self._scores(sample, self._field.near(expected[sample], CANDIDATES)[1], expected, self._spacing).min(axis=1)
+        best = self._scores(sample, self._field.near(expected[sample], CANDIDATES)[1], expected, self._spacing).min(
+            axis=1
+        )
         return bool(np.mean(own[likely] <= best[likely] + 1e-3) >= ROWS_HOLD)
 
     @cached_property
