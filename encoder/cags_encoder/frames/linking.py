@@ -84,6 +84,11 @@ class Looks:
     def __len__(self) -> int:
         return len(self.splats)
 
+    @cached_property
+    def order(self) -> Rows:
+        """Rows [n] such that neighbours lie together: looking them up in it takes half the time."""
+        return morton_order(self.splats.means)
+
     @staticmethod
     def of(splats: Splats) -> Looks:
         """Those of ``splats``."""
@@ -267,7 +272,7 @@ class _Linking:
     @cached_property
     def _field(self) -> _Field:
         """All splats of the frame."""
-        return _Field(self._after.means, np.arange(len(self._after)))
+        return _Field(self._after.means, self._after.order)
 
     def _local(self, distances: F64) -> F64:
         """Distances to neighbours [m, 1] from those to the nearest few [m, k]: splats lie on surfaces.
@@ -285,8 +290,8 @@ class _Linking:
 
     def _search(self, expected: F64, candidates: int = CANDIDATES) -> None:
         """Link those that are each other's best continuation, and then those of the rest."""
-        before, after = np.flatnonzero(self._free), np.flatnonzero(self.rows < 0)
-        before = before[morton_order(expected[before].astype(np.float32))]
+        before, after = self._before.order, self._after.order
+        before, after = before[self._free[before]], after[self.rows[after] < 0]
         field = self._field if len(after) == len(self._after) else _Field(self._after.means, after)
         distances, found = field.near(expected[before], candidates)
         if field is not self._field:
@@ -354,8 +359,8 @@ class _Field:
     def __init__(self, means: F64, rows: Rows) -> None:
         from scipy.spatial import cKDTree
 
-        self._rows = rows[morton_order(means[rows].astype(np.float32))]  # neighbours lie together in memory
-        self._tree = cKDTree(means[self._rows])
+        self._rows = rows
+        self._tree = cKDTree(means[rows])
 
     def near(self, places: F64, count: int) -> tuple[F64, Rows]:
         """Distances [m, k] and rows [m, k] of the ``count`` splats nearest to each of ``places`` [m, 3]."""
