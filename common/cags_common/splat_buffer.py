@@ -158,7 +158,7 @@ class SplatBuffer:
         """Looks of media frame ``frame``; what newer updates changed stays."""
         targets = dict(self.splats.arrays())
         for name, values in splats.arrays():
-            keep = self._updated[name][rows] > frame if name in self._updated else None
+            keep = self._updated[name][rows] >= frame if name in self._updated else None
             if keep is not None and keep.any():
                 targets[name][rows[~keep]] = values[~keep]
             else:
