@@ -18,7 +18,7 @@ from cags_client.waiting import Key
 from cags_common.codecs import MotionTile
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
-from cags_common.motion.chunk import LEVELS, Chunk
+from cags_common.motion.chunk import LEVELS, Chunk, read_looks
 from cags_common.splats import Ids, Splats
 from cags_common.updates import UpdateState
 
@@ -106,6 +106,21 @@ def reopened(held: HeldMotion) -> MotionTile | DecodeError:
         return held.opened()
     except DecodeError as error:
         return error
+
+
+def named(key: Key) -> str:
+    """The tile in an error."""
+    return f"tile {key[1]} of frame {key[0]}"
+
+
+def looks_of(payload: memoryview | None) -> Key | None:
+    """The looks that LoD 0 of a tile of motion moves; None where there is none, or it cannot be read."""
+    if payload is None:
+        return None
+    try:
+        return read_looks(payload)
+    except DecodeError:
+        return None
 
 
 class Motions:
