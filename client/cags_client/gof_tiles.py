@@ -153,7 +153,11 @@ class GofTiles:
         if isinstance(held, HeldUpdate):
             return held.state.add_layer(lod, payload)
         state = held.state
-        changed = state is not None and state.add_layer(lod, payload)
+        try:
+            changed = state is not None and state.add_layer(lod, payload)
+        except DecodeError:  # of this level, or of one that had to wait for it
+            self._drop_levels(held)
+            raise
         if 0 < lod < MOTION_LEVELS:
             self._keep_motion(held, lod, payload)
         return changed
@@ -243,6 +247,13 @@ class GofTiles:
                 held.payloads[level] = bytes(payload)
                 self._motion_bytes += len(payload)
                 self._bound_kept()
+
+    def _drop_levels(self, held: HeldMotion) -> None:
+        """Of a tile of motion only what is decoded counts as held."""
+        with self._lock:
+            decoded = held.state.lod if held.state is not None else 0
+            for level in [level for level in held.payloads if level > decoded]:
+                self._motion_bytes -= len(held.payloads.pop(level))
 
     def _bound_kept(self) -> None:
         besides = self._updated_splats + self._motion_bytes // KEPT_SPLAT_BYTES

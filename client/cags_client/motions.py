@@ -7,6 +7,7 @@ that it moves waits undecoded, for it can be checked against nothing.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -46,11 +47,12 @@ class HeldMotion:
         return sum(map(len, self.payloads.values()))
 
     def opened(self) -> MotionTile:
-        """Decoded anew from the payloads. Raises :class:`DecodeError`."""
+        """Decoded anew from the payloads, but for levels that are damaged. Raises :class:`DecodeError`."""
         state = MotionTile(self.payloads[0])
         for level, payload in sorted(self.payloads.items()):
             if level:
-                state.add_layer(level, payload)
+                with suppress(DecodeError):
+                    state.add_layer(level, payload)
         return state
 
 
