@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from cags_common.geometry import F32, Camera
+from cags_server.ghosts import ghosts, merged
 from cags_server.inventory import ClientInventory
-from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.library import SceneLibrary
 from cags_server.lingering import Lingering
 from cags_server.opening import guessed_contribution
+from cags_server.tiles import TileSender
+from cags_server.visible import VisibleTile
 
 
 class Sight:
@@ -33,6 +36,15 @@ class Sight:
     def guessed_tiles(self, frame: int, camera: Camera, pixels: int) -> tuple[VisibleTile, ...]:
         """What a render of ``pixels`` pixels from ``camera`` would show, guessed from the tiles' bounds."""
         return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
+
+    def with_ghosts(
+        self, visible: tuple[VisibleTile, ...], frame: int, camera: Camera, tiles: TileSender
+    ) -> tuple[VisibleTile, ...]:
+        """``visible`` at ``frame``, and what ends older versions that the client may show in view of ``camera``."""
+        shown = tiles.shown(frame)
+        if shown is None:
+            return visible
+        return merged(visible, ghosts(self._library, frame, camera, shown, tiles.inventory))
 
     def served(self, frame: int, contribution: F32, inventory: ClientInventory) -> None:
         """After the tiles of ``frame`` were chosen: what was seen, and is neither held nor on its way, lingers."""
