@@ -8,13 +8,15 @@ on symbols of earlier calls. The definition is here; the native kernel gives the
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import cags_kernels
 from cags_common.errors import DecodeError
 
 U8 = NDArray[np.uint8]
@@ -86,55 +88,74 @@ def _read_tables(data: memoryview, count: int) -> tuple[list[Table], int]:
     return tables, at
 
 
-class _Tables:
-    """Tables side by side, as both directions look them up."""
-
-    def __init__(self, tables: Sequence[Table]) -> None:
-        self.frequency = np.zeros((len(tables), 256), np.uint32)
-        self.first = np.zeros((len(tables), 256), np.uint32)
-        self.symbol = np.zeros((len(tables), TOTAL), np.uint8)
-        for i, table in enumerate(tables):
-            count = len(table.frequencies)
-            self.frequency[i, :count] = table.frequencies
-            self.first[i, 1:count] = np.cumsum(table.frequencies)[:-1]
-            self.symbol[i] = np.repeat(np.arange(count, dtype=np.uint8), table.frequencies)
+def _shares(tables: Sequence[Table]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Frequencies of every table's symbols, and the sums of those before each: [tables, 256]."""
+    frequencies, firsts = (np.zeros((len(tables), 256), np.uint32) for _ in range(2))
+    for i, table in enumerate(tables):
+        count = len(table.frequencies)
+        frequencies[i, :count] = table.frequencies
+        firsts[i, 1:count] = np.cumsum(table.frequencies)[:-1]
+    return frequencies, firsts
 
 
-def encode(parts: Sequence[tuple[U8, U8]]) -> bytes:
-    """The symbols of ``parts`` in order: each (table of every symbol [n], symbol [n]). The same input, the same bytes.
+def encode(tables: U8, symbols: U8, runs: NDArray[np.int64], *, native: bool | None = None) -> bytes:
+    """The ``symbols`` [n], each by its table [n], to be read in ``runs`` that add up to n. Same input, same bytes.
 
-    Tables are numbered from 0; those of the whole data are made first, from what occurs.
+    Tables are numbered from 0; they are made from what occurs. ``native`` None takes the kernel where there is one.
+    Raises ``ValueError`` for more than ``MAX_TABLES``.
     """
-    count = 1 + max((int(tables.max(initial=0)) for tables, _ in parts), default=0)
-    counts = np.zeros((count, 256), np.int64)
-    for tables, symbols in parts:
-        np.add.at(counts, (tables, symbols), 1)
-    made = [Table.of(row) for row in counts]
-    lanes = min(max(sum(len(symbols) for _, symbols in parts) // SYMBOLS_A_LANE, 1), MAX_LANES)
-    states, words = _encoded(_Tables(made), parts, lanes)
+    native = cags_kernels.native_available() if native is None else native
+    count = 1 + int(tables.max(initial=0))
+    if count > MAX_TABLES:
+        raise ValueError(f"symbols: table {count - 1} is asked for, the last one is {MAX_TABLES - 1}")
+    if len(tables) != len(symbols) or int(runs.sum()) != len(symbols) or int(runs.min(initial=0)) < 0:
+        raise ValueError(f"symbols: {len(symbols)} of them have {len(tables)} tables and runs of {int(runs.sum())}")
+    made = [Table.of(row) for row in _counted(tables, symbols, native=native)[:count]]
+    lanes = min(max(len(symbols) // SYMBOLS_A_LANE, 1), MAX_LANES)
+    if native:
+        from cags_kernels import motion
+
+        states, words = motion.encode_symbols(tables, symbols, runs, lanes, _shares(made))
+    else:
+        states, words = _encoded(made, tables, symbols, runs, lanes)
     head = _HEAD.pack(lanes, count, len(words))
-    return head + b"".join(table.to_bytes() for table in made) + states.astype("<u4").tobytes() + words.tobytes()
+    tail = states.astype("<u4").tobytes() + words.astype("<u2", copy=False).tobytes()
+    return head + b"".join(table.to_bytes() for table in made) + tail
 
 
-def _encoded(tables: _Tables, parts: Sequence[tuple[U8, U8]], lanes: int) -> tuple[NDArray[np.uint64], U16]:
+def _counted(tables: U8, symbols: U8, *, native: bool) -> NDArray[np.int64]:
+    """How often each table codes each symbol [MAX_TABLES, 256]."""
+    if native:
+        from cags_kernels import motion
+
+        return motion.count_symbols(tables, symbols)
+    return np.bincount(tables.astype(np.int64) * 256 + symbols, minlength=256 * MAX_TABLES).reshape(MAX_TABLES, 256)
+
+
+def _encoded(
+    made: Sequence[Table], tables: U8, symbols: U8, runs: NDArray[np.int64], lanes: int
+) -> tuple[NDArray[np.uint32], U16]:
     states = np.full(lanes, _LOW, np.uint64)
+    frequencies, firsts = _shares(made)
+    frequency = frequencies[tables, symbols].astype(np.uint64)
+    first = firsts[tables, symbols].astype(np.uint64)
     out: list[NDArray[Any]] = []
-    for which, symbols in reversed(parts):
-        frequency = tables.frequency[which, symbols].astype(np.uint64)
-        first = tables.first[which, symbols].astype(np.uint64)
-        for row in range((len(symbols) + lanes - 1) // lanes - 1, -1, -1):
-            at = slice(row * lanes, min((row + 1) * lanes, len(symbols)))
+    end = len(symbols)
+    for run in runs[::-1].tolist():
+        for row in range((run + lanes - 1) // lanes - 1, -1, -1):
+            at = slice(end - run + row * lanes, min(end - run + (row + 1) * lanes, end))
             f, x = frequency[at], states[: at.stop - at.start]
             full = x >= f << np.uint64(32 - PROBABILITY_BITS)
             out.append(x[full].astype("<u2"))
             x = np.where(full, x >> np.uint64(16), x)
             states[: len(x)] = (x // f << np.uint64(PROBABILITY_BITS)) + x % f + first[at]
+        end -= run
     words = np.concatenate([np.zeros(0, "<u2"), *reversed(out)]).astype("<u2")
-    return states, words
+    return states.astype(np.uint32), words
 
 
 class Decoder:
-    """Reads what :func:`encode` wrote, part by part. Raises :class:`DecodeError` for damaged data."""
+    """Reads what :func:`encode` wrote, run by run. Raises :class:`DecodeError` for damaged data."""
 
     def __init__(self, data: bytes | memoryview) -> None:
         view = memoryview(data)
@@ -147,7 +168,9 @@ class Decoder:
         rest = view[_HEAD.size + at :]
         if len(rest) != 4 * self._lanes + 2 * count:
             raise DecodeError(f"symbols: {len(rest)} bytes of states and words, {4 * self._lanes + 2 * count} expected")
-        self._tables = _Tables(tables)
+        self._frequencies, self._firsts = _shares(tables)
+        symbols = (np.repeat(np.arange(len(t.frequencies), dtype=np.uint8), t.frequencies) for t in tables)
+        self._symbols = np.stack(list(symbols))
         self._states = np.frombuffer(rest, "<u4", self._lanes).astype(np.uint64)
         self._words = np.frombuffer(rest, "<u2", count, 4 * self._lanes).astype(np.uint64)
         self._at = 0
@@ -162,10 +185,10 @@ class Decoder:
         return out
 
     def _row(self, which: U8, out: U8) -> None:
-        tables, x = self._tables, self._states[: len(which)]
+        x = self._states[: len(which)]
         slot = x & np.uint64(TOTAL - 1)
-        out[:] = tables.symbol[which, slot]
-        x = tables.frequency[which, out] * (x >> np.uint64(PROBABILITY_BITS)) + slot - tables.first[which, out]
+        out[:] = self._symbols[which, slot]
+        x = self._frequencies[which, out] * (x >> np.uint64(PROBABILITY_BITS)) + slot - self._firsts[which, out]
         low = x < _LOW
         wanted = int(low.sum())
         if self._at + wanted > len(self._words):
@@ -180,6 +203,38 @@ class Decoder:
             raise DecodeError("symbols: the data does not end where its symbols do")
 
 
-def decoder(data: bytes | memoryview) -> Decoder:
-    """The fastest decoder there is. Raises :class:`DecodeError` for damaged data."""
-    return Decoder(data)
+class NativeDecoder:
+    """The same by the kernel."""
+
+    def __init__(self, data: bytes | memoryview) -> None:
+        from cags_kernels import motion
+
+        with refused():
+            self.kernel = motion.SymbolDecoder(data)
+
+    def take(self, which: U8) -> U8:
+        """The next symbols [n], by the table of each [n]."""
+        with refused():
+            return self.kernel.take(which)
+
+    def finish(self) -> None:
+        """Check that everything was read."""
+        with refused():
+            self.kernel.finish()
+
+
+@contextmanager
+def refused() -> Iterator[None]:
+    """Turns what a kernel says of damaged data into :class:`DecodeError`."""
+    from cags_kernels import motion
+
+    try:
+        yield
+    except motion.DamagedError as error:
+        raise DecodeError(f"symbols: {error}") from error
+
+
+def decoder(data: bytes | memoryview, *, native: bool | None = None) -> Decoder | NativeDecoder:
+    """What reads ``data``; ``native`` None takes the kernel where there is one. Raises :class:`DecodeError`."""
+    native = cags_kernels.native_available() if native is None else native
+    return NativeDecoder(data) if native else Decoder(data)

@@ -8,16 +8,15 @@ rigid bodies, and coarse residuals; each further level refines the residuals by 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common import rans
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, F64
-from cags_common.motion.knots import FRACTION_BITS, I32, Knot, knots, predicted, quantise
+from cags_common.motion.knots import I32, knots
+from cags_common.motion.symbols import CENTRE, LIFE, WIDTH, SymbolReader, SymbolWriter
 from cags_common.packing import squeeze, unsqueeze
 
 VERSION = 1
@@ -27,7 +26,14 @@ REFINEMENT = 4
 
 MAX_SPAN = 64
 MAX_SPLATS = 65_536
+MAX_SAMPLES = 1 << 20
+"""Splats times samples of the span: what a payload of a few bytes may claim takes 28 MiB."""
+
 MAX_BLOCK = 4_096
+MAX_UNIT = 1e30
+MAX_UNITS = (1 << 25) - (1 << 10)
+"""Residuals, finest units: fixed point fits 32 bits."""
+
 STARTS, TURNS, LIVES, FADES, MOVES = 1, 2, 4, 8, 16
 DEADZONE = 0.1
 
@@ -41,10 +47,6 @@ _HEAD = struct.Struct("<BBBBIIIHxxfIII")
 """Version, flags, span, levels, looks' frame and tile, splats, block, metres a unit of the blocks' shifts, bytes of the
 blocks, of the escapes' and of the symbols.
 """
-_SYMBOL, _ESCAPE = 255, 254
-_LIFE, _WIDTH, _CENTRE, _MOVE, _TURN, _REAL, _TABLES = 0, 1, 2, 3, 15, 27, 31
-"""First tables of: lives, widths and centres of fades, positions (kind of knot, activity), rotations, their real part."""
-
 TURN_UNIT = 1 / 4096
 """Unit of the blocks' rotations: Gibbs vectors, tangents of half the angle."""
 
@@ -88,100 +90,100 @@ def encode(
     lives: NDArray[np.uint8] | None = None,
     fades: NDArray[np.int64] | None = None,
     blocks: Blocks | None = None,
+    native: bool | None = None,
 ) -> tuple[bytes, ...]:
     """The payload of each level. ``moves`` [span + 1, n, 3] and ``turns`` [span + 1, n, 4] are in finest units, those
     of ``turns`` against (1, 0, 0, 0); ``fades`` [n, 2] are an index of :data:`FADE_WIDTHS` plus one (0: none) and the
     centre in ``FADE_STEP`` parts of the width, from the middle of the life.
+
+    ``native`` None takes the kernel where there is one, to the same bytes. Raises ``ValueError`` for arrays that do not
+    fit each other, are beyond the format's bounds or not finite.
     """
-    given = moves if moves is not None else turns
-    assert given is not None
-    span, splats = len(given) - 1, given.shape[1]
+    left = {name: part.copy() for name, part in (("moves", moves), ("turns", turns)) if part is not None}
+    span, splats = _bounds(left)
+    _check_sides(span, splats, lives, fades, blocks)
     order = knots(span, start=starts)
     flags = STARTS * starts | MOVES * (moves is not None) | TURNS * (turns is not None)
     flags |= LIVES * (lives is not None) | FADES * (fades is not None)
-    head_symbols = _Symbols()
-    if lives is not None:
-        head_symbols.plain(np.full(splats, _LIFE, np.uint8), lives)
-    if fades is not None:
-        head_symbols.plain(np.full(splats, _WIDTH, np.uint8), fades[:, 0].astype(np.uint8))
-        fading = fades[fades[:, 0] > 0, 1]
-        head_symbols.signed(np.full(len(fading), _CENTRE, np.uint8), fading)
-    left = {name: part.copy() for name, part in (("moves", moves), ("turns", turns)) if part is not None}
     payloads = []
     for level in range(LEVELS):
-        symbols = head_symbols if level == 0 else _Symbols()
-        unit = REFINEMENT ** (LEVELS - 1 - level)
+        writer = SymbolWriter(native=native)
+        if level == 0:
+            _write_sides(writer, lives, fades)
         for name, part in left.items():
-            residuals, samples = quantise(part / unit, order, DEADZONE if level == 0 else 0.0)
-            symbols.tree(order, residuals, turn=name == "turns")
-            part -= samples * (unit / (1 << FRACTION_BITS))
-        body = symbols.to_bytes()
+            deadzone = DEADZONE if level == 0 else 0.0
+            writer.tree(order, part, REFINEMENT ** (LEVELS - 1 - level), deadzone, turn=name == "turns")
+        escapes, symbols = writer.to_bytes()
+        sizes = len(escapes), len(symbols)
         if level == 0:
             rigid = _blocks_bytes(blocks)
             size, metres = (blocks.size, blocks.unit) if blocks else (0, 0.0)
-            head = _HEAD.pack(VERSION, flags, span, LEVELS, *looks, splats, size, metres, len(rigid), *symbols.sizes)
-            payloads.append(head + rigid + body)
+            head = _HEAD.pack(VERSION, flags, span, LEVELS, *looks, splats, size, metres, len(rigid), *sizes) + rigid
         else:
-            payloads.append(struct.pack("<I", symbols.sizes[0]) + body)
+            head = struct.pack("<I", len(escapes))
+        payloads.append(head + escapes + symbols)
     return tuple(payloads)
 
 
-class _Symbols:
-    """Symbols of one level on their way into bytes."""
-
-    def __init__(self) -> None:
-        self._parts: list[tuple[NDArray[np.uint8], NDArray[np.uint8]]] = []
-        self._escapes: list[I32] = []
-        self.sizes = (0, 0)
-        """Bytes of the escapes and of the symbols."""
-
-    def plain(self, tables: NDArray[np.uint8], values: NDArray[np.uint8]) -> None:
-        self._parts.append((tables, values))
-
-    def signed(self, tables: NDArray[np.uint8], values: NDArray[np.int64] | I32) -> None:
-        folded = np.where(values < 0, -2 * values.astype(np.int64) - 1, 2 * values.astype(np.int64))
-        large = folded >= _ESCAPE
-        self._escapes.append(values[large].astype(np.int32))
-        self._parts.append((tables, np.where(large, _ESCAPE, folded).astype(np.uint8)))
-
-    def tree(self, order: tuple[Knot, ...], residuals: Sequence[I32], *, turn: bool) -> None:
-        activity: dict[int, NDArray[np.uint8]] = {}
-        for knot, residual in zip(order, residuals, strict=True):
-            self.signed(_tree_tables(knot, activity, residual.shape, turn=turn), residual.reshape(-1))
-            activity[knot.at] = _activity(residual)
-
-    def to_bytes(self) -> bytes:
-        escapes = np.concatenate([np.zeros(0, np.int32), *self._escapes]).astype("<i4").tobytes()
-        symbols = rans.encode(self._parts)
-        self.sizes = len(escapes), len(symbols)
-        return escapes + symbols
+def _bounds(given: dict[str, F64]) -> tuple[int, int]:
+    """Span and splats. Raises ``ValueError``."""
+    shapes = {part.shape[:2] for part in given.values()}
+    if len(shapes) != 1:
+        raise ValueError(
+            f"motion: positions and rotations have {sorted(shapes)} samples; one kind for both is expected"
+        )
+    samples, splats = shapes.pop()
+    if not 1 <= samples - 1 <= MAX_SPAN or splats > MAX_SPLATS or samples * splats > MAX_SAMPLES:
+        raise ValueError(
+            f"motion: {samples} samples of {splats} splats; beyond {MAX_SPAN + 1}, {MAX_SPLATS} or together"
+        )
+    for name, part in given.items():
+        if part.shape[2] != (4 if name == "turns" else 3):
+            raise ValueError(f"motion: {name} have {part.shape[2]} parts")
+        if part.size and not (part.max() <= MAX_UNITS and part.min() >= -MAX_UNITS):
+            raise ValueError(f"motion: {name} are not finite or beyond {MAX_UNITS} units; begin a new splat instead")
+    return samples - 1, splats
 
 
-def _activity(residual: I32) -> NDArray[np.uint8]:
-    """Four classes [n] of how much a knot's residuals [n, c] are."""
-    total = np.minimum(np.abs(residual), 7).sum(axis=1)
-    return np.searchsorted(np.array([0, 2, 6]), total, side="left").astype(np.uint8)
+def _check_sides(
+    span: int, splats: int, lives: NDArray[np.uint8] | None, fades: NDArray[np.int64] | None, blocks: Blocks | None
+) -> None:
+    if lives is not None and (len(lives) != splats or int(lives.max(initial=0)) > span + 1):
+        raise ValueError(f"motion: {len(lives)} lives of up to {lives.max(initial=0)} frames for {splats} splats")
+    if fades is not None:
+        widths, centres = fades[:, 0], fades[:, 1]
+        legal = (
+            len(fades) == splats and int(widths.min(initial=0)) >= 0 and int(widths.max(initial=0)) <= len(FADE_WIDTHS)
+        )
+        if not legal or int(np.abs(centres).max(initial=0)) >= 1 << 31:
+            raise ValueError(f"motion: {len(fades)} fades for {splats} splats, or widths or centres beyond bounds")
+    if blocks is not None:
+        shape = (span + 1, -(-splats // blocks.size) if blocks.size > 0 else 0, 3)
+        if not 1 <= blocks.size <= MAX_BLOCK or blocks.shifts.shape != shape or blocks.turns.shape != shape:
+            raise ValueError(
+                f"motion: blocks of {blocks.size} splats with {blocks.shifts.shape} shifts, {shape} expected"
+            )
+        if not 0.0 <= blocks.unit <= MAX_UNIT:
+            raise ValueError(f"motion: blocks in units of {blocks.unit} metres, 0 to {MAX_UNIT} expected")
 
 
-def _tree_tables(
-    knot: Knot, activity: dict[int, NDArray[np.uint8]], shape: tuple[int, ...], *, turn: bool
-) -> NDArray[np.uint8]:
-    """The table of each residual [n * c] of a knot."""
-    splats, parts = shape
-    classes = activity[knot.parent] if knot.parent in activity else np.zeros(splats, np.uint8)
-    tables = np.repeat(((_TURN if turn else _MOVE) + 4 * knot.kind + classes).astype(np.uint8)[:, None], parts, axis=1)
-    if turn:
-        tables[:, 0] = _REAL + classes
-    return tables.reshape(-1)
+def _write_sides(writer: SymbolWriter, lives: NDArray[np.uint8] | None, fades: NDArray[np.int64] | None) -> None:
+    if lives is not None:
+        writer.plain(LIFE, lives)
+    if fades is not None:
+        writer.plain(WIDTH, fades[:, 0].astype(np.uint8))
+        fading = fades[fades[:, 0] > 0, 1]
+        writer.signed(np.full(len(fading), CENTRE, np.uint8), fading)
 
 
 class ChunkDecoder:
     """A chunk as far as it has come. Not thread-safe."""
 
-    def __init__(self, payload: bytes | memoryview) -> None:
-        """Decode level 0. Raises :class:`DecodeError`."""
+    def __init__(self, payload: bytes | memoryview, *, native: bool | None = None) -> None:
+        """Decode level 0; ``native`` None takes the kernel where there is one. Raises :class:`DecodeError`."""
         head, rigid, escapes, symbols = _sections(payload)
-        self.chunk, self.levels = _opened(head, rigid, escapes, symbols), 1
+        self._native = native
+        self.chunk, self.levels = _opened(head, rigid, SymbolReader(escapes, symbols, native=native)), 1
 
     @property
     def looks(self) -> tuple[int, int]:
@@ -196,16 +198,13 @@ class ChunkDecoder:
         escapes = 4 + struct.unpack_from("<I", view)[0]
         if escapes > len(view):
             raise DecodeError("motion: a level's escapes are cut short")
-        chunk, reader = self.chunk, _Reader(view[4:escapes], view[escapes:])
-        trees = [
-            _read_tree(reader, part, chunk, turn=part.shape[2] == 4)
-            for part in (chunk.moves, chunk.turns)
-            if part is not None
-        ]
+        reader = SymbolReader(view[4:escapes], view[escapes:], native=self._native)
+        chunk = self.chunk
+        moves, turns = _read_trees(reader, chunk, self.levels, (chunk.moves is not None, chunk.turns is not None))
         reader.finish()
-        unit = REFINEMENT ** (LEVELS - 1 - self.levels)
-        for part, tree in zip((p for p in (chunk.moves, chunk.turns) if p is not None), trees, strict=True):
-            part += tree * np.int32(unit)
+        for have, more in ((chunk.moves, moves), (chunk.turns, turns)):
+            if have is not None and more is not None:
+                np.add(have, more, out=have)
         self.levels += 1
 
 
@@ -234,82 +233,48 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
     version, flags, span, levels, frame, tile, splats, block, unit, *sizes = _HEAD.unpack_from(view)
     if version != VERSION or levels != LEVELS or flags & ~(STARTS | TURNS | LIVES | FADES | MOVES):
         raise DecodeError(f"motion: version {version}, {levels} levels, flags {flags}; this program reads {VERSION}")
-    bounds = 1 <= span <= MAX_SPAN and splats <= MAX_SPLATS and block <= MAX_BLOCK and 0.0 <= unit <= 1e30
-    if not bounds or sum(sizes) != len(view) - _HEAD.size or sizes[1] % 4:
+    small = splats <= MAX_SPLATS and splats * (span + 1) <= MAX_SAMPLES
+    bounds = 1 <= span <= MAX_SPAN and small and block <= MAX_BLOCK and 0.0 <= unit <= MAX_UNIT
+    if not bounds or sum(sizes) != len(view) - _HEAD.size:
         raise DecodeError(f"motion: claims a span of {span}, {splats} splats, {sum(sizes)} bytes; beyond bounds")
-    ends = [_HEAD.size, *(_HEAD.size + sum(sizes[: i + 1]) for i in range(3))]
-    parts = (view[first:end] for first, end in zip(ends, ends[1:], strict=False))
-    return (_Head(flags, span, (frame, tile), splats, block, unit), *parts)  # type: ignore[return-value]
+    rigid, escapes = _HEAD.size + sizes[0], _HEAD.size + sizes[0] + sizes[1]
+    head = _Head(flags, span, (frame, tile), splats, block, unit)
+    return head, view[_HEAD.size : rigid], view[rigid:escapes], view[escapes:]
 
 
-def _opened(head: _Head, rigid: memoryview, escapes: memoryview, symbols: memoryview) -> Chunk:
-    reader, n = _Reader(escapes, symbols), head.splats
-    lives = reader.plain(np.full(n, _LIFE, np.uint8)) if head.has(LIVES) else None
+def _opened(head: _Head, rigid: memoryview, reader: SymbolReader) -> Chunk:
+    n = head.splats
+    lives = reader.plain(LIFE, n) if head.has(LIVES) else None
     if lives is not None and int(lives.max(initial=0)) > head.span + 1:
         raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
     fades = _read_fades(reader, head, lives) if head.has(FADES) else None
-    shape = (head.span + 1, n)
     blank = Chunk(head.looks, head.span, n, lives, fades, _read_blocks(head, rigid), None, None, head.has(STARTS))
-    moves = _read_tree(reader, np.zeros((*shape, 3), np.int32), blank, turn=False) if head.has(MOVES) else None
-    turns = _read_tree(reader, np.zeros((*shape, 4), np.int32), blank, turn=True) if head.has(TURNS) else None
+    moves, turns = _read_trees(reader, blank, 0, (head.has(MOVES), head.has(TURNS)))
     reader.finish()
-    unit = np.int32(REFINEMENT ** (LEVELS - 1))
-    return Chunk(
-        *(blank.looks, head.span, n, lives, fades, blank.blocks),
-        None if moves is None else moves * unit,
-        None if turns is None else turns * unit,
-        blank.starts,
-    )
+    return replace(blank, moves=moves, turns=turns)
 
 
-class _Reader:
-    """Reads the symbols of one level."""
-
-    def __init__(self, escapes: memoryview, symbols: memoryview) -> None:
-        if len(escapes) % 4:
-            raise DecodeError("motion: escapes are cut short")
-        self._escapes, self._at = np.frombuffer(escapes, "<i4"), 0
-        self._symbols = rans.decoder(symbols)
-
-    def plain(self, tables: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        return self._symbols.take(tables)
-
-    def signed(self, tables: NDArray[np.uint8]) -> I32:
-        folded = self._symbols.take(tables).astype(np.int32)
-        values = np.where(folded & 1, -((folded + 1) >> 1), folded >> 1).astype(np.int32)
-        large = np.flatnonzero(folded == _ESCAPE)
-        if len(large):
-            if self._at + len(large) > len(self._escapes):
-                raise DecodeError("motion: large residuals are missing")
-            values[large] = self._escapes[self._at : self._at + len(large)]
-            self._at += len(large)
-        return values
-
-    def finish(self) -> None:
-        self._symbols.finish()
-        if self._at != len(self._escapes):
-            raise DecodeError("motion: large residuals are left over")
+def _read_trees(
+    reader: SymbolReader, chunk: Chunk, level: int, has: tuple[bool, bool]
+) -> tuple[I32 | None, I32 | None]:
+    """What ``level`` adds to the positions and rotations of ``chunk``, where it ``has`` them."""
+    order, unit = knots(chunk.span, start=chunk.starts), np.int32(REFINEMENT ** (LEVELS - 1 - level))
+    trees: list[I32 | None] = [None, None]
+    for i, parts in enumerate((3, 4)):
+        if has[i]:
+            tree = reader.tree(order, (chunk.span + 1, chunk.splats, parts), turn=parts == 4)
+            trees[i] = tree if unit == 1 else np.multiply(tree, unit, out=tree)
+    return trees[0], trees[1]
 
 
-def _read_tree(reader: _Reader, like: I32, chunk: Chunk, *, turn: bool) -> I32:
-    """Samples of one level, of the shape of ``like``, in 1/64 of the level's unit."""
-    samples, activity = np.zeros_like(like), dict[int, NDArray[np.uint8]]()
-    for knot in knots(chunk.span, start=chunk.starts):
-        shape = like.shape[1:]
-        residual = reader.signed(_tree_tables(knot, activity, shape, turn=turn)).reshape(shape)
-        activity[knot.at] = _activity(residual)
-        samples[knot.at] = predicted(samples, knot) + (residual << FRACTION_BITS)
-    return samples
-
-
-def _read_fades(reader: _Reader, head: _Head, lives: NDArray[np.uint8] | None) -> F32:
-    widths = reader.plain(np.full(head.splats, _WIDTH, np.uint8))
+def _read_fades(reader: SymbolReader, head: _Head, lives: NDArray[np.uint8] | None) -> F32:
+    widths = reader.plain(WIDTH, head.splats)
     if int(widths.max(initial=0)) > len(FADE_WIDTHS):
         raise DecodeError(f"motion: a fade's width has index {int(widths.max())}, at most {len(FADE_WIDTHS)}")
     fading = np.flatnonzero(widths)
     out = np.full((head.splats, 2), np.inf, np.float32)
     out[:, 0] = 0.0
-    centres = reader.signed(np.full(len(fading), _CENTRE, np.uint8))
+    centres = reader.signed(np.full(len(fading), CENTRE, np.uint8))
     width = FADE_WIDTHS[widths[fading].astype(np.int64) - 1]
     out[fading, 0] = middle_of_life(head.span, lives, fading) + centres * width / FADE_STEP
     out[fading, 1] = width

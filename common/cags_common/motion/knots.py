@@ -59,25 +59,17 @@ def predicted(samples: I32, knot: Knot) -> I32:
     """What ``samples`` [span + 1, ...] before ``knot`` lead to expect of it: rounded down, the same everywhere."""
     if knot.kind == START:
         return np.zeros_like(samples[0])
-    left = samples[knot.left]
+    left: I32 = samples[knot.left]
     if knot.kind == END:
         return left
     rise = (samples[knot.right].astype(np.int64) - left) * (knot.at - knot.left) // (knot.right - knot.left)
-    return (left + rise).astype(np.int32)
+    guess: I32 = (left + rise).astype(np.int32)
+    return guess
 
 
-def quantise(targets: F64, order: tuple[Knot, ...], deadzone: float) -> tuple[list[I32], I32]:
-    """Residuals of each knot of ``targets`` [span + 1, n, c] (units), against the decoder's samples, and those.
-
-    A residual within half a unit and ``deadzone`` units is zero: a sample is off by no more than that.
-    """
-    samples = np.zeros(targets.shape, np.int32)
-    residuals = []
-    for knot in order:
-        guess = predicted(samples, knot)
-        wanted = targets[knot.at] - guess / (1 << FRACTION_BITS)
-        size = np.floor(np.abs(wanted) + (0.5 - deadzone))
-        residual = (np.sign(wanted) * size).astype(np.int32)
-        samples[knot.at] = guess + (residual << FRACTION_BITS)
-        residuals.append(residual)
-    return residuals, samples
+def quantised(wanted: F64, guess: I32, deadzone: float) -> I32:
+    """Residuals of ``wanted`` (units) against a ``guess`` (fixed point); within half a unit and ``deadzone``: none."""
+    off = wanted - guess / (1 << FRACTION_BITS)
+    size = np.floor(np.abs(off) + (0.5 - deadzone))
+    residual: I32 = (np.sign(off) * size).astype(np.int32)
+    return residual

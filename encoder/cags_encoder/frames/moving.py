@@ -32,6 +32,9 @@ from cags_encoder.svq_codec import SvqCodec, SvqSplats
 PHASES = 4
 """The first chunks of a key frame's tiles are of so many lengths, so that later ones do not all begin at one frame."""
 
+SHARE = 0.25
+"""Part of the change threshold by which a single attribute may be wrong: it stays so for long, and others are, too."""
+
 STILL = 1.0
 """Splats that stay within so many finest units of where they are held need no chunk."""
 
@@ -157,7 +160,7 @@ class MovingGroups:
         wrong = _effects(held, now, scales)
         noise = _effects(new, now, now.log_scales)
         for name in names[:-1]:
-            out[name][old] = wrong[name] > noise[name] + self._threshold
+            out[name][old] = wrong[name] > noise[name] + SHARE * self._threshold
         out["opacity"][old] &= ~self._fading[ids[old]]
         out["whole"][old] = out["scale"][old] & ~same_axes
         return out

@@ -9,10 +9,10 @@ from cags_common.geometry import F64
 from cags_common.packing import U32
 from cags_common.splats import Splats
 
-MOVE_STEP = 0.125
+MOVE_STEP = 0.0625
 """Finest unit of positions, in standard deviations along a splat's middle axis."""
 
-TURN_STEP = 0.1
+TURN_STEP = 0.05
 """Finest unit of rotations, radians, of a splat whose two long axes are alike."""
 
 SMALL = 25.0
