@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32
-from cags_common.motion.apply import ABSENT_LOGIT, Steps, evaluate
+from cags_common.motion.apply import ABSENT_LOGIT, Looks, Steps, evaluate
 from cags_common.motion.chunk import Chunk
 from cags_common.splats import SH_REST_OF_DEGREE, Ids, Splats
 from cags_common.updates import UPDATE_COLUMNS
@@ -219,7 +219,7 @@ class SplatBuffer:
         mine = np.flatnonzero(self.owner[slot.ids] == slot.index)
         rows: Rows = slot.ids[mine].astype(np.intp)
         means, quats, logits = (still[slot.ids] for still in self._still)
-        moved = evaluate(chunk, time - start, means, quats, logits, slot.steps)
+        moved = evaluate(chunk, time - start, Looks(means, quats, logits), slot.steps)
         self._before_change(int(time), rows)
         self.splats.means[rows] = moved.means[mine]
         self.splats.quats[rows] = moved.quats[mine]

@@ -36,12 +36,19 @@ class Staleness:
         """
         self._claimed = tuple(tiles)
 
-    def shown(self, frame: int) -> NDArray[np.int32] | None:
-        """[capacity] the tile whose looks of a splat the client shows, or will soon; -1: none. None in another group.
+    def shown_with(self, frame: int, more: Iterable[tuple[int, int]]) -> NDArray[np.int32]:
+        """[capacity] the tile whose looks of a splat the client shows, or will with ``more`` (media frame, tile).
 
-        By tile numbers within the group of ``frame``.
+        By tile numbers within the group of ``frame``; -1: it shows none. A new tile may bring, with what is seen of it,
+        splats that have been replaced since.
         """
-        return self._sent if self._library.manifest.gof_of(frame) == self._gof else None
+        if not self._enters(frame):
+            return np.full(self._library.manifest.capacity[self._library.manifest.gof_of(frame)], -1, np.int32)
+        shown = self._sent.copy()
+        for key in more:
+            ids = self._library.tile_ids(*key)
+            shown[ids] = np.maximum(shown[ids], self._number(*key))
+        return shown
 
     def sent(self, frame: int, tile: int) -> None:
         """The looks of a tile's splats were queued; other kinds of tiles change no version."""

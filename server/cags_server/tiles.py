@@ -58,9 +58,9 @@ class TileSender:
         if not held.lods:
             self._staleness.lost(held.frame, held.tile)
 
-    def shown(self, frame: int) -> NDArray[np.int32] | None:
-        """See :meth:`Staleness.shown`."""
-        return self._staleness.shown(frame)
+    def shown_with(self, frame: int, more: Iterable[tuple[int, int]]) -> NDArray[np.int32]:
+        """See :meth:`Staleness.shown_with`."""
+        return self._staleness.shown_with(frame, more)
 
     def upgrades(self, frame: int, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
         """Messages of a frame: new tiles, the frame's end, tiles that begin later, detail."""

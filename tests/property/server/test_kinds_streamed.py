@@ -104,32 +104,34 @@ def in_picture(splats: Splats, camera: Camera) -> np.ndarray:
     return np.asarray((splats.logit_opacities > -10) & (z > camera.near) & inside)
 
 
-def assert_shows_the_truth(viewer: Viewer, frame: int) -> None:
+def assert_shows_the_truth(viewer: Viewer, frame: int, *, exact: bool = True) -> None:
     camera = Camera(hello().intrinsics, viewer.pose, 0.05)
     truth = viewer.library.reader.source(frame)
     seen = in_picture(truth.splats, camera)
     ids, splats = viewer.client.shown(frame)
     missing = np.setdiff1d(truth.ids[seen], ids)
     assert not len(missing), f"frame {frame}: {missing.tolist()} are not there"
+    phantom = np.setdiff1d(ids[in_picture(splats, camera)], truth.ids[seen])
+    assert not len(phantom), f"frame {frame}: ghosts {phantom.tolist()}"
+    if not exact:
+        return
     where = np.searchsorted(ids, truth.ids[seen])
     for (name, shown), (_, true) in zip(splats.take(where).arrays(), truth.splats.take(seen).arrays(), strict=True):
         same = np.isclose(shown, true).all(axis=tuple(range(1, true.ndim)))
         wrong = truth.ids[seen][~same]
         assert not len(wrong), f"frame {frame}: {name} of {wrong.tolist()}"
-    phantom = np.setdiff1d(ids[in_picture(splats, camera)], truth.ids[seen])
-    assert not len(phantom), f"frame {frame}: ghosts {phantom.tolist()}"
 
 
 @pytest.mark.parametrize("abr", ["utility", "paper", "buffer"])
 @given(seed=st.integers(0, 10_000), motion=st.booleans(), turns=st.booleans())
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_what_is_in_view_is_true_at_every_frame_on_a_link_without_bounds(
     abr: str, seed: int, motion: bool, turns: bool
 ) -> None:
     library = moving_library(f"memory://{uuid.uuid4().hex}", seed, motion=motion)
     viewer = Viewer(library, seed, abr)
     while (frame := viewer.step()) is not None:
-        assert_shows_the_truth(viewer, frame)
+        assert_shows_the_truth(viewer, frame, exact=abr != "paper")  # whose new tiles rise to a mean depth alone
         if turns:
             viewer.turn()
     assert viewer.planned
