@@ -218,8 +218,8 @@ class SplatBuffer:
         assert slot.steps is not None
         mine = np.flatnonzero(self.owner[slot.ids] == slot.index)
         rows: Rows = slot.ids[mine].astype(np.intp)
-        means, quats, logits = (still[slot.ids] for still in self._still)
-        moved = evaluate(chunk, time - start, Looks(means, quats, logits), slot.steps)
+        still = Looks(*(array[slot.ids] for array in self._still))
+        moved = evaluate(chunk, time - start, still, slot.steps)
         self._before_change(int(time), rows)
         self.splats.means[rows] = moved.means[mine]
         self.splats.quats[rows] = moved.quats[mine]
