@@ -197,6 +197,10 @@ TILE_CODECS: dict[str, Callable[[Manifest, bytes | memoryview], TileCodec]] = {
 }
 
 
+WHOLE_TILES_CODEC = "video"
+"""Codec of bundles whose LoD k is the whole tile at quality k: any payload opens a tile."""
+
+
 def tile_codec(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:
     """The codec that ``manifest`` names, with a bundle's serialised codebooks.
 

@@ -1,6 +1,6 @@
 """The frames of a clip, encoded in parallel and written in order.
 
-Frames pass through a chain: read and match (parallel), give ids (in order), quantise (parallel), compare with what the
+Frames pass through a chain: read (parallel), link and give ids (in order), quantise (parallel), compare with what the
 decoder holds (in order), pack (parallel), write (in order). Each link draws only as many frames as keep the workers
 busy, which bounds memory, and nothing depends on which worker is done first.
 """

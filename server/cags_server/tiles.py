@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.geometry import Camera
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
@@ -24,9 +25,6 @@ BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3
 
 Parts: TypeAlias = "tuple[list[ev.Outgoing], list[ev.Outgoing]]"
 """What comes new, and what makes better what is there."""
-
-WHOLE_TILES_CODEC = "video"
-"""Codec of bundles whose LoD k is the whole tile at quality k."""
 
 
 class TileSender:

@@ -15,6 +15,7 @@ from cags_common.splats import Ids, Splats
 from cags_encoder.frames.identity import IdentityTracker
 from cags_encoder.frames.looking import Look
 from cags_encoder.frames.rows import SplatTable
+from cags_encoder.frames.track_statistics import TrackStatistics
 from cags_encoder.sampling import check_degree
 
 MOTION = ("means", "quats")
@@ -62,7 +63,7 @@ class ClipPlacer:
             where = f"{self._name}, frame {index}"
             self.degree = seen.splats.sh_degree if self.degree is None else self.degree
             check_degree(seen.splats, self.degree, where)
-            identities, continuous = self._tracker.identify(len(seen.splats), seen.known, seen.rows, where)
+            identities, continuous = self._tracker.identify(seen.splats, seen.known, where)
             key = not self.starts or not continuous or index - self.starts[-1] >= self._gof_frames
             if key:
                 self._placer = Placer()
@@ -71,6 +72,10 @@ class ClipPlacer:
             low, high = axis_bounds(seen.splats.means)
             self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
             yield Placed(index, key, delta, self._placer.capacity, births, looked)
+
+    def tracks(self) -> TrackStatistics:
+        """What the tracks of the frames so far are like."""
+        return self._tracker.statistics()
 
 
 class Placer:

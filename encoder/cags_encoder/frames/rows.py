@@ -26,6 +26,31 @@ def same_bits(a: F32, b: F32) -> NDArray[np.bool_]:
     return same
 
 
+def identical_rows(before: Splats, after: Splats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows of both frames whose splats are the same, bit by bit; the first of equals with the first."""
+    mine, theirs = _keys(before), _keys(after)
+    by_mine, by_theirs = np.argsort(mine, kind="stable"), np.argsort(theirs, kind="stable")
+    mine, theirs = mine[by_mine], theirs[by_theirs]
+    rank = np.arange(len(theirs)) - np.searchsorted(theirs, theirs)
+    at = np.searchsorted(mine, theirs) + rank
+    paired = (at < len(mine)) & (mine[np.minimum(at, len(mine) - 1)] == theirs)
+    rows, others = by_mine[at[paired]], by_theirs[paired]
+    same = same_rows(before.take(rows), after.take(others))
+    return rows[same], others[same]
+
+
+def _keys(splats: Splats) -> NDArray[np.uint64]:
+    """A 64-bit mix of each splat's bits, but for its harmonics'."""
+    keys = np.zeros(len(splats), np.uint64)
+    for name, array in splats.arrays():
+        if name == "sh_rest":
+            continue
+        for column in array.reshape(len(splats), -1).view(np.uint32).T:
+            keys = (keys ^ column) * np.uint64(0x9E3779B97F4A7C15)
+            keys ^= keys >> np.uint64(29)
+    return keys
+
+
 class SplatTable:
     """Rows of splats by id, and which ids are alive."""
 

@@ -14,7 +14,6 @@ from cags_encoder.codecs import ClipCodec
 from cags_encoder.executors import Shared
 from cags_encoder.frames.differential import QuantisedDelta
 from cags_encoder.frames.effect import visible_effect
-from cags_encoder.frames.identity import match_rows
 from cags_encoder.frames.looking import Look
 from cags_encoder.frames.moving import UpdateCut
 from cags_encoder.frames.placing import Placed
@@ -28,11 +27,9 @@ AnyCut: TypeAlias = CutTile | UpdateCut | TrackSpan
 
 
 def look(source: Shared[FrameSource], index: int) -> Look:
-    """Read frame ``index``; where its source knows no identities, match it with the frame before."""
+    """Read frame ``index``."""
     frames = source.get()
-    splats, known = frames.frame(index), frames.ids(index)
-    unmatched = known is not None or index == 0
-    return Look(splats, known, None if unmatched else match_rows(frames.frame(index - 1), splats))
+    return Look(frames.frame(index), frames.ids(index))
 
 
 def read(source: Shared[FrameSource], index: int) -> Splats:

@@ -90,8 +90,8 @@ def encode_span(span: TrackSpan) -> TilePayloads:
 
 def _turns(span: TrackSpan) -> F64 | None:
     """Turns [span + 1, n, 4] from the rotations of the looks; None where nothing turns."""
-    seen: NDArray[np.bool_] = np.logical_and(span.present, ~span.round[None])
-    if np.array_equal(span.quats[seen], np.broadcast_to(span.first, span.quats.shape)[seen]):
+    differs = np.asarray(span.quats != span.first).any(axis=2)
+    if not (differs & span.present & ~span.round).any():
         return None
     return relative_turns(span.quats.astype(np.float64), span.first.astype(np.float64))
 
@@ -154,7 +154,7 @@ def _worthwhile(span: TrackSpan, anchors: F64, moves: F64) -> Blocks | None:
     """Rigid blocks, where they save more than they cost (judged at the ends and in the middle)."""
     unit = float(np.float32(max(float(np.percentile(span.steps.moves, 10)), 1e-30)))
     some = moves[[span.span // 2, span.span]]
-    weights: F64 = span.present.any(axis=0).astype(np.float64) + 1e-9
+    weights = np.asarray(span.present.any(axis=0), np.float64) + 1e-9
     tried = rigid_blocks(anchors, some, weights, BLOCK, unit)
     base, _ = carried(tried, anchors)
     moves_unit = span.steps.moves[None, :, None]
