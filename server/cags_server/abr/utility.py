@@ -69,8 +69,8 @@ class UtilityPolicy:
         for run in runs:
             while plan.depth(run.tile) < run.to_lod and plan.raise_once(run.tile):
                 pass
-            if plan.depth(run.tile) == 0 and run.tile.frame <= observation.frame and not plan.lacks(run.tile):
-                break  # nothing is worth more a byte than this base layer: what is left is saved for it
+            if plan.depth(run.tile) == 0 and not plan.lacks(run.tile):
+                break  # nothing is worth more a byte than this first level: what is left is saved for it
         return plan.decision()
 
 
@@ -131,9 +131,9 @@ def _absent(tile: TileView, held: float) -> float:
     """
     if tile.kind == TileKind.UPDATE:
         return min(held + _ratio(UPDATE_DB) * tile.stale_frames, _ratio(HOLE_DB))
+    if tile.kind == TileKind.MOTION:  # a chunk has a long time in which its lack grows
+        return min(_ratio(STALE_DB) * (tile.stale_frames + tile.frames_left / 2), _ratio(HOLE_DB))
     wandered = min(_ratio(STALE_DB) * tile.stale_frames, _ratio(HOLE_DB))
-    if tile.kind == TileKind.MOTION:
-        return wandered
     return tile.replaces * wandered + (1.0 - tile.replaces) * _ratio(HOLE_DB)
 
 
