@@ -153,11 +153,6 @@ class SceneLibrary:
                 self._ids.put((frame, tile), found, found.nbytes)
         return found
 
-    def owning_tiles(self, frame: int) -> list[tuple[int, int]]:
-        """Every (media frame, tile) that still owns a splat at ``frame``."""
-        owners = self.owners(frame)
-        return [self.tile_of(frame, int(n)) for n in np.unique(owners[owners >= 0])]
-
     def _trace_owners(self, gof: int, frame: int, known: tuple[int, Owners] | None) -> Owners:
         """Follow removals and tiles from the frame of ``known``, or from the group's start, to ``frame``."""
         tiles = self.tile_map(frame)
