@@ -41,7 +41,8 @@ def ghosts(
     older, newer = pairs
     in_view = _in_view(tiles, np.concatenate([there[found], older]), frame, camera, inventory)
     end = library.manifest.gof_frames(library.manifest.gof_of(frame))[-1]
-    chunks = [_chunk(tiles, int(n), int(counts[n]), frame, end) for n in there[found][in_view[: len(found)]]]
+    standing = there[found][in_view[: len(found)]]
+    chunks = _chunks(tiles, standing, counts[standing].tolist(), frame, end)
     replaced = zip(newer, sizes, in_view[len(found) :], strict=True)
     return chunks + _newer(tiles, [(int(n), int(size)) for n, size, seen in replaced if seen], inventory)
 
@@ -83,11 +84,15 @@ def shown_bounds(tiles: TileMap, looks: int, frame: int, inventory: ClientInvent
     return bounds
 
 
-def _chunk(tiles: TileMap, looks: int, splats: int, frame: int, end: int) -> VisibleTile:
-    of = np.array([looks], np.int32)
-    chunk, after = int(tiles.chunk_at(of, frame)[0]), int(tiles.chunk_after(of, frame)[0])
-    left = min((int(tiles.frames[after]) if after >= 0 else end + 1) - frame, LONGEST_STAY)
-    return VisibleTile(*tiles.key(chunk), splats, float(splats), left, TileKind.MOTION, tiles.key(looks))
+def _chunks(tiles: TileMap, looks: Numbers, splats: list[int], frame: int, end: int) -> list[VisibleTile]:
+    """The newest motion of each tile of ``looks``, of which so many ``splats`` are shown."""
+    after = tiles.chunk_after(looks, frame)
+    left = np.minimum(np.where(after >= 0, tiles.frames[after], end + 1) - frame, LONGEST_STAY).tolist()
+    rows = zip(tiles.chunk_at(looks, frame).tolist(), looks.tolist(), splats, left, strict=True)
+    return [
+        VisibleTile(*tiles.key(chunk), count, float(count), stays, TileKind.MOTION, tiles.key(of))
+        for chunk, of, count, stays in rows
+    ]
 
 
 def _newer(tiles: TileMap, replaced: list[tuple[int, int]], inventory: ClientInventory) -> list[VisibleTile]:
