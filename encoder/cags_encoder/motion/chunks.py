@@ -27,6 +27,9 @@ STRAIGHT = 1.0
 ROUGH = 0.75
 """Ends of lines are rounded to a coarser level's unit where no sample is then off by more finest units than this."""
 
+MOST_MOVED, MOST_TURNED = 1.0, 3.0
+"""Smoothing changes no sample of positions and rotations by more finest units than this, so that nobody sees it."""
+
 ROUND = 1.05
 """Ratio of a splat's longest to its shortest axis below which nobody sees it turn."""
 
@@ -71,7 +74,8 @@ def encode_span(span: TrackSpan) -> TilePayloads:
         turns = _beside(np.broadcast_to(np.eye(4)[0], block_turns.shape) if turns is None else turns, block_turns)
     else:
         base = anchors[None]
-    residuals = _straight(np.clip((moves - base) / unit, -MOST_UNITS, MOST_UNITS), span.present, starts=span.starts)
+    residuals = smoothed(np.clip((moves - base) / unit, -MOST_UNITS, MOST_UNITS), MOST_MOVED, starts=span.starts)
+    residuals = _straight(residuals, span.present, starts=span.starts)
     rotations = None if turns is None else _turn_residuals(span, turns)
     if rotations is None or np.abs(residuals).max(initial=0.0) > LEAST_UNITS:
         told: F64 | None = residuals
@@ -168,7 +172,7 @@ def _turn_residuals(span: TrackSpan, turns: F64) -> F64 | None:
     if not span.present.all():
         last = span.span - span.present[::-1].argmax(axis=0)
         units = np.where(span.present[:, :, None], units, units[last, np.arange(units.shape[1])][None])
-    units = smoothed(np.clip(units, -MOST_UNITS, MOST_UNITS), starts=span.starts)
+    units = smoothed(np.clip(units, -MOST_UNITS, MOST_UNITS), MOST_TURNED, starts=span.starts)
     units = _straight(units, span.present, starts=span.starts)
     return units if np.abs(units).max(initial=0.0) > LEAST_UNITS else None
 

@@ -14,9 +14,6 @@ LEAST_FRAMES = 5
 LEAST_NOISE = 0.03
 """Noise below so many finest units costs next to nothing."""
 
-MOST_CHANGE = 3.0
-"""Smoothing changes no sample by more finest units than this, so that nobody sees it."""
-
 SHARE = 1.5
 """Smoothing takes away at most so many times the noise, in the root mean square."""
 
@@ -28,9 +25,9 @@ _FOURTH = 70.0
 """Sum of the squares of (1, -4, 6, -4, 1): how much of white noise is in fourth differences."""
 
 
-def smoothed(values: F64, *, starts: bool) -> F64:
+def smoothed(values: F64, most: float, *, starts: bool) -> F64:
     """``values`` [frames, n, c] in finest units without the noise that their fourth differences tell, each splat as
-    smooth as its noise allows: Whittaker's smoothing (1923) by second differences, its strength by the discrepancy.
+    smooth as its noise and ``most`` units of change allow: Whittaker's smoothing (1923) by second differences, its strength by the discrepancy.
 
     Without ``starts`` the first sample is nothing, and nothing it stays.
     """
@@ -44,7 +41,7 @@ def smoothed(values: F64, *, starts: bool) -> F64:
         tried = np.einsum("ft,tnc->fnc", _smoother(len(values), strength, starts), noisy)
         off = tried - noisy
         fine = np.sqrt(np.square(off).mean(axis=(0, 2))) <= limit
-        fine &= np.abs(off).max(axis=(0, 2), initial=0.0) <= MOST_CHANGE
+        fine &= np.abs(off).max(axis=(0, 2), initial=0.0) <= most
         chosen = np.where(fine[:, None], tried, chosen)
     out = values.copy()
     out[:, rows] = chosen
