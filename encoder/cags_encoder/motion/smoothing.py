@@ -26,8 +26,10 @@ _FOURTH = 70.0
 
 
 def smoothed(values: F64, most: float, *, starts: bool) -> F64:
-    """``values`` [frames, n, c] in finest units without the noise that their fourth differences tell, each splat as
-    smooth as its noise and ``most`` units of change allow: Whittaker's smoothing (1923) by second differences, its strength by the discrepancy.
+    """``values`` [frames, n, c] in finest units without the noise that their fourth differences tell.
+
+    Each splat is as smooth as its noise, and ``most`` units of change, allow: Whittaker's smoothing (1923) by second
+    differences, its strength by the discrepancy.
 
     Without ``starts`` the first sample is nothing, and nothing it stays.
     """
