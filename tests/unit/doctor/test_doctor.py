@@ -120,7 +120,7 @@ def test_every_part_is_tried_here() -> None:
     found = {finding.matter: finding for finding in parts.part_findings()}
     for matter in ("H.264", "Draco", "k-means"):
         assert found[matter].verdict is Verdict.OK, found[matter]
-    assert found["CUDA"].verdict is not Verdict.MISSING
+    assert found["GPU"].verdict is not Verdict.MISSING
 
 
 def test_kernels_of_another_version_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,140 @@
+"""The structs that host and shaders share, packed as WGSL lays them out; a test holds both together."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cags_common.geometry import Camera
+from cags_common.raster.base import Exactness, RenderOptions
+from cags_common.raster.definition import JACOBIAN_MARGIN
+
+TILE_PX = 16
+BRIGHTEST = 3e38
+"""Where colours end that no display shows."""
+
+STOP = {Exactness.FAST: 1 / 255, Exactness.BALANCED: 1e-4, Exactness.EXACT: 1e-6}
+"""A pixel is given up when it transmits no more."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A WGSL struct of 4-byte scalars: field -> (offset in bytes, ``f`` or ``I``, how many)."""
+
+    fields: Mapping[str, tuple[int, str, int]]
+    size: int
+
+    def pack(self, **values: object) -> bytes:
+        """The struct's bytes. Fields that are not named are zero; raises ``KeyError`` for a name that is not there."""
+        out = bytearray(self.size)
+        for name, value in values.items():
+            offset, kind, count = self.fields[name]
+            numbers = np.atleast_1d(np.asarray(value)).ravel().tolist()
+            if len(numbers) > count:
+                raise ValueError(f"{name} holds {count} numbers, not {len(numbers)}")
+            struct.pack_into(f"<{len(numbers)}{kind}", out, offset, *numbers)
+        return bytes(out)
+
+
+VIEW = Layout(
+    {
+        "row_x": (0, "f", 4),
+        "row_y": (16, "f", 4),
+        "row_z": (32, "f", 4),
+        "position": (48, "f", 4),
+        "position_rest": (64, "f", 4),
+        "focal": (80, "f", 2),
+        "principal": (88, "f", 2),
+        "limit": (96, "f", 2),
+        "size": (104, "I", 2),
+        "tiles": (112, "I", 2),
+        "near": (120, "f", 1),
+        "dilation": (124, "f", 1),
+        "variance": (128, "f", 1),
+        "void_alpha": (132, "f", 1),
+        "stop": (136, "f", 1),
+        "brightest": (140, "f", 1),
+        "count": (144, "I", 1),
+        "sh_count": (148, "I", 1),
+        "sh_used": (152, "I", 1),
+        "capacity": (156, "I", 1),
+    },
+    160,
+)
+CHUNK = Layout({"first": (0, "I", 1), "count": (4, "I", 1), "kind": (8, "I", 1), "unused": (12, "I", 1)}, 16)
+UPDATE = Layout({"rows": (0, "I", 1), "sh_words": (4, "I", 1), "width": (8, "I", 1), "unused": (12, "I", 1)}, 16)
+SORT = Layout({"shift": (0, "I", 1), "count": (4, "I", 1), "blocks": (8, "I", 1), "counted": (12, "I", 1)}, 16)
+COUNT = Layout({"count": (0, "I", 1), "unused_a": (4, "I", 1), "unused_b": (8, "I", 1), "unused_c": (12, "I", 1)}, 16)
+CORRECTION = Layout(
+    {
+        "m0": (0, "f", 4),
+        "m1": (16, "f", 4),
+        "m2": (32, "f", 4),
+        "size": (48, "I", 2),
+        "reference": (56, "I", 2),
+        "cell": (64, "f", 2),
+        "stride": (72, "I", 1),
+        "tolerance": (76, "f", 1),
+        "slope_cells": (80, "f", 1),
+        "border": (84, "f", 1),
+        "knee": (88, "f", 1),
+        "hole_alpha": (92, "f", 1),
+        "grid": (96, "I", 2),
+        "kind": (104, "I", 1),
+        "unused": (108, "I", 1),
+    },
+    112,
+)
+COMPAND = Layout({"size": (0, "I", 2), "knee": (8, "f", 1), "unused": (12, "I", 1)}, 16)
+
+LAYOUTS = {
+    "View": VIEW,
+    "Chunk": CHUNK,
+    "Update": UPDATE,
+    "Sort": SORT,
+    "Count": COUNT,
+    "Correction": CORRECTION,
+    "Compand": COMPAND,
+}
+"""By the names that the shaders give them."""
+
+
+def tiles_of(camera: Camera) -> tuple[int, int]:
+    """Tiles along x and y of a camera's picture."""
+    return -(-camera.width_px // TILE_PX), -(-camera.height_px // TILE_PX)
+
+
+def view_bytes(
+    camera: Camera, options: RenderOptions, *, count: int, sh_count: int, sh_used: int, capacity: int
+) -> bytes:
+    """The ``View`` of a camera and options over a scene of ``count`` splats with ``sh_count`` harmonics a channel."""
+    i, rotation = camera.intrinsics, camera.world_to_camera[0]
+    position = np.asarray(camera.pose.position, np.float64)
+    leading = position.astype(np.float32)
+    size = np.array([i.width_px, i.height_px])
+    footprint = options.footprint
+    return VIEW.pack(
+        row_x=rotation[0],
+        row_y=rotation[1],
+        row_z=rotation[2],
+        position=leading,
+        position_rest=position - leading,
+        focal=(i.fx_px, i.fy_px),
+        principal=(i.cx_px, i.cy_px),
+        limit=JACOBIAN_MARGIN * 0.5 * size / np.array([i.fx_px, i.fy_px]),
+        size=size,
+        tiles=tiles_of(camera),
+        near=camera.near,
+        dilation=footprint.dilation_px2,
+        variance=footprint.dilation_px2 + footprint.filter_px2,
+        void_alpha=options.void_alpha,
+        stop=STOP[options.exactness],
+        brightest=1.0 if options.displayed else BRIGHTEST,
+        count=count,
+        sh_count=sh_count,
+        sh_used=sh_used,
+        capacity=capacity,
+    )
