@@ -15,7 +15,7 @@ from cags_gpu.keeper import Keeper
 from cags_gpu.raster import GpuRasteriser, GpuScene
 from cags_gpu.workspace import LEAST_CAPACITY
 from support.gpu import any_gpu, keeper, needs_adapter, rasteriser
-from support.raster_scenes import F, assert_sound, camera, psnr_db, random_splats, splat, tilted_camera
+from support.raster_scenes import F, camera, psnr_db, random_splats, splat, tilted_camera
 
 pytestmark = needs_adapter
 
