@@ -7,9 +7,10 @@ Hardware behind Vulkan, Metal or Direct3D 12 only. Software adapters (lavapipe, 
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -57,12 +58,23 @@ def adapters() -> list[tuple[AdapterInfo, Handle]]:
         import wgpu
     except (ImportError, OSError) as error:
         raise ConfigError(f"wgpu cannot be loaded ({error}); pip install 'cags-stream[gpu]'") from error
+    _without_display()
     try:
         found = [(_info(handle), handle) for handle in wgpu.gpu.enumerate_adapters_sync()]
     except Exception as error:  # wgpu raises what its native library says, in types of its own
         raise ConfigError(f"adapters cannot be listed: {_first_line(error)}") from error
     fit = [pair for pair in found if pair[0].backend in BACKENDS]
     return sorted(fit, key=lambda pair: (pair[0].software, pair[1].info["adapter_type"] != "DiscreteGPU"))
+
+
+@cache
+def _without_display() -> None:
+    """Keep drivers from looking for a display, whose absence some report on standard error at every device."""
+    from wgpu.backends.wgpu_native.extras import set_instance_extras
+
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # where Wayland's library looks for a socket
+    with suppress(RuntimeError):  # the process has made an instance before
+        set_instance_extras(backends=("Vulkan", "Metal", "DX12"))
 
 
 def software_allowed() -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -28,6 +28,7 @@ from cags_common.splats import Splats
 from cags_gpu.device import DeviceLostError, Handle
 from cags_gpu.keeper import Keeper, shared_keeper
 from cags_gpu.scene import Columns, ResidentScene, Target
+from cags_gpu.submission import Recording, submitted
 from cags_gpu.workspace import TooLargeError, Workspace
 
 Result = TypeVar("Result")
@@ -123,7 +124,7 @@ class GpuScene:
         if workspace is not None:
             try:
                 with workspace.gpu.used():
-                    return draw(self._on(workspace))
+                    return draw(self.on(workspace))
             except DeviceLostError as error:
                 self._keeper.lost(workspace, str(error))
             except TooLargeError as error:
@@ -132,7 +133,8 @@ class GpuScene:
             self._resident = None
         return instead(self._on_cpu())
 
-    def _on(self, workspace: Workspace) -> ResidentScene:
+    def on(self, workspace: Workspace) -> ResidentScene:
+        """The scene in that device's memory; called with the device's lock held."""
         if self._resident is None or self._resident.workspace is not workspace:
             self._resident = ResidentScene(workspace, self._splats)
             self._stand_in = None
@@ -157,50 +159,15 @@ class GpuScene:
             self._keeper.lost(resident.workspace, str(error))
 
 
-def submitted(
-    scene: ResidentScene, record: Callable[[Handle], Sequence[tuple[Handle, int]]]
-) -> list[NDArray[np.uint8]]:
-    """Record, submit and read back; again with larger buffers where there were more entries than room for them.
-
-    ``record`` puts a frame into an encoder and returns the buffers to read with their sizes in bytes.
-    """
-    workspace = scene.workspace
-    while True:
-        encoder = scene.gpu.device.create_command_encoder()
-        outputs = record(encoder)  # first: it may replace the workspace's buffers
-        state, *read = _read(scene, encoder, [(workspace["state"], 16), *outputs])
-        if workspace.grow(int(state.view(np.uint32)[2])):
-            return read
-
-
-def _read(scene: ResidentScene, encoder: Handle, wanted: Sequence[tuple[Handle, int]]) -> list[NDArray[np.uint8]]:
-    """Bytes of several buffers through one that the host maps."""
-    import wgpu
-
-    total = sum(size for _, size in wanted)
-    through = scene.workspace.readback(total)
-    at = 0
-    for buffer, size in wanted:
-        encoder.copy_buffer_to_buffer(buffer, 0, through, at, size)
-        at += size
-    scene.gpu.device.queue.submit([encoder.finish()])
-    through.map_sync(wgpu.MapMode.READ, 0, total)
-    try:
-        everything = np.frombuffer(through.read_mapped(0, total), np.uint8)
-    finally:
-        through.unmap()
-    return np.split(everything, np.cumsum([size for _, size in wanted])[:-1])
-
-
 def _rendered(scene: ResidentScene, camera: Camera, options: RenderOptions) -> RenderedView:
     pixels = camera.width_px * camera.height_px
     wanted = options.depth is not DepthKind.NONE
 
-    def record(encoder: Handle) -> list[tuple[Handle, int]]:
-        target = scene.record(encoder, camera, options)
+    def record(recording: Recording) -> list[tuple[Handle, int]]:
+        target = scene.record(recording, camera, options)
         return _outputs(scene, target, options, pixels)
 
-    picture, *rest = submitted(scene, record)
+    picture, *rest = submitted(scene.workspace, record)
     shape = (camera.height_px, camera.width_px)
     rgba = picture.view(np.float32).reshape(*shape, 4)
     depth = rest[0].view(np.float32).reshape(shape).copy() if wanted else None
@@ -221,13 +188,13 @@ def _back_projected(scene: ResidentScene, camera: Camera, residual: F32, options
     largest = float(np.abs(residual).max(initial=0.0)) or 1.0
     scaled = np.ascontiguousarray(residual / np.float32(largest))
 
-    def record(encoder: Handle) -> list[tuple[Handle, int]]:
+    def record(recording: Recording) -> list[tuple[Handle, int]]:
         target = scene.target(camera)
         scene.gpu.device.queue.write_buffer(target["residual"], 0, scaled)
-        scene.record(encoder, camera, replace(options, depth=DepthKind.EXPECTED), adjoint=True)
+        scene.record(recording, camera, replace(options, depth=DepthKind.EXPECTED), adjoint=True)
         return [(scene.workspace["carried"], 16 * scene.count)]
 
-    (carried,) = submitted(scene, record)
+    (carried,) = submitted(scene.workspace, record)
     sums = carried.view(np.float32).reshape(-1, 4)
     return BackProjection(sums[:, :3] * np.float32(largest), sums[:, 3].copy())
 

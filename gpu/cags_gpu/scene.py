@@ -15,6 +15,7 @@ from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.graph import Dispatch, buffer_bytes, build, encode
 from cags_gpu.layout import CHUNK, COUNT, UPDATE, tiles_of, view_bytes
+from cags_gpu.submission import Recording
 from cags_gpu.workspace import TooLargeError, Workspace
 
 STAGED_BYTES = 32 << 20
@@ -91,6 +92,7 @@ class Target:
             "cells_x": cells_x,
             "cells_y": cells_y,
             "cells": 2 * cells_x * cells_y + 64,  # all levels together
+            "one": 1,
             "tile_bits": max(1, (tiles_x * tiles_y).bit_length()),  # one tile more than there are: padding
         }
         self.view = gpu.buffer(160, uniform=True)
@@ -124,6 +126,7 @@ class ResidentScene:
         self._buffers = {name: gpu.buffer(size) for name, size in sizes.items()}
         self._chunks = self._chunked()
         self._targets: dict[tuple[int, int, str], Target] = {}
+        self._kept: dict[str, Handle] = {}
         self._unsorted = True
         self.change(Columns.of(np.arange(self.count), splats))
 
@@ -162,6 +165,13 @@ class ResidentScene:
             )
         self.gpu.device.queue.submit([encoder.finish()])
 
+    def kept(self, name: str, size: int) -> Handle:
+        """A buffer of the scene's own, made when it is first asked for or was smaller."""
+        held = self._kept.get(name)
+        if held is None or held.size < size:
+            held = self._kept[name] = self.gpu.buffer(size)
+        return held
+
     def target(self, camera: Camera, role: str = "") -> Target:
         """The buffers of pictures of the camera's size; ``role`` keeps two of one size apart."""
         key = (camera.width_px, camera.height_px, role)
@@ -172,7 +182,7 @@ class ResidentScene:
         return found
 
     def record(
-        self, encoder: Handle, camera: Camera, options: RenderOptions, *, adjoint: bool = False, role: str = ""
+        self, recording: Recording, camera: Camera, options: RenderOptions, *, adjoint: bool = False, role: str = ""
     ) -> Target:
         """Record a frame: afterwards the target holds picture and depth, the workspace contributions and counts."""
         packed = options.exactness is not Exactness.EXACT
@@ -190,10 +200,13 @@ class ResidentScene:
             "median": options.depth is DepthKind.MEDIAN,
         }
         if self._unsorted:
-            encode(encoder, self._steps(target, "hash", {}))
-            self._unsorted = False
-        encode(encoder, self._steps(target, "frame", flags))
+            encode(recording.encoder, self._steps(target, "hash", {}))
+            recording.once_submitted.append(self._is_sorted)
+        encode(recording.encoder, self._steps(target, "frame", flags))
         return target
+
+    def _is_sorted(self) -> None:
+        self._unsorted = False
 
     def _steps(self, target: Target, kind: str, flags: dict[str, bool]) -> list[Dispatch]:
         key = (kind, self.workspace.version, *flags.items())

@@ -4,7 +4,7 @@
 @group(0) @binding(1) var<storage, read> touched: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;             // splats front to back
 @group(0) @binding(3) var<storage, read_write> sums: array<u32>;        // of blocks of 2048 splats
-@group(0) @binding(4) var<storage, read_write> state: array<u32>;       // 0: splats, 1: entries, 2: entries wanted
+@group(0) @binding(4) var<storage, read_write> state: array<u32>;       // 0: splats, 1: entries, 2: wanted, 3: most wanted since cleared
 @group(0) @binding(5) var<storage, read_write> dispatch: array<u32>;    // workgroups: [0..2] of 2048, [3..5] of 256 entries
 @group(0) @binding(6) var<storage, read> records: array<vec4<u32>>;
 @group(0) @binding(7) var<storage, read_write> entry_tile: array<u32>;
@@ -62,6 +62,7 @@ fn added(a: u32, b: u32) -> u32 { return select(a + b, 0xffffffffu, a + b < a); 
     state[0] = view.count;
     state[1] = entries;
     state[2] = upto;
+    state[3] = max(state[3], upto);
     dispatch[0] = (entries + BLOCK - 1u) / BLOCK; dispatch[1] = 1u; dispatch[2] = 1u;
     dispatch[3] = min((entries + 255u) / 256u, 65535u); dispatch[4] = 1u; dispatch[5] = 1u;
   }
