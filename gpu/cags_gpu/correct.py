@@ -120,7 +120,8 @@ class _Frame:
 
     @property
     def _drawing(self) -> RenderOptions:
-        return replace(self.options, depth=DepthKind.EXPECTED, contribution=False)
+        thin = max(self.options.void_alpha, self.settings.hole_alpha)
+        return replace(self.options, depth=DepthKind.EXPECTED, contribution=False, void_alpha=thin)
 
     @property
     def _own_drawing(self) -> RenderOptions:
@@ -162,7 +163,7 @@ class _Frame:
                 recording.encoder, build(scene.gpu, "plain", target.counts, flags, lambda n: named.get(n) or target[n])
             )
             return
-        counts = target.counts | _reference_counts(self.reference.camera)
+        counts = target.counts | _reference_counts(self.camera, self.reference.camera)
         sizes = buffer_bytes("reference", counts)
         named |= {name: scene.kept(name, size) for name, size in sizes.items()}
         scene.gpu.device.queue.write_buffer(named["coded"], 0, np.ascontiguousarray(self.reference.coded, np.float32))
@@ -194,15 +195,17 @@ class _Frame:
             slope_cells=settings.slope_cells,
             border=settings.border_px,
             knee=self.reference.knee,
-            hole_alpha=settings.hole_alpha,
             grid=(-(-size[0] // definition.CELL_PX), -(-size[1] // definition.CELL_PX)),
             kind=int(self.reference.picture),
         )
 
 
-def _reference_counts(camera: Camera) -> dict[str, int]:
+def _reference_counts(client: Camera, camera: Camera) -> dict[str, int]:
     width, height = camera.width_px, camera.height_px
+    stride = Placement(client, camera).stride
     return {
+        "sampled_x": -(-client.width_px // stride),
+        "sampled_y": -(-client.height_px // stride),
         "reference_x": width,
         "reference_y": height,
         "reference_pixels": width * height,

@@ -1,7 +1,7 @@
 """The readable definition of the client's frame (float64): draw, sample what is lacking by depth, add.
 
 The shaders are tested against it, and it serves while there is no device. Its steps: the reference is *expanded* to
-what the client lacks; the depth's *holes* are filled from around them (pull-push over opacity-weighted inverse depth);
+what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth);
 each pixel is *projected* into the reference, left out where something nearer hides it (z-test) and faded towards the
 reference's border; the sample is *added*. This is PRPA (post-render perspective alignment) as the client's last step.
 """
@@ -130,8 +130,9 @@ def correct(
     """The frame of ``view`` (with its depth), drawn from ``camera``, with what ``reference`` says is lacking."""
     settings = settings or CorrectSettings()
     assert view.depth is not None
+    thin = view.alpha < settings.hole_alpha
     placement = Placement(camera, reference.camera)
-    depth = filled(view.depth.astype(np.float64), view.alpha.astype(np.float64), settings.hole_alpha)
+    depth = filled(np.where(thin, np.inf, view.depth.astype(np.float64)))
     x, y, z, inside = _placed(depth, placement)
     hidden = _hidden(depth, (x, y, z), inside, placement, settings)
     width, height = reference.camera.width_px, reference.camera.height_px
@@ -142,10 +143,10 @@ def correct(
     return Corrected(rgb.astype(np.float32), confidence.astype(np.float32))
 
 
-def filled(depth: F64, alpha: F64, hole_alpha: float) -> F64:
-    """``depth`` [H, W] with holes (void, or of less opacity) filled from around them; finite everywhere."""
+def filled(depth: F64) -> F64:
+    """``depth`` [H, W] with its holes (+inf) filled from around them; finite everywhere."""
     known = np.isfinite(depth) & (depth > 0)
-    weight = np.where(known, alpha, 0.0)
+    weight = known.astype(np.float64)
     inverse = weight / np.where(known, depth, 1.0)
     pixels = _cell_sums(np.ones_like(depth))
     total = _cell_sums(weight)
@@ -153,7 +154,7 @@ def filled(depth: F64, alpha: F64, hole_alpha: float) -> F64:
     height, width = depth.shape
     u, v = (np.arange(width) + 0.5) / CELL_PX, (np.arange(height) + 0.5) / CELL_PX
     around = 1.0 / np.maximum(_bilinear(smooth, u, v), 1.0 / FAR)
-    return np.where(known & (alpha >= hole_alpha), np.where(known, depth, 1.0), around)
+    return np.where(known, depth, around)
 
 
 def _cell_sums(image: F64) -> F64:

@@ -5,15 +5,15 @@ struct Correction {
   m0: vec4<f32>, m1: vec4<f32>, m2: vec4<f32>,       // rows of m, b in the fourth: (x z, y z, z) = D m (u, v, 1) + b
   size: vec2<u32>, reference: vec2<u32>,
   cell: vec2<f32>, stride: u32, tolerance: f32,      // cell: client pixels a reference pixel
-  slope_cells: f32, border: f32, knee: f32, hole_alpha: f32,
-  grid: vec2<u32>, kind: u32, unused: u32,           // kind 0: a companded difference, 1: a picture
+  slope_cells: f32, border: f32, knee: f32, unused_a: f32,
+  grid: vec2<u32>, kind: u32, unused_b: u32,         // kind 0: a companded difference, 1: a picture
 }
 @group(0) @binding(0) var<uniform> job: Correction;
 @group(0) @binding(1) var<storage, read> picture: array<vec4<f32>>;         // the client's own: rgb, alpha
-@group(0) @binding(2) var<storage, read> depth: array<u32>;                 // bits of a float; +inf where void
+@group(0) @binding(2) var<storage, read> depth: array<u32>;                 // bits of a float; +inf where void or thin
 @group(0) @binding(3) var<storage, read_write> cells: array<vec2<f32>>;     // inverse depth and weight, level after level
 @group(0) @binding(4) var<storage, read_write> filled: array<u32>;          // depth without holes, bits
-@group(0) @binding(5) var<storage, read_write> places: array<vec4<f32>>;    // x, y, z in the reference, 1 where inside
+@group(0) @binding(5) var<storage, read_write> places: array<vec2<u32>>;    // bits of z in the reference, and the pixel there or OUTSIDE
 @group(0) @binding(6) var<storage, read_write> nearest: array<atomic<u32>>; // bits of the least z of each reference pixel
 @group(0) @binding(7) var<storage, read_write> first: array<atomic<u32>>;   // of equally near pixels the first
 @group(0) @binding(8) var<storage, read> coded: array<f32>;                 // the decoded reference [h][w][3] in [0, 1]
@@ -23,6 +23,7 @@ struct Correction {
 override FLOATS: bool = false;
 const CELL = 8u;         // pixels a side of the grid that fills holes in the depth
 const VOID = 0x7f800000u;
+const OUTSIDE = 0xffffffffu;
 const FAR = 1e6;         // depth where nothing is known anywhere, world units
 const LEAST_WEIGHT = 1e-6;
 
@@ -42,7 +43,7 @@ fn known(bits: u32) -> bool { return bits > 0u && bits < VOID; }
   lack[i] = vec4(difference, 0.0);
 }
 
-// Opacity-weighted inverse depth of each cell.
+// Inverse depth of each cell, and the share of its pixels that have one.
 @compute @workgroup_size(8, 8) fn average(@builtin(global_invocation_id) id: vec3<u32>) {
   if (any(id.xy >= job.grid)) { return; }
   var sum = vec2(0.0);
@@ -51,8 +52,7 @@ fn known(bits: u32) -> bool { return bits > 0u && bits < VOID; }
     for (var x = id.x * CELL; x < end.x; x++) {
       let i = y * job.size.x + x;
       if (known(depth[i])) {
-        let weight = picture[i].w;
-        sum += vec2(weight / bitcast<f32>(depth[i]), weight);
+        sum += vec2(1.0 / bitcast<f32>(depth[i]), 1.0);
       }
     }
   }
@@ -116,37 +116,39 @@ fn pushed(lane: u32, fine: u32, size: vec2<u32>, coarse: u32, half: vec2<u32>) {
   atomicStore(&first[id.x], 0xffffffffu);
 }
 
-fn cell_of(p: vec4<f32>) -> u32 { return u32(p.y) * (job.reference.x + 1u) + u32(p.x); }
+struct Place { xy: vec2<f32>, z: f32 }
+
+fn placed(pixel: vec2<u32>, d: f32) -> Place {
+  let ray = vec3(vec2<f32>(pixel) + 0.5, 1.0);
+  let z = d * dot(job.m2.xyz, ray) + job.m2.w;
+  return Place(vec2(d * dot(job.m0.xyz, ray) + job.m0.w, d * dot(job.m1.xyz, ray) + job.m1.w) / z, z);
+}
 
 // Depth without holes, and where each pixel lies in the reference.
 @compute @workgroup_size(16, 16) fn place(@builtin(global_invocation_id) id: vec3<u32>) {
   if (any(id.xy >= job.size)) { return; }
   let i = id.y * job.size.x + id.x;
-  let pixel = vec2<f32>(id.xy) + 0.5;
   var bits = depth[i];
-  if (!known(bits) || picture[i].w < job.hole_alpha) {
-    bits = bitcast<u32>(1.0 / max(sampled_cell(0u, job.grid, pixel / f32(CELL)), 1.0 / FAR));
+  if (!known(bits)) {
+    let cell = (vec2<f32>(id.xy) + 0.5) / f32(CELL);
+    bits = bitcast<u32>(1.0 / max(sampled_cell(0u, job.grid, cell), 1.0 / FAR));
   }
   filled[i] = bits;
-  let d = bitcast<f32>(bits);
-  let ray = vec3(pixel, 1.0);
-  let z = d * dot(job.m2.xyz, ray) + job.m2.w;
-  let xy = vec2(d * dot(job.m0.xyz, ray) + job.m0.w, d * dot(job.m1.xyz, ray) + job.m1.w) / z;
-  var out = vec4(0.0);
-  if (z > 0.0 && all(xy >= vec2(0.0)) && all(xy <= vec2<f32>(job.reference))) {
-    out = vec4(xy, z, 1.0);
-    if (id.x % job.stride == 0u && id.y % job.stride == 0u) { atomicMin(&nearest[cell_of(out)], bitcast<u32>(z)); }
+  let p = placed(id.xy, bitcast<f32>(bits));
+  var there = OUTSIDE;
+  if (p.z > 0.0 && all(p.xy >= vec2(0.0)) && all(p.xy <= vec2<f32>(job.reference))) {
+    there = u32(p.xy.y) * (job.reference.x + 1u) + u32(p.xy.x);
+    if (id.x % job.stride == 0u && id.y % job.stride == 0u) { atomicMin(&nearest[there], bitcast<u32>(p.z)); }
   }
-  places[i] = out;
+  places[i] = vec2(bitcast<u32>(p.z), there);
 }
 
 @compute @workgroup_size(16, 16) fn claim(@builtin(global_invocation_id) id: vec3<u32>) {
-  if (any(id.xy >= job.size) || id.x % job.stride != 0u || id.y % job.stride != 0u) { return; }
-  let i = id.y * job.size.x + id.x;
+  let pixel = id.xy * job.stride;
+  if (any(pixel >= job.size)) { return; }
+  let i = pixel.y * job.size.x + pixel.x;
   let p = places[i];
-  if (p.w == 0.0) { return; }
-  let c = cell_of(p);
-  if (bitcast<u32>(p.z) == atomicLoad(&nearest[c])) { atomicMin(&first[c], i); }
+  if (p.y != OUTSIDE && p.x == atomicLoad(&nearest[p.y])) { atomicMin(&first[p.y], i); }
 }
 
 fn depth_step(i: u32, j: u32) -> f32 { return abs(bitcast<f32>(filled[i]) - bitcast<f32>(filled[j])); }
@@ -163,12 +165,11 @@ fn slack(id: vec2<u32>, i: u32) -> f32 {
   return job.slope_cells * (job.cell.x * across + job.cell.y * down);
 }
 
-fn hidden(id: vec2<u32>, i: u32, p: vec4<f32>) -> bool {
-  let c = cell_of(p);
-  let limit = bitcast<f32>(min(atomicLoad(&nearest[c]), 0x7f7fffffu)) * (1.0 + job.tolerance) + slack(id, i);
-  let f = atomicLoad(&first[c]);
+fn hidden(id: vec2<u32>, i: u32, p: vec2<u32>) -> bool {
+  let limit = bitcast<f32>(min(atomicLoad(&nearest[p.y]), 0x7f7fffffu)) * (1.0 + job.tolerance) + slack(id, i);
+  let f = atomicLoad(&first[p.y]);
   let at = vec2<f32>(vec2(f % job.size.x, f / job.size.x));
-  return p.z > limit && any(abs(vec2<f32>(id) - at) > job.cell);
+  return bitcast<f32>(p.x) > limit && any(abs(vec2<f32>(id) - at) > job.cell);
 }
 
 fn lacking(xy: vec2<f32>) -> vec3<f32> {
@@ -186,10 +187,11 @@ fn lacking(xy: vec2<f32>) -> vec3<f32> {
   let p = places[i];
   var rgb = picture[i].xyz;
   var confidence = 0.0;
-  if (p.w != 0.0 && !hidden(id.xy, i, p)) {
-    let distance = min(min(p.x, f32(job.reference.x) - p.x), min(p.y, f32(job.reference.y) - p.y));
+  if (p.y != OUTSIDE && !hidden(id.xy, i, p)) {
+    let xy = placed(id.xy, bitcast<f32>(filled[i])).xy;  // for the sample alone: what is compared was stored
+    let distance = min(min(xy.x, f32(job.reference.x) - xy.x), min(xy.y, f32(job.reference.y) - xy.y));
     confidence = clamp(distance / max(job.border, 1e-6), 0.0, 1.0);
-    rgb += confidence * lacking(p.xy);
+    rgb += confidence * lacking(xy);
   }
   rgb = clamp(rgb, vec3(0.0), vec3(1.0));
   if (FLOATS) {

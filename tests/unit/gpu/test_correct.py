@@ -172,11 +172,11 @@ def test_the_compander_is_odd_and_undone(difference: float, knee: float) -> None
 
 
 def test_holes_take_the_depth_around_them_and_an_empty_view_is_far() -> None:
-    depth, alpha = np.full((40, 56), 2.0), np.ones((40, 56))
-    depth[8:24, 16:40], alpha[8:24, 16:40] = np.inf, 0.0
-    out = definition.filled(depth, alpha, 0.3)
+    depth = np.full((40, 56), 2.0)
+    depth[8:24, 16:40] = np.inf
+    out = definition.filled(depth)
     np.testing.assert_allclose(out, 2.0, rtol=1e-9)
-    assert (definition.filled(np.full((9, 9), np.inf), np.zeros((9, 9)), 0.3) == definition.FAR).all()
+    assert (definition.filled(np.full((9, 9), np.inf)) == definition.FAR).all()
 
 
 def test_a_placement_is_the_projection_of_points() -> None:
