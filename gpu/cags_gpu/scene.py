@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,25 +186,39 @@ class ResidentScene:
         self, recording: Recording, camera: Camera, options: RenderOptions, *, adjoint: bool = False, role: str = ""
     ) -> Target:
         """Record a frame: afterwards the target holds picture and depth, the workspace contributions and counts."""
-        packed = options.exactness is not Exactness.EXACT
-        self.workspace.reserve(self.count, exact=not packed)
+        target = self._prepared(recording, camera, options, role)
+        encode(recording.encoder, self.steps_of(target, options, adjoint=adjoint))
+        return target
+
+    def record_binning(self, recording: Recording, camera: Camera, options: RenderOptions) -> Target:
+        """Record a frame without blending it: afterwards the workspace holds records, tiles and counts."""
+        target = self._prepared(recording, camera, options, "")
+        steps = self.steps_of(target, options)
+        encode(recording.encoder, takewhile(lambda step: not step.label.startswith("blend"), steps))
+        return target
+
+    def _prepared(self, recording: Recording, camera: Camera, options: RenderOptions, role: str) -> Target:
+        self.workspace.reserve(self.count, exact=not _packed(options))
         target = self.target(camera, role)
         held = SH_REST_OF_DEGREE[options.max_sh_degree]
         counted = {"count": self.count, "sh_count": self.sh_count, "sh_used": min(self.sh_count, held)}
         view = view_bytes(camera, options, **counted, capacity=self.workspace.counts["capacity"])
         self.gpu.device.queue.write_buffer(target.view, 0, view)
+        if self._unsorted:
+            encode(recording.encoder, self._steps(target, "hash", {}))
+            recording.once_submitted.append(self._is_sorted)
+        return target
+
+    def steps_of(self, target: Target, options: RenderOptions, *, adjoint: bool = False) -> list[Dispatch]:
+        """The dispatches of a frame with these options."""
         flags = {
-            "packed": packed,
+            "packed": _packed(options),
             "slots": options.contribution or adjoint,
             "contribution": options.contribution and not adjoint,
             "adjoint": adjoint,
             "median": options.depth is DepthKind.MEDIAN,
         }
-        if self._unsorted:
-            encode(recording.encoder, self._steps(target, "hash", {}))
-            recording.once_submitted.append(self._is_sorted)
-        encode(recording.encoder, self._steps(target, "frame", flags))
-        return target
+        return self._steps(target, "frame", flags)
 
     def _is_sorted(self) -> None:
         self._unsorted = False
@@ -248,3 +263,8 @@ class ResidentScene:
         if name in self._buffers:
             return self._buffers[name]
         return target[name] if name in target else self.workspace[name]
+
+
+def _packed(options: RenderOptions) -> bool:
+    """Whether records of 32 bytes are exact enough."""
+    return options.exactness is not Exactness.EXACT
