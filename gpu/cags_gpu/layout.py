@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -61,8 +62,14 @@ VIEW = Layout(
         "sh_count": (148, "I", 1),
         "sh_used": (152, "I", 1),
         "capacity": (156, "I", 1),
+        "depth_x": (160, "I", 4),
+        "depth_y": (176, "I", 4),
+        "depth_z": (192, "I", 4),
+        "from_x": (208, "I", 4),
+        "from_y": (224, "I", 4),
+        "from_z": (240, "I", 4),
     },
-    160,
+    256,
 )
 CHUNK = Layout({"first": (0, "I", 1), "count": (4, "I", 1), "kind": (8, "I", 1), "unused": (12, "I", 1)}, 16)
 UPDATE = Layout({"rows": (0, "I", 1), "sh_words": (4, "I", 1), "width": (8, "I", 1), "unused": (12, "I", 1)}, 16)
@@ -137,4 +144,19 @@ def view_bytes(
         sh_count=sh_count,
         sh_used=sh_used,
         capacity=capacity,
+        **{f"depth_{axis}": _limbs(float(part)) for axis, part in zip("xyz", rotation[2], strict=True)},
+        **{f"from_{axis}": _mantissa(float(part)) for axis, part in zip("xyz", position, strict=True)},
     )
+
+
+def _limbs(part: float) -> tuple[int, int, int, int]:
+    """A component of a unit vector as three limbs of 16 bits of its size x 2^47, and whether it is negative."""
+    whole = round(abs(part) * 2.0**47)
+    return whole >> 32, whole >> 16 & 0xFFFF, whole & 0xFFFF, int(part < 0)
+
+
+def _mantissa(part: float) -> tuple[int, int, int, int]:
+    """A coordinate as the two words of its 53-bit mantissa, its exponent + 2048, and whether it is negative."""
+    share, exponent = math.frexp(abs(part))  # share in [0.5, 1)
+    whole = int(share * 2.0**53)
+    return whole >> 32, whole & 0xFFFFFFFF, (exponent - 1 + 2048) if whole else 0, int(part < 0)

@@ -15,7 +15,7 @@ from cags_common.raster.base import DepthKind, Exactness, RenderOptions
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.graph import Dispatch, buffer_bytes, build, encode
-from cags_gpu.layout import CHUNK, COUNT, UPDATE, tiles_of, view_bytes
+from cags_gpu.layout import CHUNK, COUNT, UPDATE, VIEW, tiles_of, view_bytes
 from cags_gpu.submission import Recording
 from cags_gpu.workspace import TooLargeError, Workspace
 
@@ -96,7 +96,7 @@ class Target:
             "one": 1,
             "tile_bits": max(1, (tiles_x * tiles_y).bit_length()),  # one tile more than there are: padding
         }
-        self.view = gpu.buffer(160, uniform=True)
+        self.view = gpu.buffer(VIEW.size, uniform=True)
         self.steps: dict[tuple[object, ...], list[Dispatch]] = {}
         self._buffers: dict[str, Handle] = {}
 

@@ -7,6 +7,10 @@ struct View {
   tiles: vec2<u32>, near: f32, dilation: f32,
   variance: f32, void_alpha: f32, stop: f32, brightest: f32,
   count: u32, sh_count: u32, sh_used: u32, capacity: u32,
+  // for the exact depth: limbs of 16 bits of |row_z| 2^47 and a sign; the position's 53-bit mantissa (high, low), its
+  // exponent + 2048 and a sign, each component by itself
+  depth_x: vec4<u32>, depth_y: vec4<u32>, depth_z: vec4<u32>,
+  from_x: vec4<u32>, from_y: vec4<u32>, from_z: vec4<u32>,
 }
 override PACKED: bool = false;  // records of 32 bytes with 16-bit colours and opacities; else 48 bytes of floats
 

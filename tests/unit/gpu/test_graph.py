@@ -22,6 +22,7 @@ TYPES = {
     "vec2<f32>": (8, 8, "f", 2),
     "vec2<u32>": (8, 8, "I", 2),
     "vec4<f32>": (16, 16, "f", 4),
+    "vec4<u32>": (16, 16, "I", 4),
 }
 """Alignment, size, format and number of scalars (WGSL specification, "Alignment and size")."""
 

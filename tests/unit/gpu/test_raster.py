@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from cags_common.errors import SceneError
+from cags_common.geometry import Camera, Pose
 from cags_common.raster import DepthKind, Exactness, Footprint, RenderedView, RenderOptions, Shortcuts, create
 from cags_common.splats import Splats
 from cags_gpu.keeper import Keeper
 from cags_gpu.raster import GpuRasteriser, GpuScene
+from cags_gpu.scene import ResidentScene
+from cags_gpu.submission import Outputs, Recording, submitted
 from cags_gpu.workspace import LEAST_CAPACITY
 from support.gpu import any_gpu, keeper, needs_adapter, rasteriser
 from support.raster_scenes import F, camera, psnr_db, random_splats, splat, tilted_camera
@@ -218,3 +222,28 @@ def test_the_device_of_the_tests_is_named() -> None:
     info = keeper().current().gpu.info
     assert info.name
     assert info.backend in str(info)
+
+
+def test_the_depth_that_orders_is_the_definitions_to_the_last_bit() -> None:
+    splats = random_splats(20_000, seed=21)
+    splats.means[:5000] *= F(1e-3)
+    splats.means[5000:9000] += np.array([0, 0, 3e4], F)
+    splats.means[9000:9500, :2] = 0
+    for cam in (tilted_camera(), camera(), tilted_camera().at(Pose((1e3, 2e3, -4e4), (0.9, 0.1, -0.2, 0.3)))):
+        scene = rasteriser().load(splats)
+        seen, depths = scene.on_device(partial(_ordering_depths, camera=cam), lambda _: None)
+        offsets = splats.means.astype(np.float64) - np.asarray(cam.pose.position)
+        right = (offsets @ cam.world_to_camera[0].T)[:, 2].astype(F)
+        assert (depths[seen] == right[seen]).mean() > 0.9999
+        np.testing.assert_allclose(depths[seen], right[seen], rtol=1.2e-7)
+
+
+def _ordering_depths(scene: ResidentScene, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Which splats are drawn, and the depth of each."""
+
+    def record(recording: Recording) -> Outputs:
+        scene.record_binning(recording, camera, EXACT)
+        return [(scene.workspace["touched"], 4 * scene.count), (scene.workspace["records"], 32 * scene.count)]
+
+    touched, records = submitted(scene.workspace, record)
+    return touched.view(np.uint32) > 0, records.view(F).reshape(-1, 8)[:, 5]
