@@ -157,7 +157,9 @@ class ResidentScene:
         import wgpu
 
         staged = self.gpu.device.create_buffer_with_data(data=packed, usage=wgpu.BufferUsage.STORAGE)
-        job = self.gpu.uniform(UPDATE.pack(rows=len(packed), sh_words=3 * self.sh_count, width=width))
+        job = self.gpu.buffer(UPDATE.size, uniform=True)  # not a shared one: hardly two updates have as many rows
+        words = UPDATE.pack(rows=len(packed), sh_words=3 * self.sh_count, width=width)
+        self.gpu.device.queue.write_buffer(job, 0, words)
         encoder = self.gpu.device.create_command_encoder()
         for chunk in self._chunks:
             named = {"staged": staged, "update_job": job, "chunk": chunk.job, "sh_rest": chunk.sh_rest}

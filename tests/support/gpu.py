@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 
 import pytest
 
 from cags_common.errors import ConfigError
-from cags_gpu.device import Gpu, choose
-from cags_gpu.keeper import Keeper
+from cags_gpu.device import SOFTWARE_VARIABLE, Gpu, choose
+from cags_gpu.keeper import Keeper, shared_keeper
 from cags_gpu.raster import GpuRasteriser
 
 
@@ -39,3 +41,15 @@ def keeper() -> Keeper:
 def rasteriser() -> GpuRasteriser:
     """The backend on that device."""
     return GpuRasteriser(keeper())
+
+
+@contextmanager
+def software_passes() -> Iterator[None]:
+    """Let ``create("gpu")`` take a software adapter, as the environment may ask; afterwards all is as before."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(SOFTWARE_VARIABLE, "1")
+        shared_keeper.cache_clear()
+        try:
+            yield
+        finally:
+            shared_keeper.cache_clear()
