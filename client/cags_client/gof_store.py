@@ -22,6 +22,7 @@ from cags_client.past import SplatPast
 from cags_client.shown import Held, Shown
 from cags_client.waiting import Key, WaitingLayers
 from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.errors import DecodeError
 from cags_common.splats import Ids, Splats
 from cags_protocol.messages import HeldTile
@@ -66,6 +67,7 @@ class GofStore:
         self.past = SplatPast(manifest.gof_starts[gof])
         """What the splats on display were a few frames ago."""
         self._opener, self._top_lod = opener, manifest.lods - 1
+        self._layered = manifest.codec != WHOLE_TILES_CODEC
         self._merged = MergedSplats(self.capacity, manifest.sh_degree, self.past, self._replaced)
         self._tiles: dict[Key, Held | None] = {}  # None: every splat of it has been replaced, and it is not kept
         self._late: dict[Key, list[tuple[int, bytes]]] = {}  # layers of tiles that are kept, though replaced
@@ -155,10 +157,14 @@ class GofStore:
         """Arrivals' places -> the new tiles that they bring."""
         first: dict[Key, int] = {}
         for at, arrival in enumerate(arrivals):
-            if arrival.from_lod == 0 and arrival.payloads and arrival.key not in self._tiles:
+            if self._opens(arrival) and arrival.key not in self._tiles:
                 first.setdefault(arrival.key, at)
         places = list(first.values())
         return dict(zip(places, self._opener.open([arrivals[at].payloads[0] for at in places]), strict=True))
+
+    def _opens(self, arrival: Arrival) -> bool:
+        """Whether a tile of which nothing is held begins with ``arrival``: with its base, or with the whole of it."""
+        return bool(arrival.payloads) and (arrival.from_lod == 0 or not self._layered)
 
     def _add(self, arrival: Arrival, ahead: OpenTile | DecodeError | None) -> None:
         key = arrival.key
@@ -171,7 +177,7 @@ class GofStore:
             return
         changed = False
         if held is None:
-            if arrival.from_lod > 0 or not layers:
+            if not self._opens(arrival):
                 self._dropped += [HeldTile(*gone, 0) for gone in self._waiting.add(key, layers)]
                 return
             held = self._take(key, ahead or self._opener.open([layers[0][1]])[0])

@@ -112,8 +112,9 @@ class BundleReader:
         return data
 
     def tile_ids(self, frame: int, tile: int) -> Ids:
-        """Ids [n] of a tile's splats, ascending, in the tile's order."""
-        return self.codec.tile_ids(self.payload(frame, tile, 0))
+        """Ids [n] of a tile's splats, ascending, in the tile's order; of motion, those of the looks that it moves."""
+        looks = self._tile(self.frame(frame), tile).looks
+        return self.codec.tile_ids(self.payload(*(looks or (frame, tile)), 0))
 
     def removed_payload(self, frame: int) -> bytes:
         """The ids that ``frame`` removes, packed by :func:`~cags_common.packing.encode_ids`."""
