@@ -212,7 +212,8 @@ def source(shader: str) -> str:
     own = (folder / f"{shader}.wgsl").read_text(encoding="utf-8")
     if shader not in WITH_COMMON:
         return own
-    return (folder / "common.wgsl").read_text(encoding="utf-8") + own
+    before = ("common", "exact") if shader == "project" else ("common",)
+    return "".join((folder / f"{name}.wgsl").read_text(encoding="utf-8") for name in before) + own
 
 
 def _info(handle: Handle) -> AdapterInfo:

@@ -17,6 +17,9 @@ TILE_PX = 16
 BRIGHTEST = 3e38
 """Where colours end that no display shows."""
 
+FIXED_RANGE_PX = 65536.0
+"""Focal lengths and coordinates up to it have exact centres."""
+
 STOP = {Exactness.FAST: 1 / 255, Exactness.BALANCED: 1e-4, Exactness.EXACT: 1e-6}
 """A pixel is given up when it transmits no more."""
 
@@ -62,14 +65,23 @@ VIEW = Layout(
         "sh_count": (148, "I", 1),
         "sh_used": (152, "I", 1),
         "capacity": (156, "I", 1),
-        "depth_x": (160, "I", 4),
-        "depth_y": (176, "I", 4),
-        "depth_z": (192, "I", 4),
-        "from_x": (208, "I", 4),
-        "from_y": (224, "I", 4),
-        "from_z": (240, "I", 4),
+        "row_x_x": (160, "I", 4),
+        "row_x_y": (176, "I", 4),
+        "row_x_z": (192, "I", 4),
+        "row_y_x": (208, "I", 4),
+        "row_y_y": (224, "I", 4),
+        "row_y_z": (240, "I", 4),
+        "row_z_x": (256, "I", 4),
+        "row_z_y": (272, "I", 4),
+        "row_z_z": (288, "I", 4),
+        "from_x": (304, "I", 4),
+        "from_y": (320, "I", 4),
+        "from_z": (336, "I", 4),
+        "focal_x": (352, "I", 4),
+        "focal_y": (368, "I", 4),
+        "principal_xy": (384, "I", 4),
     },
-    256,
+    400,
 )
 CHUNK = Layout({"first": (0, "I", 1), "count": (4, "I", 1), "kind": (8, "I", 1), "unused": (12, "I", 1)}, 16)
 UPDATE = Layout({"rows": (0, "I", 1), "sh_words": (4, "I", 1), "width": (8, "I", 1), "unused": (12, "I", 1)}, 16)
@@ -144,15 +156,26 @@ def view_bytes(
         sh_count=sh_count,
         sh_used=sh_used,
         capacity=capacity,
-        **{f"depth_{axis}": _limbs(float(part)) for axis, part in zip("xyz", rotation[2], strict=True)},
+        **{f"row_{a}_{b}": _limbs(float(rotation[m, n])) for m, a in enumerate("xyz") for n, b in enumerate("xyz")},
         **{f"from_{axis}": _mantissa(float(part)) for axis, part in zip("xyz", position, strict=True)},
+        focal_x=_limbs(i.fx_px / FIXED_RANGE_PX),
+        focal_y=_limbs(i.fy_px / FIXED_RANGE_PX),
+        principal_xy=(*_fixed(i.cx_px), *_fixed(i.cy_px)),
     )
 
 
 def _limbs(part: float) -> tuple[int, int, int, int]:
-    """A component of a unit vector as three limbs of 16 bits of its size x 2^47, and whether it is negative."""
+    """A number in [-1, 1] as three limbs of 16 bits of its size x 2^47, and whether it is negative."""
+    if abs(part) > 1:  # a focal length beyond the range: the shader sees the sign and does without
+        return 0, 0, 0, 1
     whole = round(abs(part) * 2.0**47)
     return whole >> 32, whole >> 16 & 0xFFFF, whole & 0xFFFF, int(part < 0)
+
+
+def _fixed(part: float) -> tuple[int, int]:
+    """A coordinate in pixels as two words of its 2^31-fold, two's complement; 0 beyond the range."""
+    whole = round(part * 2.0**31) if abs(part) < FIXED_RANGE_PX else 0
+    return whole >> 32 & 0xFFFFFFFF, whole & 0xFFFFFFFF
 
 
 def _mantissa(part: float) -> tuple[int, int, int, int]:

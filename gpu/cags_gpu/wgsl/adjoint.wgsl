@@ -39,13 +39,13 @@ fn adjoint(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_id)
       let splat = slot_splat[entry_value[begin + lane]];
       let drawn = drawn_of(records[2u * splat], records[2u * splat + 1u]);
       batch_a[lane] = vec4(drawn.centre, drawn.l11, drawn.l12);
-      batch_b[lane] = vec4(drawn.l22, drawn.strength, 0.0, 0.0);
+      batch_b[lane] = vec4(drawn.l22, drawn.strength, drawn.rest);
       for (var c = 0u; c < 4u; c++) { atomicStore(&sums[4u * lane + c], 0); }
     }
     workgroupBarrier();
     for (var k = 0u; k < count && !finished; k++) {
       let a = batch_a[k]; let b = batch_b[k];
-      let d = vec2<f32>(pixel) + 0.5 - a.xy;
+      let d = (vec2<f32>(pixel) + 0.5 - a.xy) - b.zw;
       let s = a.z * d.x + a.w * d.y; let t = b.x * d.y;
       let power = b.y - s * s - t * t;
       if (!(power >= LOG2_ALPHA_CUT)) { continue; }

@@ -13,8 +13,8 @@ override MEDIAN: bool = false;
 const BATCH = 256u;
 const UNIT = 8388608.0;
 var<workgroup> batch_a: array<vec4<f32>, BATCH>;  // u, v, l11, l12
-var<workgroup> batch_b: array<vec4<f32>, BATCH>;  // l22, strength, z, unused
-var<workgroup> batch_c: array<vec4<f32>, BATCH>;  // r, g, b, unused
+var<workgroup> batch_b: array<vec4<f32>, BATCH>;  // l22, strength, z, rest of u
+var<workgroup> batch_c: array<vec4<f32>, BATCH>;  // r, g, b, rest of v
 var<workgroup> weights: array<atomic<u32>, BATCH>;
 var<workgroup> open: atomic<u32>;
 var<workgroup> going_on: u32;
@@ -23,11 +23,11 @@ fn fetched(lane: u32, splat: u32) {
   let second = records[2u * splat + 1u];
   let drawn = drawn_of(records[2u * splat], second);
   batch_a[lane] = vec4(drawn.centre, drawn.l11, drawn.l12);
-  batch_b[lane] = vec4(drawn.l22, drawn.strength, drawn.z, 0.0);
+  batch_b[lane] = vec4(drawn.l22, drawn.strength, drawn.z, drawn.rest.x);
   if (PACKED) {
     batch_c[lane] = vec4(unpack2x16float(second.z), unpack2x16float(second.w & 0xffffu).x, 0.0);
   } else {
-    batch_c[lane] = colours[splat];
+    batch_c[lane] = vec4(colours[splat].xyz, drawn.rest.y);
   }
 }
 
@@ -55,7 +55,7 @@ fn going(lane: u32, finished: bool) -> bool {
 // Alpha of entry `k` of the batch at a pixel centre; 0 where it is not drawn.
 fn alpha_at(k: u32, at: vec2<f32>) -> f32 {
   let a = batch_a[k]; let b = batch_b[k];
-  let d = at - a.xy;
+  let d = (at - a.xy) - vec2(b.w, batch_c[k].w);
   let s = a.z * d.x + a.w * d.y; let t = b.x * d.y;
   let power = b.y - s * s - t * t;
   if (!(power >= LOG2_ALPHA_CUT)) { return 0.0; }

@@ -7,10 +7,13 @@ struct View {
   tiles: vec2<u32>, near: f32, dilation: f32,
   variance: f32, void_alpha: f32, stop: f32, brightest: f32,
   count: u32, sh_count: u32, sh_used: u32, capacity: u32,
-  // for the exact depth: limbs of 16 bits of |row_z| 2^47 and a sign; the position's 53-bit mantissa (high, low), its
-  // exponent + 2048 and a sign, each component by itself
-  depth_x: vec4<u32>, depth_y: vec4<u32>, depth_z: vec4<u32>,
+  // for exact centres and depths: limbs of 16 bits of |component| 2^47 and a sign of each row's x, y, z; the position's
+  // 53-bit mantissas (high, low), exponents + 2048 and signs; limbs of focal lengths x 2^31; principal point x 2^31
+  row_x_x: vec4<u32>, row_x_y: vec4<u32>, row_x_z: vec4<u32>,
+  row_y_x: vec4<u32>, row_y_y: vec4<u32>, row_y_z: vec4<u32>,
+  row_z_x: vec4<u32>, row_z_y: vec4<u32>, row_z_z: vec4<u32>,
   from_x: vec4<u32>, from_y: vec4<u32>, from_z: vec4<u32>,
+  focal_x: vec4<u32>, focal_y: vec4<u32>, principal_xy: vec4<u32>,
 }
 override PACKED: bool = false;  // records of 32 bytes with 16-bit colours and opacities; else 48 bytes of floats
 
@@ -23,14 +26,20 @@ const VOID = 0x7f800000u;  // +inf, written as bits: WGSL has no infinities
 const LEAST_LOG2 = -8.0;   // of an opacity that is drawn; the packed record holds [-8, 0] in 16 bits
 
 // A splat that touches the image: alpha is exp2(strength - s^2 - t^2) with s = l11 dx + l12 dy, t = l22 dy.
-struct Drawn { centre: vec2<f32>, l11: f32, l12: f32, l22: f32, strength: f32, z: f32 }
+struct Drawn { centre: vec2<f32>, l11: f32, l12: f32, l22: f32, strength: f32, z: f32, rest: vec2<f32> }
 
-// Two vectors a splat: (u, v, l11, l12), (l22, z, strength, unused); packed: (l22, z, red and green, blue and strength).
+// Two vectors a splat: (u, v, l11, l12), (l22, z, strength, what u and v lack of the exact centre in 2^-16 pixels);
+// packed: (l22, z, red and green, blue and strength).
 fn drawn_of(a: vec4<u32>, b: vec4<u32>) -> Drawn {
   let f = bitcast<vec4<f32>>(a);
   var strength = bitcast<f32>(b.z);
-  if (PACKED) { strength = (f32(b.w >> 16u) / 65535.0 - 1.0) * -LEAST_LOG2; }
-  return Drawn(f.xy, f.z, f.w, bitcast<f32>(b.x), strength, bitcast<f32>(b.y));
+  var rest = vec2(0.0);
+  if (PACKED) {
+    strength = (f32(b.w >> 16u) / 65535.0 - 1.0) * -LEAST_LOG2;
+  } else {
+    rest = unpack2x16float(b.w) / 65536.0;
+  }
+  return Drawn(f.xy, f.z, f.w, bitcast<f32>(b.x), strength, bitcast<f32>(b.y), rest);
 }
 
 // Half the axes of the box, in standard units, that holds every pixel with an alpha of 1 / 255 or more.

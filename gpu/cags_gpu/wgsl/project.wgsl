@@ -45,81 +45,6 @@ fn colour(i: u32, base: vec3<f32>, toward: vec3<f32>) -> vec3<f32> {
   return clamp(rgb, vec3(0.0), vec3(3e38));  // not to `brightest`: pictures end there, splats do not
 }
 
-// Camera z as the definition has it: by 48-bit integers, rounded once. Order and culling hang on its last bit, float32
-// loses it by cancellation, and tricks with pairs of floats do not survive a compiler that may reassociate.
-struct Wide { high: u32, low: u32 }  // 64 bits, two's complement
-
-fn shifted(v: Wide, by: i32) -> Wide {  // to the left; negative: to the right, cut off
-  if (by >= 64 || by <= -64) { return Wide(0u, 0u); }
-  let n = u32(abs(by));
-  if (by == 0) { return v; }
-  if (by > 0) {
-    if (n >= 32u) { return Wide(v.low << (n - 32u), 0u); }
-    return Wide((v.high << n) | (v.low >> (32u - n)), v.low << n);
-  }
-  if (n >= 32u) { return Wide(0u, v.high >> (n - 32u)); }
-  return Wide(v.high >> n, (v.low >> n) | (v.high << (32u - n)));
-}
-
-fn plus(a: Wide, b: Wide) -> Wide {
-  let low = a.low + b.low;
-  return Wide(a.high + b.high + select(0u, 1u, low < a.low), low);
-}
-
-fn negated(v: Wide) -> Wide { return plus(Wide(~v.high, ~v.low), Wide(0u, 1u)); }
-fn signed(v: Wide, negative: bool) -> Wide { if (negative) { return negated(v); } return v; }
-fn leading_zeros(v: Wide) -> i32 { if (v.high != 0u) { return i32(countLeadingZeros(v.high)); } return 32 + i32(countLeadingZeros(v.low)); }
-
-fn exponent_of(bits: u32) -> i32 { return select(i32((bits >> 23u) & 255u) - 127, -2000, (bits & 0x7fffffffu) == 0u); }
-
-// A component of mean - position in units of 2^(top - 47).
-fn offset_of(bits: u32, from_part: vec4<u32>, top: i32) -> Wide {
-  let mantissa = select(0u, (bits & 0x7fffffu) | 0x800000u, (bits & 0x7f800000u) != 0u);
-  let mean = signed(shifted(Wide(0u, mantissa), 24 + exponent_of(bits) - top), (bits >> 31u) != 0u);
-  let here = shifted(Wide(from_part.x, from_part.y), i32(from_part.z) - 2048 - top - 5);
-  return plus(mean, signed(here, from_part.w == 0u));
-}
-
-// |offset| x |row| / 2^32 with the product's sign; the offset below 2^46, the row at most 2^47.
-fn product_of(offset: Wide, by: i32, row: vec4<u32>) -> Wide {
-  let negative = (offset.high >> 31u) != 0u;
-  let a = shifted(signed(offset, negative), by);
-  let a2 = a.high; let a1 = a.low >> 16u; let a0 = a.low & 0xffffu;
-  var sum = Wide(a2 * row.x, 0u);
-  sum = plus(sum, shifted(Wide(0u, a2 * row.y), 16));
-  sum = plus(sum, shifted(Wide(0u, a1 * row.x), 16));
-  sum = plus(sum, Wide(0u, a2 * row.z));
-  sum = plus(sum, Wide(0u, a1 * row.y));
-  sum = plus(sum, Wide(0u, a0 * row.x));
-  return signed(sum, negative != (row.w != 0u));
-}
-
-// z as a float, rounded to nearest, ties to even; 0 where it is not positive.
-fn depth_of(mean: vec3<u32>) -> f32 {
-  let from_top = max(max(i32(view.from_x.z), i32(view.from_y.z)), i32(view.from_z.z)) - 2048;
-  let top = max(max(exponent_of(mean.x), exponent_of(mean.y)), max(exponent_of(mean.z), from_top));
-  let x = offset_of(mean.x, view.from_x, top);
-  let y = offset_of(mean.y, view.from_y, top);
-  let z = offset_of(mean.z, view.from_z, top);
-  let largest = min(min(magnitude_zeros(x), magnitude_zeros(y)), magnitude_zeros(z));
-  let by = largest - 18;  // the largest component gets 46 bits
-  var sum = product_of(x, by, view.depth_x);
-  sum = plus(sum, product_of(y, by, view.depth_y));
-  sum = plus(sum, product_of(z, by, view.depth_z));
-  let zeros = leading_zeros(sum);
-  if (zeros == 0 || zeros == 64) { return 0.0; }  // negative, or nothing
-  let aligned = shifted(sum, zeros);  // bit 63 is the leading one
-  let kept = aligned.high >> 8u;
-  let rest = (aligned.high & 0xffu);
-  let up = rest > 128u || (rest == 128u && (aligned.low != 0u || (kept & 1u) == 1u));
-  // the sum is in units of 2^(top - 47 - by - 47 + 32); its leading one is bit 63 - zeros
-  let exponent = top - 62 - by + 63 - zeros;
-  if (exponent < -126 || exponent > 126) { return select(0.0, 3e38, exponent > 126); }
-  return bitcast<f32>((u32(exponent + 127) << 23u) + (kept & 0x7fffffu) + select(0u, 1u, up));
-}
-
-fn magnitude_zeros(v: Wide) -> i32 { return leading_zeros(signed(v, (v.high >> 31u) != 0u)); }
-
 fn touched_tiles(d: Drawn) -> u32 {
   let rows = tile_rows(d, view.size);
   var sum = 0u;
@@ -139,7 +64,8 @@ fn touched_tiles(d: Drawn) -> u32 {
   let look = looks[2u * i];
   let scale = exp(min(look.xyz, vec3(16.118095651)));
   let toward = (mean - view.position.xyz) - view.position_rest.xyz;
-  let p = vec3(dot(view.row_x.xyz, toward), dot(view.row_y.xyz, toward), depth_of(bitcast<vec3<u32>>(mean)));
+  let exact = exact_point(bitcast<vec3<u32>>(mean));
+  let p = vec3(float_of(exact.x) * exact.unit, float_of(exact.y) * exact.unit, depth_of(exact));
   if (!(p.z > view.near && p.z < 1e12)) { return; }
   let inverse = 1.0 / p.z;
   let slope = clamp(p.xy * inverse, -view.limit, view.limit);
@@ -165,6 +91,7 @@ fn touched_tiles(d: Drawn) -> u32 {
   let unit = sqrt(HALF_LOG2E);
   let l11 = unit / sqrt(conditional);
   let centre = p.xy * inverse * view.focal + view.principal;
+  if (!(abs(centre.x) < 1e9 && abs(centre.y) < 1e9)) { return; }
   let first = vec4(centre, l11, -xy * inverse_yy * l11);
   let l22 = unit * sqrt(inverse_yy);
   let rgb = colour(i, looks[2u * i + 1u].xyz, toward);
@@ -176,9 +103,9 @@ fn touched_tiles(d: Drawn) -> u32 {
     second.w = (pack2x16float(vec2(bright.z, 0.0)) & 0xffffu) | (opacity << 16u);
   } else {
     colours[i] = vec4(rgb, 0.0);
+    second.w = pack2x16float(clamp(centre_rest(exact, centre) * 65536.0, vec2(-65504.0), vec2(65504.0)));
   }
   let drawn = drawn_of(bitcast<vec4<u32>>(first), second);  // as it is stored: binning sees the same ellipse
-  if (!(abs(centre.x) < 1e9 && abs(centre.y) < 1e9)) { return; }
   let tiles = touched_tiles(drawn);
   if (tiles == 0u) { return; }
   records[2u * i] = bitcast<vec4<u32>>(first);

@@ -14,7 +14,7 @@ from cags_gpu.layout import LAYOUTS
 SHADERS = sorted(
     path.name.removesuffix(".wgsl")
     for path in (resources.files("cags_gpu") / "wgsl").iterdir()
-    if path.name.endswith(".wgsl") and path.name != "common.wgsl"
+    if path.name.endswith(".wgsl") and path.name not in ("common.wgsl", "exact.wgsl")
 )
 TYPES = {
     "f32": (4, 4, "f", 1),

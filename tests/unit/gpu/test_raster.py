@@ -110,8 +110,8 @@ def test_depth_alpha_and_contribution_are_the_definitions(footprint: Footprint, 
     splats, options = random_splats(3000, degree=2), replace(EXACT, footprint=footprint, depth=depth)
     right = create("reference").load(splats).render(tilted_camera(), options)
     ours = rasteriser().load(splats).render(tilted_camera(), options)
-    assert psnr_db(ours.rgb, right.rgb) > 100
-    assert psnr_db(ours.alpha, right.alpha) > 100
+    assert psnr_db(ours.rgb, right.rgb) > 120, "no pixel at a splat's rim falls on the other side of the cut"
+    assert psnr_db(ours.alpha, right.alpha) > 120
     np.testing.assert_allclose(ours.contribution, right.contribution, rtol=1e-4, atol=2e-3)
     both = np.isfinite(ours.depth) & np.isfinite(right.depth)
     assert (np.isfinite(ours.depth) != np.isfinite(right.depth)).sum() <= 2
