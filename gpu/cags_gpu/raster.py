@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 import cags_kernels
 from cags_common import raster
-from cags_common.errors import SceneError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.checks import (
@@ -21,6 +20,7 @@ from cags_common.raster.checks import (
     check_camera,
     check_residual,
     drawable,
+    movement,
     recolouring,
     replacements,
 )
@@ -85,18 +85,20 @@ class GpuScene:
             self._stand_in.recolour(indices, colours[last])
         self._change(Columns(indices, colours=colours[last]))
 
-    def move(self, rows: NDArray[np.integer], means: F32, quats: F32) -> None:
-        """Replace only ``means`` [M, 3] and ``quats`` [M, 4] at ``rows`` [M]: 32 bytes a row go to the device.
+    def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene.
 
-        Raises ``ValueError`` for shapes that do not fit, ``IndexError`` for rows outside the scene and
-        :class:`SceneError` for values that cannot be drawn.
+        36 bytes a row go to the device.
         """
-        indices, means, quats = _moving(rows, means, quats, len(self))
-        indices, last = _last_of_each(indices)
-        self._splats.means[indices], self._splats.quats[indices] = means[last], quats[last]
+        indices, logits = movement(rows, splats, len(self))
+        moved = np.take(splats.means, indices, axis=0), logits[indices], np.take(splats.quats, indices, axis=0)
+        if not _can_be_drawn(*moved):
+            drawable(splats.take(indices))  # says what is wrong with them
+        held = self._splats
+        held.means[indices], held.logit_opacities[indices], held.quats[indices] = moved
         if self._stand_in is not None:
-            self._stand_in.update(indices, self._splats.take(indices))
-        self._change(Columns(indices, motion=(means[last], quats[last])))
+            self._stand_in.move(indices, held, threads)
+        self._change(Columns(indices, motion=moved))
 
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view over black."""
@@ -212,15 +214,6 @@ def _last_of_each(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[n
     return unique, len(rows) - 1 - backwards
 
 
-def _moving(rows: NDArray[np.integer], means: F32, quats: F32, count: int) -> tuple[NDArray[np.int64], F32, F32]:
-    indices = np.ascontiguousarray(rows, np.int64)
-    means, quats = np.ascontiguousarray(means, np.float32), np.ascontiguousarray(quats, np.float32)
-    if indices.ndim != 1 or means.shape != (len(indices), 3) or quats.shape != (len(indices), 4):
-        raise ValueError(f"means {means.shape} and quats {quats.shape} for rows {indices.shape}; give one row for each")
-    if indices.size and (indices.min() < 0 or indices.max() >= count):
-        raise IndexError(f"rows {indices.min()}..{indices.max()} do not lie in a scene of {count} splats")
-    if not (np.isfinite(means).all() and np.isfinite(quats).all()):
-        raise SceneError("means or quats hold values that are not finite; repair the data")
-    if indices.size and np.linalg.norm(quats.astype(np.float64), axis=1).min() < MIN_QUATERNION_NORM:
-        raise SceneError("a quaternion is zero: it has no direction; give a unit quaternion")
-    return indices, means, quats
+def _can_be_drawn(means: F32, logits: F32, quats: F32) -> bool:
+    finite = all(bool(np.isfinite(array).all()) for array in (means, logits, quats))
+    return finite and not (len(quats) and np.linalg.norm(quats.astype(np.float64), axis=1).min() < MIN_QUATERNION_NORM)

@@ -28,31 +28,31 @@ KEPT_SIZES = 4
 
 @dataclass(frozen=True)
 class Columns:
-    """What is replaced in ``rows`` [M] (unique): means and quats, or looks, or base colours, or all of them."""
+    """What is replaced in ``rows`` [M] (unique): motion, or looks, or base colours, or all of them."""
 
     rows: NDArray[np.int64]
-    motion: tuple[F32, F32] | None = None  # means [M, 3], quats [M, 4]
-    looks: tuple[F32, F32, F32] | None = None  # log scales [M, 3], logits [M], sh_rest [M, K, 3]
+    motion: tuple[F32, F32, F32] | None = None  # means [M, 3], logits [M], quats [M, 4]
+    looks: tuple[F32, F32] | None = None  # log scales [M, 3], sh_rest [M, K, 3]
     colours: F32 | None = None  # sh0 [M, 3]
 
     @classmethod
     def of(cls, rows: NDArray[np.int64], splats: Splats) -> Columns:
         """All columns."""
-        looks = (splats.log_scales, splats.logit_opacities, splats.sh_rest)
-        return cls(rows, (splats.means, splats.quats), looks, splats.sh0)
+        motion = splats.means, splats.logit_opacities, splats.quats
+        return cls(rows, motion, (splats.log_scales, splats.sh_rest), splats.sh0)
 
     def packed(self, start: int, stop: int) -> NDArray[np.uint32]:
         """Rows ``start`` to ``stop`` as they are staged [M, 1 + words]."""
         part = slice(start, stop)
         parts: list[F32] = []
         if self.motion:
-            parts += [self.motion[0][part], self.motion[1][part]]
+            parts += [self.motion[0][part], self.motion[1][part, None], self.motion[2][part]]
         if self.looks:
-            parts += [self.looks[0][part], self.looks[1][part, None]]
+            parts.append(self.looks[0][part])
         if self.colours is not None:
             parts.append(self.colours[part])
         if self.looks:
-            parts.append(self.looks[2][part])
+            parts.append(self.looks[1][part])
         rows = self.rows[part].astype(np.uint32)[:, None]
         words = [
             np.ascontiguousarray(p, np.float32).view(np.uint32).reshape(len(p), math.prod(p.shape[1:])) for p in parts

@@ -73,7 +73,7 @@ def pass_bytes(counts: FrameCounts, design: Design | None = None) -> dict[str, i
     entries = counts.entries if design.ellipse else counts.box_entries
     harmonics = 12 * counts.harmonics * seen
     stages = {
-        # mean, quaternion, scale and logit of all; colours and records of what is seen; rank, key, tiles
+        # mean and logit, quaternion, scale of all; colours and records of what is seen; rank, key, tiles
         "project": (48 + 12) * n + (16 + design.record_bytes) * seen + harmonics,
         "sort splats": _sort_bytes(n, 32, design.digit_bits),
         "bin": 16 * n + SECTOR_BYTES * seen + (8 if design.direct else 12) * entries,

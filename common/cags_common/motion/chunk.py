@@ -20,7 +20,7 @@ from cags_common.motion.symbols import CENTRE, LIFE, WIDTH, SymbolReader, Symbol
 from cags_common.packing import squeeze, unsqueeze
 
 VERSION = 1
-LEVELS = 2
+LEVELS = 3
 REFINEMENT = 4
 """A level's unit is so many times the next one's."""
 
@@ -308,7 +308,7 @@ def _read_blocks(head: _Head, rigid: memoryview) -> Blocks | None:
     count = -(-head.splats // head.block)
     shape = (6, count, head.span + 1)
     raw = np.frombuffer(unsqueeze(rigid, 4 * 6 * count * (head.span + 1), "motion: blocks"), np.uint8)
-    folded = np.ascontiguousarray(raw.reshape(4, -1).T).view("<u4")[:, 0].astype(np.int64)
-    steps = np.where(folded & 1, -((folded + 1) >> 1), folded >> 1).reshape(shape).transpose(2, 1, 0)
-    both = np.cumsum(steps, axis=0).astype(np.int32)
+    folded = np.ascontiguousarray(raw.reshape(4, -1).T).view("<u4")[:, 0]
+    steps = ((folded >> 1) ^ (np.uint32(0) - (folded & 1))).view(np.int32).reshape(shape).transpose(2, 1, 0)
+    both = np.cumsum(steps, axis=0, dtype=np.int32)
     return Blocks(head.block, head.unit, np.ascontiguousarray(both[:, :, :3]), np.ascontiguousarray(both[:, :, 3:]))

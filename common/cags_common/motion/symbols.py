@@ -60,7 +60,9 @@ class SymbolWriter:
         if self._native:
             from cags_kernels import motion
 
-            tables, symbols, escapes = motion.encode_tree(_kernel_tree(order, left.shape, turn), left, unit, deadzone)
+            tables, symbols, escapes = motion.encode_tree(
+                kernel_tree(order, left.shape, turn=turn), left, unit, deadzone
+            )
             self._escapes.append(escapes)
             self._add(tables, symbols, np.tile(runs(splats, parts), len(order)))
             return
@@ -93,7 +95,7 @@ def first_table(turn: bool, part: int) -> np.uint8:
     return np.uint8((REAL if part == 0 else TURN) if turn else MOVE)
 
 
-def _kernel_tree(order: tuple[Knot, ...], shape: tuple[int, ...], turn: bool) -> Any:
+def kernel_tree(order: tuple[Knot, ...], shape: tuple[int, ...], *, turn: bool) -> Any:
     """A tree as the kernel takes it."""
     from cags_kernels import motion
 
@@ -136,7 +138,7 @@ class SymbolReader:
         """Samples [span + 1, n, c] of one level, in 1/64 of its unit."""
         if isinstance(self._symbols, rans.NativeDecoder):
             with rans.refused():
-                kernel, tree = self._symbols.kernel, _kernel_tree(order, shape, turn)
+                kernel, tree = self._symbols.kernel, kernel_tree(order, shape, turn=turn)
                 samples, self._at = kernel.tree(tree, self._escapes, self._at)
             return samples
         contexts, samples = Contexts(*shape[1:], turn=turn), np.zeros(shape, np.int32)

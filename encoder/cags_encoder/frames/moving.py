@@ -91,9 +91,13 @@ class MovingGroups:
         changed = self._changed(ids, births, quantised.prepared, fresh, frame.delta.splats.take(rows))
         whole = births | changed.pop("whole")
         looks = self._looks(frame, ids[whole], quantised, np.flatnonzero(whole))
-        updates = self._updates(ids, changed, ~whole, quantised, fresh)
         self._mark_gone(frame.delta.removed)
-        return (*looks, *updates, *self._chunks(frame.index))
+        chunks = self._chunks(frame.index)
+        changed["opacity"] = self._brighter(ids, frame.delta.splats.take(rows), fresh)
+        for name in ("scale", "sh0", "sh_rest"):
+            changed[name] &= ~whole
+        updates = self._updates(ids, changed, quantised, fresh)
+        return (*looks, *chunks, *updates)
 
     def _room(self, capacity: int) -> None:
         more = capacity - len(self._fading)
@@ -148,8 +152,8 @@ class MovingGroups:
         self, ids: Ids, births: NDArray[np.bool_], true: Splats, fresh: Splats, source: Splats
     ) -> dict[str, NDArray[np.bool_]]:
         """Attribute -> which splats [k] must be told of anew; ``whole``: those whose looks as a whole must be."""
-        names = ("scale", "opacity", "sh0", "sh_rest", "whole")
-        out = {name: np.zeros(len(ids), bool) for name in names}
+        names = ("scale", "sh0", "sh_rest")
+        out = {name: np.zeros(len(ids), bool) for name in (*names, "whole")}
         old = np.flatnonzero(~births)
         if self._held is None or not len(old):
             return out
@@ -157,23 +161,27 @@ class MovingGroups:
         axes = self._axes[ids[old]]
         scales = np.take_along_axis(source.log_scales[old], axes, axis=1)
         same_axes = np.abs(scales - now.log_scales).max(axis=1, initial=0.0) < 1e-6
-        wrong = _effects(held, now, scales)
-        noise = _effects(new, now, now.log_scales)
-        for name in names[:-1]:
+        weight = np.maximum(_drawn(held.logit_opacities), _drawn(now.logit_opacities))
+        wrong = _effects(held, now, scales, weight)
+        noise = _effects(new, now, now.log_scales, weight)
+        for name in names:
             out[name][old] = wrong[name] > noise[name] + SHARE * self._threshold
-        out["opacity"][old] &= ~self._fading[ids[old]]
         out["whole"][old] = out["scale"][old] & ~same_axes
         return out
 
+    def _brighter(self, ids: Ids, true: Splats, fresh: Splats) -> NDArray[np.bool_]:
+        """Which splats [k] are drawn with another opacity than is held, and told by no fade."""
+        if self._held is None or not len(ids):
+            return np.zeros(len(ids), bool)
+        alpha = _drawn(true.logit_opacities)
+        wrong = np.abs(_drawn(self._held.take(ids).logit_opacities) - alpha)
+        noise = np.abs(_drawn(fresh.logit_opacities) - alpha)
+        return (wrong > noise + SHARE * self._threshold) & ~self._fading[ids]
+
     def _updates(
-        self,
-        ids: Ids,
-        changed: dict[str, NDArray[np.bool_]],
-        allowed: NDArray[np.bool_],
-        quantised: QuantisedDelta,
-        fresh: Splats,
+        self, ids: Ids, changed: dict[str, NDArray[np.bool_]], quantised: QuantisedDelta, fresh: Splats
     ) -> list[UpdateCut]:
-        rows = np.flatnonzero(allowed & np.logical_or.reduce(list(changed.values())))
+        rows = np.flatnonzero(np.logical_or.reduce(list(changed.values())))
         if not len(rows) or self._held is None:
             return []
         self._take_over(ids, changed, rows, fresh)
@@ -229,7 +237,7 @@ class MovingGroups:
             return None
         track.next = frame + length
         logits = self._held.take(track.ids).logit_opacities if self._held is not None else np.zeros(0, np.float32)
-        fades = self._fades(track, window, 1.0 / (1.0 + np.exp(-logits.astype(np.float64))))
+        fades = self._fades(track, window, _drawn(logits))
         lives = self._lives(window)
         if fades is None and lives is None and self._is_still(track, window):
             return None
@@ -278,17 +286,20 @@ def _svq(quantised: QuantisedDelta) -> SvqSplats:
     return quantised.coded
 
 
-def _effects(shown: Splats, true: Splats, scales: F32) -> dict[str, F64]:
+def _drawn(logits: F32) -> F64:
+    """Opacities [n] of logits, 0 to 1."""
+    opacities: F64 = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(np.float64), -60, 60)))
+    return opacities
+
+
+def _effects(shown: Splats, true: Splats, scales: F32, weight: F64) -> dict[str, F64]:
     """Visible effect [n] (0..1 of a pixel's colour) of each attribute of ``shown`` instead of the ``true`` one.
 
-    ``scales`` are the true log scales in the order of the axes that are shown.
+    ``scales`` are the true log scales in the order of the axes that are shown; ``weight`` [n] are drawn opacities.
     """
-    alpha_shown, alpha = (1.0 / (1.0 + np.exp(-s.logit_opacities.astype(np.float64))) for s in (shown, true))
-    weight = np.maximum(alpha_shown, alpha)
     rest = np.abs(shown.sh_rest - true.sh_rest).max(axis=2, initial=0.0).sum(axis=1)
     return {
         "scale": weight * np.abs(shown.log_scales - scales).max(axis=1),
-        "opacity": np.abs(alpha_shown - alpha),
         "sh0": weight * SH_C0 * np.abs(shown.sh0 - true.sh0).max(axis=1),
         "sh_rest": weight * 0.5 * rest,
     }

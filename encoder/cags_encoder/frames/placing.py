@@ -128,6 +128,7 @@ class Placer:
         removed = np.flatnonzero(gone).astype(np.int32)
         ids = at.astype(np.int32)
         new = np.flatnonzero(~known)
+        new = new[morton_order(splats.means[new])]  # ids that rise along the curve: neighbours in a tile are near
         ids[new] = self._fresh_ids(len(new))
         top = max(len(self._identities), int(ids.max(initial=-1)) + 1)
         self._identities = np.concatenate([self._identities, np.full(top - len(self._identities), -1)])

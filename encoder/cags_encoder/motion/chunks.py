@@ -90,8 +90,11 @@ def encode_span(span: TrackSpan) -> TilePayloads:
 
 def _turns(span: TrackSpan) -> F64 | None:
     """Turns [span + 1, n, 4] from the rotations of the looks; None where nothing turns."""
-    differs = np.asarray(span.quats != span.first).any(axis=2)
-    if not (differs & span.present & ~span.round).any():
+    differs = np.zeros(span.present.shape, bool)
+    for part in range(4):
+        differs |= span.quats[:, :, part] != span.first[:, part]
+    seen = np.logical_and(span.present, np.logical_not(span.round))
+    if not bool(np.logical_and(differs, seen).any()):
         return None
     return relative_turns(span.quats.astype(np.float64), span.first.astype(np.float64))
 
@@ -102,7 +105,7 @@ def _filled(span: TrackSpan) -> F64:
     if span.present.all():
         return means
     line = _line(means, span.present)
-    alive = span.present.any(axis=0)
+    alive = np.logical_or.reduce(span.present, axis=0)
     filled: F64 = np.where(span.present[:, :, None] | ~alive[None, :, None], means, line)
     return filled
 

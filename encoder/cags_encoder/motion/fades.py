@@ -64,11 +64,24 @@ def fit_fades(
     return fades, np.where(use, faded, even) < WORST_FIT
 
 
+def _vertex(opacities: F64, present: NDArray[np.bool_]) -> F64:
+    """The frame [n] that the centre of each fade is before, or at: half a frame off the largest sample, towards its
+    larger neighbour. A largest sample at an end of what is there has its centre beyond it.
+    """
+    shown = np.where(present, opacities, -1.0)
+    top, rows = shown.argmax(axis=0), np.arange(shown.shape[1])
+    beside = np.concatenate([shown[:1] * 0 - 1.0, shown, shown[:1] * 0 - 1.0])
+    left, right = beside[top, rows], beside[top + 2, rows]
+    towards_right = np.where((left < 0) | (right < 0), right < 0, right > left)
+    alone = (left < 0) & (right < 0)
+    vertex: F64 = top + np.where(alone, 0.0, np.where(towards_right, 0.5, -0.5))
+    return vertex
+
+
 def _lines(opacities: F64, present: NDArray[np.bool_], peak: F64, times: F64) -> tuple[F64, F64]:
     """Widths and centres [n]: the root of a Gaussian's exponent is a line in time, falling before its centre."""
     share = np.clip(np.where(present, opacities, 1.0) / np.maximum(peak, _LEAST), 1e-6, 1.0)
-    top = np.where(present, opacities, -1.0).argmax(axis=0)
-    root = np.sqrt(-2.0 * np.log(share)) * np.where(times < top, -1.0, 1.0)
+    root = np.sqrt(-2.0 * np.log(share)) * np.where(times < _vertex(opacities, present), -1.0, 1.0)
     weights = np.where(present, np.square(opacities) + 1e-6, 0.0)
     total = np.maximum(weights.sum(axis=0), 1e-12)
     mean_t, mean_r = (weights * times).sum(axis=0) / total, (weights * root).sum(axis=0) / total

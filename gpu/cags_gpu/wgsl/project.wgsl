@@ -3,8 +3,8 @@
 struct Chunk { first: u32, count: u32, kind: u32, unused: u32 }
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> chunk: Chunk;
-@group(0) @binding(2) var<storage, read> motion: array<vec4<f32>>;  // 2 a splat: mean, quaternion
-@group(0) @binding(3) var<storage, read> looks: array<vec4<f32>>;   // 2 a splat: log scale and logit, base colour
+@group(0) @binding(2) var<storage, read> motion: array<vec4<f32>>;  // 2 a splat: mean and logit, quaternion
+@group(0) @binding(3) var<storage, read> looks: array<vec4<f32>>;   // 2 a splat: log scale, base colour
 @group(0) @binding(4) var<storage, read> sh_rest: array<f32>;       // [chunk.count][sh_count][3]
 @group(0) @binding(5) var<storage, read> ranks: array<u32>;         // of each splat in the order of content hashes
 @group(0) @binding(6) var<storage, read_write> records: array<vec4<u32>>;
@@ -60,11 +60,10 @@ fn touched_tiles(d: Drawn) -> u32 {
   let i = chunk.first + id.x;
   keys[ranks[i]] = ABSENT;
   touched[i] = 0u;
-  let mean = motion[2u * i].xyz; let q = normalize(motion[2u * i + 1u]);
-  let look = looks[2u * i];
-  let scale = exp(min(look.xyz, vec3(16.118095651)));
-  let toward = (mean - view.position.xyz) - view.position_rest.xyz;
-  let exact = exact_point(bitcast<vec3<u32>>(mean));
+  let placed = motion[2u * i]; let q = normalize(motion[2u * i + 1u]);
+  let scale = exp(min(looks[2u * i].xyz, vec3(16.118095651)));
+  let toward = (placed.xyz - view.position.xyz) - view.position_rest.xyz;
+  let exact = exact_point(bitcast<vec3<u32>>(placed.xyz));
   let p = vec3(float_of(exact.x) * exact.unit, float_of(exact.y) * exact.unit, depth_of(exact));
   if (!(p.z > view.near && p.z < 1e12)) { return; }
   let inverse = 1.0 / p.z;
@@ -82,7 +81,7 @@ fn touched_tiles(d: Drawn) -> u32 {
   let minors = cross(a, b) * sqrt(inverse_yy);  // det by the factor's minors: no cancellation on needles
   let minors_over_yy = dot(minors, minors);
   let conditional = minors_over_yy + view.variance * ((xx + yy + view.variance) * inverse_yy);
-  var strength = -log2(1.0 + exp(-look.w));
+  var strength = -log2(1.0 + exp(-placed.w));
   if (view.variance != view.dilation) {
     let kept = (minors_over_yy + view.dilation * ((xx + yy + view.dilation) * inverse_yy)) / conditional;
     strength += 0.5 * log2(clamp(kept, 1e-30, 1.0));

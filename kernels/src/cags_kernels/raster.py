@@ -155,6 +155,17 @@ class NativeScene:
         recolour = self._library.cags_raster_scene_recolour
         check(recolour(self._handle, _address(rows), ctypes.c_int64(len(rows)), _address(sh0)), "raster_scene_recolour")
 
+    def move(self, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int = 1) -> None:
+        """Take position, rotation and opacity at rising ``rows`` [M] from ``splats``, the arrays [N] of the whole scene.
+
+        The others of their columns must be those that the scene holds. Raises :class:`cags_kernels.KernelError` for
+        splats that cannot be drawn, and then nothing is changed.
+        """
+        rows = np.ascontiguousarray(rows, dtype=np.int64)
+        move = self._library.cags_raster_scene_move
+        count = ctypes.c_int64(len(rows))
+        check(move(self._handle, _address(rows), count, ctypes.byref(_splats(splats)), threads), "raster_scene_move")
+
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
         """Render one view over black; depth as ``options.depth`` says."""
         shape = (camera.height, camera.width)

@@ -75,8 +75,9 @@ def test_what_changes_while_there_is_no_device_is_on_the_next_one(own: Keeper) -
     own.current().gpu.destroy()
     scene.update(rows, new)  # the loss is found here
     scene.render(camera(), OPTIONS)
-    means, quats = new.means[:9] + np.float32(0.1), new.quats[:9]
-    scene.move(rows[:9], means, quats)
+    moved = random_splats(300)
+    moved.means[rows[:9]] += np.float32(0.1)
+    scene.move(rows[:9], moved)
     scene.recolour(rows[:5], new.sh0[:5] * 2)
     meanwhile = scene.render(camera(), OPTIONS)
     awaited(own)

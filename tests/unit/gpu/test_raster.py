@@ -51,12 +51,13 @@ def test_an_updated_scene_draws_as_one_loaded_so(degree: int) -> None:
 
 def test_moved_and_recoloured_scenes_draw_as_loaded_ones() -> None:
     splats, rows, rng = random_splats(2000, degree=1), np.arange(0, 2000, 3), np.random.default_rng(1)
-    means, quats = rng.normal(size=(len(rows), 3)).astype(F), rng.normal(size=(len(rows), 4)).astype(F)
     sh0 = rng.normal(size=(len(rows), 3)).astype(F)
+    other = random_splats(2000, seed=8)
+    placed = {name: getattr(other, name)[rows] for name in ("means", "quats", "logit_opacities")}
+    moved = changed(splats, rows, replace(splats.take(rows), **placed))
     scene = rasteriser().load(splats)
     scene.render(camera(), EXACT)
-    scene.move(rows, means, quats)
-    moved = changed(splats, rows, replace(splats.take(rows), means=means, quats=quats))
+    scene.move(rows, moved)
     assert_same(scene.render(camera(), EXACT), rasteriser().load(moved).render(camera(), EXACT))
     scene.recolour(rows, sh0)
     coloured = replace(moved, sh0=changed(moved, rows, replace(moved.take(rows), sh0=sh0)).sh0)
@@ -74,17 +75,19 @@ def test_of_a_row_named_twice_the_last_mention_wins() -> None:
 def test_what_cannot_be_drawn_is_refused_and_changes_nothing() -> None:
     scene = rasteriser().load(random_splats(20))
     before = scene.render(camera(), EXACT)
-    means, quats = np.zeros((1, 3), F), np.array([[1, 0, 0, 0]], F)
+    moved = random_splats(20, seed=4)
     with pytest.raises(IndexError, match=r"rows 20\.\.20"):
-        scene.move(np.array([20]), means, quats)
-    with pytest.raises(ValueError, match="give one row for each"):
-        scene.move(np.array([1, 2]), means, quats)
+        scene.move(np.array([20]), moved)
+    with pytest.raises(ValueError, match="19 splats for a scene of 20"):
+        scene.move(np.array([1, 2]), moved.take(slice(0, 19)))
+    moved.means[3] = np.nan
     with pytest.raises(SceneError, match="not finite"):
-        scene.move(np.array([1]), means + F(np.nan), quats)
+        scene.move(np.array([3]), moved)
+    moved.quats[5] = 0
     with pytest.raises(SceneError, match="no direction"):
-        scene.move(np.array([1]), means, 0 * quats)
+        scene.move(np.array([5]), moved)
     with pytest.raises(SceneError, match="not finite"):
-        scene.update(np.array([1]), replace(random_splats(1), means=means + F(np.inf)))
+        scene.update(np.array([1]), replace(random_splats(1), means=np.full((1, 3), np.inf, F)))
     assert_same(scene.render(camera(), EXACT), before)
 
 

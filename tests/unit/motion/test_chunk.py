@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
+import cags_kernels
 from cags_common.errors import DecodeError
 from cags_common.motion import chunk as chunks
 from cags_common.motion.chunk import Blocks, ChunkDecoder, encode
@@ -128,3 +131,18 @@ def test_levels_come_in_order_and_a_damaged_one_changes_nothing() -> None:
     decoder.add_level(payloads[1])
     with pytest.raises(DecodeError, match="too much"):
         decoder.add_level(payloads[1])
+
+
+@pytest.mark.skipif(not cags_kernels.native_available(), reason="the definition takes a minute over it")
+def test_the_largest_claim_of_a_few_bytes_takes_bounded_memory() -> None:
+    samples, splats = 16, chunks.MAX_SAMPLES // 16
+    still = np.zeros((samples, splats, 1))
+    blocks = Blocks(1, 1.0, *[np.zeros((samples, splats, 3), np.int32)] * 2)
+    payloads = encode((0, 0), still.repeat(3, 2), still.repeat(4, 2), starts=True, blocks=blocks)
+    assert sum(map(len, payloads)) < 100_000
+    tracemalloc.start()
+    try:
+        decoded(payloads)
+        assert tracemalloc.get_traced_memory()[1] < 160 << 20
+    finally:
+        tracemalloc.stop()

@@ -45,7 +45,7 @@ int32_t SymbolDecoder::open(const uint8_t* data, int64_t bytes) {
   return CAGS_OK;
 }
 
-bool SymbolDecoder::take(int64_t taken, const uint8_t* which, uint8_t* out) {
+bool SymbolDecoder::take(int64_t taken, const uint8_t* __restrict which, uint8_t* __restrict out) {
   for (int64_t row = 0; row < taken; row += lanes) {
     const int width = static_cast<int>(std::min<int64_t>(lanes, taken - row));
     if (count - at < width) return take_last(taken - row, which + row, out + row);
@@ -53,9 +53,8 @@ bool SymbolDecoder::take(int64_t taken, const uint8_t* which, uint8_t* out) {
     for (int lane = 0; lane < width; lane++) {
       uint32_t state = states[lane];
       out[row + lane] = step(state, which[row + lane]);
-      const uint32_t more = state << 16 | word(next);
-      const bool low = state < kLow;
-      states[lane] = low ? more : state;
+      const uint32_t low = state < kLow;  // no branch: it could not be foretold
+      states[lane] = state << (low << 4) | (word(next) & (0 - low));
       next += low;
     }
     at = next;
@@ -157,9 +156,9 @@ int32_t cags_symbols_take(void* decoder, int64_t count, const uint8_t* tables, u
   for (int64_t i = 0; i < count; i++) {
     if (tables[i] >= self.tables) return CAGS_SYMBOLS_TABLE;
   }
-  return self.take(count, tables, symbols) ? CAGS_OK : CAGS_SYMBOLS_END;
+  return self.take(count, tables, symbols) ? int32_t{CAGS_OK} : int32_t{CAGS_SYMBOLS_END};
 }
 
 int32_t cags_symbols_finish(const void* decoder) {
-  return static_cast<const SymbolDecoder*>(decoder)->finished() ? CAGS_OK : CAGS_SYMBOLS_LEFT;
+  return static_cast<const SymbolDecoder*>(decoder)->finished() ? int32_t{CAGS_OK} : int32_t{CAGS_SYMBOLS_LEFT};
 }
