@@ -156,7 +156,7 @@ class NativeScene:
         check(recolour(self._handle, _address(rows), ctypes.c_int64(len(rows)), _address(sh0)), "raster_scene_recolour")
 
     def move(self, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int = 1) -> None:
-        """Take position, rotation and opacity at rising ``rows`` [M] from ``splats``, the arrays [N] of the whole scene.
+        """Take position, rotation and opacity at rising ``rows`` [M] from ``splats``, arrays [N] of the whole scene.
 
         The others of their columns must be those that the scene holds. Raises :class:`cags_kernels.KernelError` for
         splats that cannot be drawn, and then nothing is changed.

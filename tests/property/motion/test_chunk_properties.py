@@ -14,7 +14,17 @@ import cags_kernels
 from cags_common import rans
 from cags_common.errors import DecodeError
 from cags_common.motion.apply import Looks, MovingTile, Steps, evaluate, move_rows
-from cags_common.motion.chunk import DEADZONE, FADE_WIDTHS, MAX_SAMPLES, Blocks, Chunk, ChunkDecoder, encode
+from cags_common.motion.chunk import (
+    DEADZONE,
+    FADE_WIDTHS,
+    LEVELS,
+    MAX_SAMPLES,
+    REFINEMENT,
+    Blocks,
+    Chunk,
+    ChunkDecoder,
+    encode,
+)
 
 native_only = pytest.mark.skipif(not cags_kernels.native_available(), reason="needs the native kernels")
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large]
@@ -66,7 +76,7 @@ def cases(draw: st.DrawFn, most: int = 120) -> Case:
     return Case(*parts, options)
 
 
-def decoded(payloads: tuple[bytes, ...], *, native: bool, levels: int = 2) -> Chunk:
+def decoded(payloads: tuple[bytes, ...], *, native: bool, levels: int = LEVELS) -> Chunk:
     decoder = ChunkDecoder(payloads[0], native=native)
     for payload in payloads[1:levels]:
         decoder.add_level(payload)
@@ -92,9 +102,10 @@ def test_so_it_does_by_the_kernel(case: Case) -> None:
 
 def check_round_trip(case: Case, *, native: bool) -> None:
     payloads = case.encode(native=native)
-    coarse, fine = (decoded(payloads, native=native, levels=levels) for levels in (1, 2))
+    coarse, fine = (decoded(payloads, native=native, levels=levels) for levels in (1, LEVELS))
+    unit = REFINEMENT ** (LEVELS - 1)
     for name, wanted in (("moves", case.moves), ("turns", case.turns)):
-        for chunk, bound in ((coarse, 4 * (0.5 + DEADZONE)), (fine, 0.5)):
+        for chunk, bound in ((coarse, unit * (0.5 + DEADZONE)), (fine, 0.5)):
             got = getattr(chunk, name)
             assert (got is None) == (wanted is None)
             if got is not None:
@@ -117,7 +128,7 @@ def check_round_trip(case: Case, *, native: bool) -> None:
 def test_the_kernel_writes_the_definitions_bytes_and_reads_its_samples(case: Case) -> None:
     payloads = case.encode(native=True)
     assert payloads == case.encode(native=False)
-    for levels in (1, 2):
+    for levels in range(1, LEVELS + 1):
         mine, theirs = (decoded(payloads, native=native, levels=levels) for native in (True, False))
         for name in ("moves", "turns", "lives", "fades"):
             assert same(getattr(mine, name), getattr(theirs, name)), name
@@ -161,7 +172,7 @@ def damaged(payload: bytes, random: np.random.Generator, way: int) -> bytes:
     return out.tobytes()
 
 
-@given(cases(40), st.integers(0, 3), st.integers(0, 1), st.integers(0, 2**32 - 1))
+@given(cases(40), st.integers(0, 3), st.integers(0, LEVELS - 1), st.integers(0, 2**32 - 1))
 @settings(max_examples=150, deadline=None, suppress_health_check=SLOW)
 def test_damage_is_refused_or_is_another_chunk_and_both_ways_agree(case: Case, way: int, level: int, seed: int) -> None:
     random = np.random.default_rng(seed)
