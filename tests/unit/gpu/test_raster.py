@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -250,3 +251,12 @@ def _ordering_depths(scene: ResidentScene, camera: Camera) -> tuple[np.ndarray, 
 
     touched, records = submitted(scene.workspace, record)
     return touched.view(np.uint32) > 0, records.view(F).reshape(-1, 8)[:, 5]
+
+
+def test_frames_may_be_drawn_from_several_threads() -> None:
+    scenes = [rasteriser().load(random_splats(400, seed=seed)) for seed in range(3)]
+    right = [scene.render(camera(), EXACT) for scene in scenes]
+    with ThreadPoolExecutor(4) as pool:
+        views = list(pool.map(lambda i: scenes[i % 3].render(camera(), EXACT), range(12)))
+    for i, view in enumerate(views):
+        assert_same(view, right[i % 3])
