@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,7 +28,7 @@ def test_a_focal_length_beyond_the_range_is_marked() -> None:
 @given(COORDINATES)
 def test_a_mantissa_is_the_whole_number(part: float) -> None:
     high, low, exponent, negative = _mantissa(part)
-    value = (high << 32 | low) * 2.0 ** (exponent - 2048 - 52) if exponent else 0.0
+    value = math.ldexp(high << 32 | low, exponent - 2048 - 52)
     assert (-value if negative else value) == part
     assert high < 1 << 21
 
