@@ -12,7 +12,8 @@ from cags_common.raster.base import DepthKind, Footprint, RenderedView, RenderOp
 from cags_common.raster.checks import check_camera
 from cags_gpu import definition
 from cags_gpu.definition import Corrected, CorrectSettings, Placement, Reference
-from cags_gpu.graph import buffer_bytes, build, encode
+from cags_gpu.device import Handle
+from cags_gpu.graph import Counts, Dispatch, buffer_bytes, build, encode
 from cags_gpu.layout import COMPAND, CORRECTION
 from cags_gpu.raster import GpuScene
 from cags_gpu.scene import ResidentScene, Target
@@ -154,27 +155,47 @@ class _Frame:
 
     def _finish(self, recording: Recording, scene: ResidentScene, target: Target) -> None:
         """What follows the drawing: the picture as it is, or with what the reference says is lacking."""
-        job = scene.gpu.buffer(CORRECTION.size, uniform=True)
-        scene.gpu.device.queue.write_buffer(job, 0, self._job())
-        named = {"correction": job, "shown": target[self._output]}
-        flags = {"floats": self.floats}
+        scene.gpu.device.queue.write_buffer(target.correction, 0, self._job())
+        named = {"correction": target.correction, "shown": target[self._output]}
         if self.reference is None:
-            encode(
-                recording.encoder, build(scene.gpu, "plain", target.counts, flags, lambda n: named.get(n) or target[n])
-            )
+            encode(recording.encoder, self._steps(scene, target, "plain", target.counts, named))
             return
         counts = target.counts | _reference_counts(self.camera, self.reference.camera)
-        sizes = buffer_bytes("reference", counts)
-        named |= {name: scene.kept(name, size) for name, size in sizes.items()}
+        named |= {name: scene.kept(name, size) for name, size in buffer_bytes("reference", counts).items()}
+        self._expand(recording, scene, target, counts, named)
+        encode(recording.encoder, self._steps(scene, target, "correct", counts, named))
+
+    def _expand(
+        self, recording: Recording, scene: ResidentScene, target: Target, counts: Counts, named: dict[str, Handle]
+    ) -> None:
+        """What the reference says is lacking, once a reference; of a picture anew when the splats changed."""
+        assert self.reference is not None
+        # the own view hangs on the splats and on the client's resolution; a difference on nothing
+        seen = (scene.changes, self.camera.intrinsics, self.options) if self.reference.picture else ()
+        holds = (id(self.reference.coded), self.reference.knee, scene.kept_version, seen)
+        if scene.held is not None and scene.held[1] == holds:
+            return
         scene.gpu.device.queue.write_buffer(named["coded"], 0, np.ascontiguousarray(self.reference.coded, np.float32))
-        if self.reference.picture:  # after the frame: its own picture is read by then, the workspace is free again
+        own = target
+        if self.reference.picture:  # the frame is drawn by now: the workspace is free again
             own = scene.record(recording, self.reference.camera, self._own_drawing, role="own")
-            named["own"] = own["picture"]
-        else:
-            named["own"] = target["picture"]  # bound, not read
-        for graph in ("expand", "correct"):
-            steps = build(scene.gpu, graph, counts, flags, lambda name: named.get(name) or target[name])
-            encode(recording.encoder, steps)
+        bound = named | {"own": own["picture"]}  # of a difference it is bound and not read
+        encode(recording.encoder, build(scene.gpu, "expand", counts, {}, bound.__getitem__))
+        # the reference is kept too: its address may not be another's while it is compared with
+        recording.once_submitted.append(lambda: scene.hold(self.reference, holds))
+
+    def _steps(
+        self, scene: ResidentScene, target: Target, graph: str, counts: Counts, named: dict[str, Handle]
+    ) -> list[Dispatch]:
+        reference = self.reference and (self.reference.camera.width_px, self.reference.camera.height_px)
+        stride = counts.get("sampled_x", 0)
+        key = (graph, self.floats, reference, stride, scene.kept_version)
+
+        def make() -> list[Dispatch]:
+            flags = {"floats": self.floats}
+            return build(scene.gpu, graph, counts, flags, lambda name: named.get(name) or target[name])
+
+        return target.steps(scene.workspace.version, key, make)
 
     def _job(self) -> bytes:
         size = self.camera.width_px, self.camera.height_px

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 
@@ -15,7 +15,7 @@ from cags_common.raster.base import DepthKind, Exactness, RenderOptions
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.graph import Dispatch, buffer_bytes, build, encode
-from cags_gpu.layout import CHUNK, COUNT, UPDATE, VIEW, tiles_of, view_bytes
+from cags_gpu.layout import CHUNK, CORRECTION, COUNT, UPDATE, VIEW, tiles_of, view_bytes
 from cags_gpu.submission import Recording
 from cags_gpu.workspace import TooLargeError, Workspace
 
@@ -97,8 +97,16 @@ class Target:
             "tile_bits": max(1, (tiles_x * tiles_y).bit_length()),  # one tile more than there are: padding
         }
         self.view = gpu.buffer(VIEW.size, uniform=True)
-        self.steps: dict[tuple[object, ...], list[Dispatch]] = {}
+        self.correction = gpu.buffer(CORRECTION.size, uniform=True)
+        self._steps: dict[tuple[object, ...], list[Dispatch]] = {}
         self._buffers: dict[str, Handle] = {}
+
+    def steps(self, version: int, key: tuple[object, ...], make: Callable[[], list[Dispatch]]) -> list[Dispatch]:
+        """What ``make`` records, made once for a key; those of other versions of the shared buffers are dropped."""
+        if (version, key) not in self._steps:
+            self._steps = {held: steps for held, steps in self._steps.items() if held[0] == version}
+            self._steps[version, key] = make()
+        return self._steps[version, key]
 
     def __contains__(self, name: str) -> bool:
         return name in buffer_bytes("view", self.counts)
@@ -128,6 +136,11 @@ class ResidentScene:
         self._chunks = self._chunked()
         self._targets: dict[tuple[int, int, str], Target] = {}
         self._kept: dict[str, Handle] = {}
+        self.kept_version = 0
+        self.changes = 0
+        """How often splats were replaced."""
+        self.held: tuple[object, object] | None = None
+        """What the buffers of the reference hold: an object that is kept alive, and what it was made under."""
         self._unsorted = True
         self.change(Columns.of(np.arange(self.count), splats))
 
@@ -152,6 +165,7 @@ class ResidentScene:
             stop = min(start + piece, total)
             self._stage(columns.packed(start, stop), columns.flags, width)
         self._unsorted = True
+        self.changes += 1
 
     def _stage(self, packed: NDArray[np.uint32], flags: Mapping[str, bool], width: int) -> None:
         import wgpu
@@ -173,7 +187,12 @@ class ResidentScene:
         held = self._kept.get(name)
         if held is None or held.size < size:
             held = self._kept[name] = self.gpu.buffer(size)
+            self.kept_version += 1
         return held
+
+    def hold(self, owner: object, made_under: object) -> None:
+        """Note what the buffers of the reference hold now."""
+        self.held = owner, made_under
 
     def target(self, camera: Camera, role: str = "") -> Target:
         """The buffers of pictures of the camera's size; ``role`` keeps two of one size apart."""
@@ -226,12 +245,10 @@ class ResidentScene:
         self._unsorted = False
 
     def _steps(self, target: Target, kind: str, flags: dict[str, bool]) -> list[Dispatch]:
-        key = (kind, self.workspace.version, *flags.items())
-        if key not in target.steps:
-            for old in [k for k in target.steps if k[1] != self.workspace.version]:
-                del target.steps[old]
-            target.steps[key] = self._hash_steps(target) if kind == "hash" else self._frame_steps(target, flags)
-        return target.steps[key]
+        def make() -> list[Dispatch]:
+            return self._hash_steps(target) if kind == "hash" else self._frame_steps(target, flags)
+
+        return target.steps(self.workspace.version, (kind, *flags.items()), make)
 
     def counts_of(self, target: Target) -> dict[str, int]:
         """Everything that sizes and dispatches of a frame depend on."""

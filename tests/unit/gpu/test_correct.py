@@ -102,6 +102,24 @@ def test_nothing_lacking_changes_nothing_and_no_reference_is_the_drawing() -> No
 
 
 @needs_adapter
+def test_a_reference_is_expanded_once_and_a_picture_again_when_splats_change() -> None:
+    splats = plates()
+    scene = rasteriser().load(splats)
+    difference, picture = reference(), reference(coded=np.full((36, 48, 3), 0.6, F), picture=True)
+    turned = CLIENT.at(Pose((0.2, 0.0, -5.0), CLIENT.pose.rotation))
+    for ref in (difference, difference, picture, picture, difference, reference(coded=difference.coded * F(0.9))):
+        for cam in (CLIENT, turned):
+            fresh = rasteriser().load(splats)
+            ours, right = (corrected(s, cam, EXACT, ref).rgb for s in (scene, fresh))
+            np.testing.assert_array_equal(ours, right)
+    corrected(scene, CLIENT, EXACT, picture)
+    scene.recolour(np.arange(100), np.zeros((100, 3), F))
+    splats.sh0[:100] = 0
+    fresh = rasteriser().load(splats)
+    np.testing.assert_array_equal(*(corrected(s, CLIENT, EXACT, picture).rgb for s in (scene, fresh)))
+
+
+@needs_adapter
 def test_a_client_without_splats_sees_what_the_reference_shows() -> None:
     picture = reference(coded=np.full((36, 48, 3), 0.7, F), picture=True)
     for splats in (random_splats(0), splat((0.0, 0.0, -40.0))):  # none; one behind the camera
