@@ -65,8 +65,7 @@ async def play(
     ``url`` may name several servers, separated by commas: the first that answers is used, and a dropped connection is
     taken up by the same or the next one.
     """
-    if settings.interpolate == AUTO and not any(isinstance(sink, LiveSink) for sink in sinks):
-        settings = replace(settings, interpolate=OFF)  # nobody looks
+    settings = looked_at(settings, sinks)
     dial = Dial(url, settings.token)
     transport = await dial.first()
     adapting = ThreadPoolExecutor(1, "adapt")
@@ -91,6 +90,13 @@ async def play(
     if shell.player.error is not None:
         raise shell.player.error
     return Playback(shell.player, shell.records, shell.ended_by)
+
+
+def looked_at(settings: ClientSettings, sinks: Sequence[FrameSink]) -> ClientSettings:
+    """``settings`` without pictures between media frames, unless they are asked for or somebody looks."""
+    if settings.interpolate == AUTO and not any(isinstance(sink, LiveSink) for sink in sinks):
+        return replace(settings, interpolate=OFF)
+    return settings
 
 
 class Shell:

@@ -40,6 +40,9 @@ def ghosts(
     pairs, sizes = np.unique(np.stack([shown[late], owners[late]]), axis=1, return_counts=True)
     older, newer = pairs
     in_view = _in_view(tiles, np.concatenate([there[found], older]), frame, camera, inventory)
+    following = tiles.chunk_at(older, frame)  # on its way, maybe, with the looks that it moves
+    there_soon = np.isfinite(distances_in_view(tiles.bounds[np.where(following >= 0, following, older)], camera))
+    in_view[len(found) :] |= there_soon
     end = library.manifest.gof_frames(library.manifest.gof_of(frame))[-1]
     standing = there[found][in_view[: len(found)]]
     chunks = _chunks(tiles, standing, counts[standing].tolist(), frame, end)

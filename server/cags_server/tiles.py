@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.geometry import Camera
+from cags_common.packing import encode_ids
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, HeldTile, TileLayers
@@ -18,6 +19,7 @@ from cags_server.inventory import ClientInventory
 from cags_server.library import SceneLibrary
 from cags_server.opening import opening_tiles
 from cags_server.staleness import Staleness
+from cags_server.tile_map import TileMap
 from cags_server.visible import VisibleTile
 
 BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3
@@ -196,5 +198,22 @@ class TileSender:
         """The ends of every frame up to ``frame`` that has not been ended: skipped ones too, for their removed ids."""
         first = self._library.gof_start(frame) if self.ended is None else self.ended + 1
         self.ended, self._group = frame, self._library.manifest.gof_of(frame)
-        removed = self._library.removed_payload
-        return [ev.Outgoing(FrameEnd(at), removed(at), BASE_PRIORITY) for at in range(first, frame + 1)]
+        return [ev.Outgoing(FrameEnd(at), self._removed(at), BASE_PRIORITY) for at in range(first, frame + 1)]
+
+    def _removed(self, frame: int) -> bytes:
+        """The ids that end at ``frame``; where motion says when splats end, those of motion that the client lacks."""
+        library = self._library
+        if library.manifest.motion is None:
+            return library.removed_payload(frame)
+        ids, tiles = library.reader.removed_ids(frame), library.tile_map(frame)
+        shown = self._staleness.shown_with(frame, [])[ids]
+        older = np.flatnonzero((shown >= 0) & (tiles.frames[shown] < frame)) if len(ids) else np.zeros(0, np.intp)
+        looks = np.unique(shown[older])
+        told = [n for n in looks.tolist() if self._follows(tiles, n, frame)]
+        return encode_ids(ids[older[~np.isin(shown[older], told)]])
+
+    def _follows(self, tiles: TileMap, looks: int, frame: int) -> bool:
+        """Whether the client has the motion of a tile of looks that says what ends at ``frame``."""
+        of = np.array([looks], np.int32)
+        chunks = {int(tiles.chunk_at(of, at)[0]) for at in (frame - 1, frame)} - {-1}
+        return any(self.inventory.depth(*tiles.key(chunk)) for chunk in chunks)

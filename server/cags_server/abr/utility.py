@@ -8,9 +8,9 @@ again in the next frame is worth a thirtieth of the same detail on splats that s
 most where nothing stands in for it (a key frame's tile); where it is late, older splats are shown meanwhile.
 
 Motion and updates are valued in the same currency. What lacks its motion stands still, and what lacks an update shows
-an old attribute: both errors grow with the time for which that has been so. The first level of motion leaves more error
-than the best looks do, the last one as much. A chunk that begins later may come later as well: the further ahead, the
-less it is worth now, so that chunks which begin together are sent one by one while the link has room.
+an old attribute: both errors grow with the time for which that has been so. The last level of motion leaves as much
+error as the best looks do, each level before it more. A chunk that begins later may come later as well: the further
+ahead, the less it is worth now, so that chunks which begin together are sent one by one while the link has room.
 
 A layer of little gain may stand before one of much: a tile's layers are therefore offered in runs, the steepest first
 (the convex hull of what is removed over bytes), which makes the greedy order optimal up to the last run.
@@ -21,7 +21,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from math import log10
 
+from cags_common.motion.chunk import REFINEMENT
 from cags_common.tile_kinds import TileKind
 from cags_server.abr.base import Decision, Observation, TileView
 from cags_server.abr.plan import Plan
@@ -32,8 +34,8 @@ HOLE_DB, STALE_DB = 20.0, 6.0
 UPDATE_DB = -6.0
 """How much worse than a base layer's error is that of an old attribute: encoders write updates for less than that."""
 
-COARSE_MOTION_DB = 12.0
-"""How much more error the first level of motion leaves than the last: its unit is four times the other's."""
+LEVEL_DB = 20.0 * log10(REFINEMENT)
+"""How much more error a level of motion leaves than the next: its unit is so many times the other's."""
 
 AHEAD_FRAMES = 10.0
 """A chunk that begins so many frames later is worth nothing yet."""
@@ -144,10 +146,8 @@ def _ratio(db: float) -> float:
 def _left(tile: TileView, distortions: tuple[float, ...]) -> tuple[float, ...]:
     """Squared error of what ``tile`` brings up to each of its LoDs."""
     if tile.kind == TileKind.MOTION:
-        best = distortions[-1]
-        return tuple(
-            min(best * _ratio(COARSE_MOTION_DB), 1.0) if level == 0 else best for level in range(tile.max_depth)
-        )
+        finest = tile.max_depth - 1
+        return tuple(min(distortions[-1] * _ratio(LEVEL_DB * (finest - level)), 1.0) for level in range(tile.max_depth))
     if tile.kind == TileKind.UPDATE:  # LoDs of attributes that it leaves as they are bring nothing
         out = [1.0]
         for lod in range(1, tile.max_depth):
