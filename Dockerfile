@@ -10,6 +10,7 @@ COPY constraints.txt pyproject.toml README.md LICENSE NOTICE ./
 COPY kernels kernels
 COPY common common
 COPY protocol protocol
+COPY gpu gpu
 COPY encoder encoder
 COPY server server
 COPY client client

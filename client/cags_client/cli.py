@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,7 +99,7 @@ def _body(argv: Sequence[str]) -> int | None:
     outputs = _Outputs(**{name: getattr(arguments, name) for name in names})
     if outputs.stages_every < 1:
         raise ConfigError(f"stages_every = {outputs.stages_every} must be at least 1")
-    _check_choices(settings, outputs)
+    settings = replace(settings, raster=_checked_choices(settings, outputs))
     if outputs.view:
         _check_view(outputs)
         _look(settings, outputs, load_settings(ViewSettings, arguments, ClientSettings))
@@ -107,18 +107,20 @@ def _body(argv: Sequence[str]) -> int | None:
     return _watch(settings, outputs)
 
 
-def _check_choices(settings: ClientSettings, outputs: _Outputs) -> None:
-    """What is misspelt is told before any server is asked. Raises :class:`CagsError`."""
+def _checked_choices(settings: ClientSettings, outputs: _Outputs) -> str:
+    """The rasteriser chosen; what is misspelt is told before any server is asked. Raises :class:`CagsError`."""
     from cags_client import align, restore
     from cags_client.restore import auto
     from cags_common import raster
     from cags_common.poses import Focus, open_poses
 
-    raster.create(settings.raster)
+    rasteriser = raster.chosen(settings.raster)
+    raster.create(rasteriser)
     align.create(settings.align)
     if settings.restore != auto.NAME:
         restore.check_name(settings.restore)
     open_poses(outputs.poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
+    return rasteriser
 
 
 def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:

@@ -28,7 +28,7 @@ class ClientSettings:
     width: int = setting(800, "picture width in pixels", low=1, high=8192)
     height: int = setting(600, "picture height in pixels", low=1, high=8192)
     fov: float = setting(60.0, "horizontal field of view in degrees", low=1, high=170)
-    raster: str = setting("auto", "rasteriser: auto, reference, cpu or cuda")
+    raster: str = setting("auto", "rasteriser: auto (gpu where there is one, else cpu), reference, cpu or gpu")
     exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
     resolution: str = setting(
         "full",
@@ -36,7 +36,7 @@ class ClientSettings:
         "while full takes too long",
         choices=RESOLUTIONS,
     )
-    align: str = setting("auto", "aligner: auto, cpu, cuda, fast, reference, unaligned or rotation")
+    align: str = setting("auto", "aligner: auto, cpu, fast, reference, unaligned or rotation")
     erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
     restore: str = setting(
         "affine",

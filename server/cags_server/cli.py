@@ -67,7 +67,7 @@ def _serve(argv: Sequence[str]) -> None:
             "listening on %s without --token: anyone who reaches it may watch", settings.host
         )
     with ExitStack() as shown, BundleReader.open(settings.bundle) as reader:
-        library = SceneLibrary(reader, raster.create(settings.rasteriser))
+        library = SceneLibrary(reader, raster.create(raster.chosen(settings.rasteriser)))
         asyncio.run(serve(library, settings, ready))
 
 

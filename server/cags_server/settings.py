@@ -45,7 +45,9 @@ class ServerSettings:
         0.5, "share of the link that references may take; beyond it there are fewer of them, 1: never", low=0.01, high=1
     )
     opening_tiles: bool = setting(True, "send the base layers of the first frame before the play begins")
-    rasteriser: str = setting("auto", "rendering backend: auto, reference, cpu or cuda")
+    rasteriser: str = setting(
+        "auto", "rendering backend: auto (gpu where there is one, else cpu), reference, cpu or gpu"
+    )
     render_threads: int = setting(2, "threads of one reference render", low=1, high=256)
     visible_px: float = setting(0.02, "least contribution of a visible splat, reference pixels", low=0.0, high=1e6)
     queue_ms: float = setting(150.0, "delay that planned but undelivered data may cause, ms", low=0.0, high=10_000.0)

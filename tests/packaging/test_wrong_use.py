@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-MODULES = {e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points}
+MODULES = {
+    e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points if e.group == "console_scripts"
+}
 NOBODY = "ws://127.0.0.1:1/stream"
 STEADY = "--trace=generated:steady-30"
 

@@ -18,7 +18,7 @@ EXAMPLES = """\
   cags-bench align --scene procedural:size=12000,frames=36 --sizes 400x300 --ages 1,3,10 --json
   cags-bench align --scene ../shared/scenes/guitar/guitar.compressed.ply --sizes 1600x1200 --views 2 --json
   cags-bench align --scene capture.ply --poses walk.csv --errors predicted --lpips lpips_alex.npz --json
-  cags-bench align --device cuda --sizes 1600x1200 --repetitions 20 --json
+  cags-bench align --device gpu --sizes 1600x1200 --repetitions 20 --json
 """
 
 
@@ -34,7 +34,7 @@ class AlignBenchSettings(Conditions):
     device: str = setting(
         "",
         "instead: the times of the paper's client table (render, PRPA, networks) on this device",
-        choices=("", "cpu", "cuda"),
+        choices=("", "cpu", "gpu"),
     )
 
     def __post_init__(self) -> None:

@@ -117,11 +117,15 @@ def _times(timings: Timings) -> Any:
     from rich.table import Table
 
     title = f"milliseconds a frame: {timings.splats:,} splats, {timings.backend}, {timings.threads} threads"
-    table = Table("picture", "draw", "align", "own view", "restore", "together", title=title)
+    columns = ["picture", "draw", "align", "own view", "restore", "together"]
+    table = Table(*columns, *(["GPU draws"] if timings.adapter else []), title=title)
     for size in timings.sizes:
         cells = (size.raster_ms, size.align_ms, size.own_ms, size.restore_ms, size.total_ms)
-        table.add_row(f"{size.width}x{size.height}", *(f"{value:.1f}" for value in cells))
+        drawn = [] if size.gpu_ms is None else [size.gpu_ms]
+        table.add_row(f"{size.width}x{size.height}", *(f"{value:.1f}" for value in (*cells, *drawn)))
     table.caption = f"server: reference {timings.reference_ms:.1f}, H.264 {timings.encode_ms:.1f}"
+    if timings.adapter:
+        table.caption += f"; GPU: {timings.adapter}"
     return table
 
 

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from importlib.util import find_spec
 
 from cags_bench.doctor.findings import Finding, fine, missing, note
-from cags_common.errors import CagsError
+from cags_common.errors import CagsError, ConfigError
 
 OPTIONAL = {
     "distributed": ("encoding on several machines", "pip install 'cags-stream[scale]'"),
@@ -23,7 +23,7 @@ def part_findings() -> Iterator[Finding]:
     yield guarded("H.264", h264)
     yield guarded("Draco", draco)
     yield guarded("k-means", kmeans)
-    yield guarded("CUDA", cuda)
+    yield guarded("GPU", gpu)
     for package, (purpose, remedy) in OPTIONAL.items():
         yield optional(package, purpose, remedy)
 
@@ -84,16 +84,16 @@ def kmeans() -> Finding:
     return fine("k-means", f"faiss {faiss.__version__}")
 
 
-def cuda() -> Finding:
-    """The graphics card, which nothing needs."""
-    import torch
+def gpu() -> Finding:
+    """The graphics processor, which nothing needs: adapter, driver and limits."""
+    from cags_gpu.device import choose
 
-    if not torch.cuda.is_available():
-        return note("CUDA", "no device", "not needed; with one, install cags-stream[cuda] and choose --raster cuda")
-    name = torch.cuda.get_device_name(0)
-    if find_spec("gsplat") is None:
-        return note("CUDA", f"{name}, without gsplat", "pip install 'cags-stream[cuda]' to rasterise on it")
-    return fine("CUDA", name)
+    try:
+        info, _ = choose()
+    except ConfigError as error:
+        return note("GPU", str(error), "not needed: frames are drawn by the CPU")
+    sizes = f"binds {info.max_binding_bytes >> 20} MiB, buffers of {info.max_buffer_bytes >> 20} MiB"
+    return fine("GPU", f"{info}; {sizes}; timestamps: {'yes' if info.timestamps else 'no'}")
 
 
 def optional(package: str, purpose: str, remedy: str) -> Finding:

@@ -6,11 +6,16 @@ import math
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cags_common.geometry import Camera, Intrinsics, Pose
+
+if TYPE_CHECKING:
+    from cags_common.splats import Splats
+    from cags_gpu.raster import GpuScene
 
 SCENE = "procedural:size={splats},frames=1"
 NATIVE_SPLATS, READABLE_SPLATS = 30_000, 2_000
@@ -39,6 +44,8 @@ class SizeTimes:
     align_ms: float
     own_ms: float
     restore_ms: float
+    gpu_ms: float | None = None
+    """Drawn by the graphics processor and read back, where there is one."""
 
     @property
     def total_ms(self) -> float:
@@ -56,6 +63,8 @@ class Timings:
     reference_ms: float
     encode_ms: float
     sizes: tuple[SizeTimes, ...]
+    adapter: str = ""
+    """The graphics processor that was timed; empty where there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +94,7 @@ def measure(threads: int) -> Timings:
     reference = _camera(400, 300, pose)
     options = RenderOptions(threads=threads, contribution=True, footprint=Footprint.antialiased())
     view = scene.render(reference, options)
+    gpu, adapter = _gpu_scene(source.frame(0))
     encoder = H264Encoder(400, 300, 30.0)
     return Timings(
         backend=rasteriser.name,
@@ -92,8 +102,31 @@ def measure(threads: int) -> Timings:
         threads=threads,
         reference_ms=median_ms(lambda: scene.render(reference, options)),
         encode_ms=median_ms(lambda: encoder.encode(np.clip(view.rgb, 0, 1))),
-        sizes=tuple(_at_size(scene, _camera(w, h, pose), reference, threads) for w, h in sizes),
+        sizes=tuple(_with_gpu(_at_size(scene, _camera(w, h, pose), reference, threads), gpu, pose) for w, h in sizes),
+        adapter=adapter,
     )
+
+
+def _gpu_scene(splats: Splats) -> tuple[GpuScene | None, str]:
+    """The scene on the graphics processor, and that one's name; None and nothing where there is none."""
+    from cags_common.errors import ConfigError
+    from cags_gpu.device import choose
+    from cags_gpu.raster import GpuRasteriser
+
+    try:
+        return GpuRasteriser().load(splats), str(choose()[0])
+    except ConfigError:
+        return None, ""
+
+
+def _with_gpu(times: SizeTimes, scene: GpuScene | None, pose: Pose) -> SizeTimes:
+    if scene is None:
+        return times
+    from cags_common.raster.base import RenderOptions
+    from cags_gpu.correct import shown
+
+    camera = _camera(times.width, times.height, pose)
+    return replace(times, gpu_ms=median_ms(lambda: shown(scene, camera, RenderOptions(), None)))
 
 
 def _at_size(scene: object, camera: Camera, reference: Camera, threads: int) -> SizeTimes:

@@ -19,6 +19,7 @@ EXAMPLES = """\
   cags-bench motion --shared ../shared --json
   cags-bench motion --scenes 'fourd:frames=100' --json
   cags-bench motion --scenes 'procedural:size=30000;motion:plant.splat' --frames 33
+  cags-bench motion --scenes wave --film strip.png --film-scene motion:plant.splat
 """
 
 DISGUISE = "shuffle=1,quantise=sog"
@@ -36,6 +37,10 @@ class MotionSettings:
     views: int = setting(3, "views of each judged frame", low=1, high=64)
     workers: int = setting(2, "processes that encode", low=1, high=64)
     whole: bool = setting(True, "whether to encode with changed splats sent whole, too (the state to compare with)")
+    film: str = setting("", "also play film_scene both ways in virtual time, and write a film strip to this file")
+    film_scene: str = setting("fourd:splats=20000,births=2500", "scene of the film strip")
+    film_trace: str = setting("generated:steady-10", "network trace of the film strip")
+    cache: str = setting("", "folder of the film's bundles; empty: a cache folder of the user's")
     repetitions: int = setting(15, "timed evaluations of motion", low=1, high=1000)
     threads: int = setting(2, "threads that evaluate motion", low=1, high=64)
 

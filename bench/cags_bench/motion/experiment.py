@@ -14,6 +14,7 @@ import numpy as np
 
 from cags_bench.jsonl import JsonObject, check, provenance, summary
 from cags_bench.motion.command import DISGUISE, MotionSettings
+from cags_bench.motion.film import write_film
 from cags_common import raster
 from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.metrics import covered_mask, psnr
@@ -37,6 +38,8 @@ def measure(settings: MotionSettings) -> Iterator[JsonObject]:
             yield lines[-1]
     times = evaluation_times(settings)
     yield times
+    if settings.film:
+        yield write_film(Path(settings.film), settings.film_scene, settings.film_trace, settings.cache)
     yield summary("motion", _checks(lines, times))
 
 

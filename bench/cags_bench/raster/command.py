@@ -19,6 +19,8 @@ EXAMPLES = """\
   cags-bench raster --shared ../shared --json
   cags-bench raster --sizes 400x300 --threads 2 --repetitions 5
   cags-bench raster --scenes procedural:size=100000 --no-growth
+  cags-bench raster --backends cpu gpu --sizes 400x300,800x600 --json
+  cags-bench raster --table --sizes 400x300,1600x1200 --json
   cags-bench raster --no-views --no-growth --sizes 1600x1200 --threads 2
 """
 
@@ -41,6 +43,14 @@ class RasterSettings:
     )
     peers: bool = setting(True, "whether to time peers that are installed (Open3D: seconds a frame)")
 
+    table: bool = setting(
+        False, "instead: the client table, references a second and growth on this machine's graphics processor"
+    )
+    clients: str = setting("1,8,64", "clients of --table's server, separated by commas")
+    growing: str = setting(
+        "50000,150000,400000,1000000,2000000,4000000", "splats of --table's growth, separated by commas"
+    )
+
     def __post_init__(self) -> None:
         check_settings(self)
 
@@ -56,13 +66,17 @@ class RasterSettings:
     @property
     def thread_list(self) -> list[int]:
         """Numbers of threads."""
-        try:
-            counts = [int(text) for text in self.threads.split(",")]
-        except ValueError as error:
-            raise ConfigError(f"threads = {self.threads!r} must be like 1,2") from error
-        if min(counts) < 1:
-            raise ConfigError(f"threads = {self.threads!r} must be at least 1 each")
-        return counts
+        return _numbers("threads", self.threads)
+
+    @property
+    def client_list(self) -> list[int]:
+        """Numbers of clients."""
+        return _numbers("clients", self.clients)
+
+    @property
+    def growth_list(self) -> list[int]:
+        """Numbers of splats."""
+        return _numbers("growing", self.growing)
 
     @property
     def scene_list(self) -> list[str]:
@@ -75,13 +89,41 @@ class RasterSettings:
         return found or ["procedural:size=150000"]
 
 
+def _numbers(name: str, text: str) -> list[int]:
+    try:
+        counts = [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"{name} = {text!r} must be like 1,2") from error
+    if min(counts) < 1:
+        raise ConfigError(f"{name} = {text!r} must be at least 1 each")
+    return counts
+
+
+BACKENDS = ("cpu", "gpu")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's flags."""
     add_settings(parser, RasterSettings)
+    parser.add_argument(
+        "--backends",
+        nargs="+",
+        choices=BACKENDS,
+        help="instead: these backends against the definition, the correction of frames, and the work of a frame",
+    )
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """One line a case, then growth, then the machine's limit, then the summary."""
+    """The lines of what was asked for, the summary last."""
+    settings = load_settings(RasterSettings, arguments)
+    if arguments.backends:
+        from cags_bench.raster.backends import measure_backends
+
+        return measure_backends(settings, arguments.backends)
+    if settings.table:
+        from cags_bench.raster.hardware import measure_table
+
+        return measure_table(settings)
     from cags_bench.raster.cases import measure
 
-    return measure(load_settings(RasterSettings, arguments))
+    return measure(settings)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import cags_kernels
 from cags_client.align.base import Aligned, Aligner, AlignSettings, ReferencePicture
 from cags_client.align.cpu import CpuAligner
-from cags_client.align.cuda import CudaAligner
 from cags_client.align.fast import FastAligner
 from cags_client.align.reference import ReferenceAligner
 from cags_client.align.rotation import RotationAligner
@@ -20,7 +19,6 @@ ALIGNERS: dict[str, Callable[[AlignSettings], Aligner]] = {
     "reference": ReferenceAligner,
     "fast": FastAligner,
     "cpu": CpuAligner,
-    "cuda": CudaAligner,
     "unaligned": UnalignedAligner,
     "rotation": RotationAligner,
 }

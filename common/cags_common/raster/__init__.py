@@ -1,7 +1,7 @@
 """The rasteriser seam and its backends, picked by name.
 
-``create("auto")`` gives the fastest backend that runs everywhere: ``cpu`` where the native kernels are installed, else
-``reference``, and says so once.
+``create("auto")`` gives the fastest backend of the processor: ``cpu`` where the native kernels are installed, else
+``reference``, and says so once. ``chosen("auto")`` is ``gpu`` where a graphics processor is there.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from functools import cache
+from importlib.metadata import entry_points
 
 from cags_common.errors import ConfigError
 from cags_common.raster.base import (
@@ -34,6 +35,7 @@ __all__ = [
     "RenderOptions",
     "RenderedView",
     "Shortcuts",
+    "chosen",
     "create",
 ]
 
@@ -52,23 +54,49 @@ def _cpu() -> Rasteriser:
     return CpuRasteriser()
 
 
-def _cuda() -> Rasteriser:
-    from cags_common.raster.cuda import CudaRasteriser
-
-    return CudaRasteriser()
+PLUGINS = "cags.rasterisers"
+"""The entry points by which packages above this one add backends: ``gpu`` comes from :mod:`cags_gpu`."""
 
 
-FACTORIES: dict[str, Callable[[], Rasteriser]] = {"reference": _reference, "cpu": _cpu, "cuda": _cuda}
+def _plugin(name: str) -> Callable[[], Rasteriser]:
+    """A backend of another package; its factory raises :class:`ConfigError` where that is not installed."""
+
+    def make() -> Rasteriser:
+        found = entry_points(group=PLUGINS, name=name)
+        if not found:
+            raise ConfigError(f"rasteriser {name!r} is not installed; install the program again: pip install -e .")
+        made: Rasteriser = next(iter(found)).load()()
+        return made
+
+    return make
+
+
+FACTORIES: dict[str, Callable[[], Rasteriser]] = {"reference": _reference, "cpu": _cpu, "gpu": _plugin("gpu")}
 """Backends by name. A factory raises :class:`ConfigError` with the reason when its backend cannot run here."""
 
 
 def create(name: str = "auto") -> Rasteriser:
-    """The rasteriser called ``name``: a key of :data:`FACTORIES`, or ``auto``. Raises :class:`ConfigError`."""
+    """The rasteriser called ``name``: a key of :data:`FACTORIES`, or ``auto``. Raises :class:`ConfigError`.
+
+    ``auto`` is a backend of the processor, whose pictures are the same on every machine: what is encoded or measured
+    with it can be repeated. What draws for people asks :func:`chosen` first.
+    """
     if name == "auto":
         return _automatic()
     if name not in FACTORIES:
         raise ConfigError(f"rasteriser {name!r} is unknown; known: auto, {', '.join(FACTORIES)}")
     return FACTORIES[name]()
+
+
+def chosen(name: str) -> str:
+    """The backend that a client or server draws with when asked for ``name``: ``gpu`` for ``auto`` where it runs."""
+    if name != "auto":
+        return name
+    try:
+        return create("gpu").name
+    except ConfigError as error:
+        _log.info("not drawing on a graphics processor: %s", error)
+        return name
 
 
 def _automatic() -> Rasteriser:

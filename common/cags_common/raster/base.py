@@ -2,7 +2,7 @@
 
 A :class:`Rasteriser` loads splats into a :class:`RasterScene` that lives on the renderer's side between frames; the
 scene is updated in part and rendered from any camera. Implementations: ``reference`` (float64, readable, the definition
-of right), ``cpu`` (``cags-kernels``), ``cuda`` (gsplat).
+of right), ``cpu`` (``cags-kernels``), ``gpu`` (WGSL shaders, :mod:`cags_gpu`).
 """
 
 from __future__ import annotations

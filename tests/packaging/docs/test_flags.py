@@ -18,7 +18,9 @@ PAGES = [
     *(ROOT / folder / "README.md" for folder in (".", "kernels", "protocol", "server", "shaper", "traces")),
     ROOT / "CHANGELOG.md",
 ]
-MODULES = {e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points}
+MODULES = {
+    e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points if e.group == "console_scripts"
+}
 FLAG = re.compile(r"(?<![\w/-])--[a-z][a-z0-9-]+")
 OF_OTHERS = {
     "pip": {"--extra-index-url", "--force-reinstall"},

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from cags_client.align import ALIGNERS, Aligned, ReferencePicture
 from cags_client.align import create as create_aligner
-from cags_client.align.cuda import CudaAligner
 from cags_client.restore import RestoreInput
 from cags_client.restore import create as create_restorer
 from cags_common import raster
@@ -120,8 +119,7 @@ def test_depths_at_the_limits_of_float32_give_no_colour_that_is_not_finite(name:
 
 
 def _aligned(reference: ReferencePicture, depth: np.ndarray, name: str = "auto") -> Aligned:
-    aligner = CudaAligner(device="cpu") if name == "cuda" else create_aligner(name)
-    return aligner.align(reference, depth, Camera(SMALL, Pose.identity()))
+    return create_aligner(name).align(reference, depth, Camera(SMALL, Pose.identity()))
 
 
 # -------------------------------------------------------------------------------------------------- degenerate training

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 import cags_kernels
+from cags_bench.raster.backends import measure_backends
 from cags_bench.raster.cases import _growth_checks, _peer_checks, measure
 from cags_bench.raster.command import RasterSettings
+from cags_bench.raster.hardware import measure_table
 from cags_bench.raster.upkeep import upkeep_checks
+from cags_common.errors import ConfigError
+from support.gpu import needs_adapter, software_passes
 
 SMALL = RasterSettings(
     shared="nowhere",
@@ -59,3 +65,39 @@ def test_upkeep_is_judged_by_share_zeros_and_frame():
     line = {"updated": 4000, "splats": 100_000, "load_ms": 10.0, "update_ms": 1.0, "contribution_2_threads_ms": 40.0}
     line |= {"harmonics_of_zeros_ms": 10.3, "no_harmonics_ms": 10.0}
     assert [check["ok"] for check in upkeep_checks(line)] == [True, True, False]
+
+
+@needs_adapter
+def test_backends_are_held_to_the_definition_and_the_gpus_work_is_counted():
+    with software_passes():
+        lines = list(measure_backends(replace(SMALL, sizes="64x48"), ["cpu", "gpu"]))
+    *cases, last = lines
+    assert [line["backend"] for line in cases if line["case"] == "backend"] == ["cpu", "gpu"]
+    assert all(line["psnr_db"] > 60 for line in cases if line["case"] == "backend")
+    assert all(line["adapter"] for line in cases if line.get("backend") != "cpu")
+    (correction,) = (line for line in cases if line["case"] == "correction")
+    assert correction["share_within_a_level"] > 0.999
+    assert correction["added_to"] > 0.5
+    work = [line for line in cases if line["case"] == "work"]
+    assert [line["bytes_total"] for line in work] == sorted((line["bytes_total"] for line in work), reverse=True)
+    names = [check["name"] for check in last["checks"]]
+    assert {"PSNR of gpu exact against the definition, worst view", "worst pixel of gpu exact"} <= set(names)
+    assert sum("estimate" in name for name in names) == 3
+
+
+@needs_adapter
+def test_the_table_names_the_adapter_and_has_clients_and_growth():
+    small = replace(SMALL, table=True, sizes="48x32", clients="1,2", growing="500,900")
+    with software_passes():
+        *lines, last = measure_table(small)
+    assert [line["stage"] for line in lines if line["case"] == "client"][:2] == ["drawn and shown", "whole frame"]
+    assert [line["clients"] for line in lines if line["case"] == "references"] == [1, 2]
+    assert [line["splats"] for line in lines if line["case"] == "growth"] == [500, 900]
+    assert all(line["adapter"] == last["adapter"] != "" for line in lines)
+    assert last["checks"] == [], "targets are for 1600x1200 and 64 clients"
+
+
+def test_the_table_without_hardware_is_refused_with_the_reason(monkeypatch):
+    monkeypatch.setenv("CAGS_GPU_ADAPTER", "no such adapter")
+    with pytest.raises(ConfigError, match=r"adapter|wgpu"):
+        list(measure_table(SMALL))

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from cags_client.align import ALIGNERS, Aligned, Aligner, AlignSettings, ReferencePicture, create
-from cags_client.align.cuda import CudaAligner
 from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
 
@@ -17,14 +16,9 @@ LARGE = Intrinsics.of_fov(160, 120, 1.0, 0.8)
 SMALL = Intrinsics.of_fov(40, 30, 1.0, 0.8)
 
 
-def made(name: str) -> Aligner:
-    """The aligner; that for a CUDA device on the CPU, where torch does the same."""
-    return CudaAligner(device="cpu") if name == "cuda" else create(name)
-
-
 @pytest.fixture(params=TRUE_ALIGNERS)
 def aligner(request: pytest.FixtureRequest) -> Aligner:
-    return made(request.param)
+    return create(request.param)
 
 
 def texture(height: int, width: int, seed: int = 0) -> np.ndarray:
@@ -201,7 +195,7 @@ def test_all_aligners_agree() -> None:
     reference, depth, _ = step_scene()
     rough = (depth * (1 + 0.02 * texture(120, 160)[..., 0])).astype(np.float32)
     camera = Camera(LARGE, turned(0.05, (0.02, 0.03, -0.1)))
-    outs = [made(name).align(reference, rough, camera) for name in TRUE_ALIGNERS]
+    outs = [create(name).align(reference, rough, camera) for name in TRUE_ALIGNERS]
     for out in outs[1:]:
         np.testing.assert_allclose(out.rgb, outs[0].rgb, atol=1e-4)
         np.testing.assert_allclose(out.confidence, outs[0].confidence, atol=1e-4)

@@ -13,12 +13,15 @@ from pathlib import Path
 import pytest
 
 from cags_bench.doctor import cli, machine, parts
+from cags_bench.doctor import timings as timing
 from cags_bench.doctor.findings import Verdict, fine, missing, note
 from cags_bench.doctor.timings import SizeTimes, Timings, advise
 from cags_client.settings import ClientSettings
 from cags_common.settings import add_settings, load_settings
 from cags_kernels import native_available
 from cags_server.settings import ServerSettings
+from support.gpu import needs_adapter, software_passes
+from support.raster_scenes import camera, random_splats
 
 
 def test_an_old_python_is_missing_what_is_needed() -> None:
@@ -120,7 +123,7 @@ def test_every_part_is_tried_here() -> None:
     found = {finding.matter: finding for finding in parts.part_findings()}
     for matter in ("H.264", "Draco", "k-means"):
         assert found[matter].verdict is Verdict.OK, found[matter]
-    assert found["CUDA"].verdict is not Verdict.MISSING
+    assert found["GPU"].verdict is not Verdict.MISSING
 
 
 def test_kernels_of_another_version_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -230,3 +233,25 @@ def test_every_width_of_a_terminal_shows_what_to_do(
 def test_wrong_use_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--threads", "-2"]) == cli.main(["--threads", "0"]) == 2
     assert "threads" in capsys.readouterr().err
+
+
+@needs_adapter
+def test_the_graphics_processor_is_named_with_driver_and_limits_and_timed() -> None:
+    with software_passes():
+        found = parts.gpu()
+        scene, adapter = timing._gpu_scene(random_splats(100))
+        times = timing._with_gpu(SizeTimes(64, 48, 1.0, 1.0, 1.0, 1.0), scene, camera().pose)
+    assert found.verdict is Verdict.OK
+    assert adapter in found.found
+    assert "MiB" in found.found
+    assert "timestamps" in found.found
+    assert times.gpu_ms is not None
+    assert times.gpu_ms > 0
+
+
+def test_without_one_the_reason_is_noted_and_nothing_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAGS_GPU_ADAPTER", "no such adapter")
+    found = parts.gpu()
+    assert found.verdict is Verdict.NOTE
+    assert found.remedy == "not needed: frames are drawn by the CPU"
+    assert timing._gpu_scene(random_splats(10)) == (None, "")

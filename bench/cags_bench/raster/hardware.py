@@ -1,0 +1,139 @@
+"""``cags-bench raster --table``: the paper's client table, references a second and growth, on this machine's GPU."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from cags_bench.jsonl import check, provenance, summary
+from cags_bench.raster.cases import REFERENCE_SIZE, size_text, view_of
+from cags_bench.raster.command import RasterSettings
+from cags_common.raster import Footprint, RenderOptions, create
+from cags_common.splats import Splats
+from cags_encoder.scenes import FrameSource, open_scene
+from cags_gpu.correct import coded_reference, shown
+from cags_gpu.definition import Reference
+from cags_gpu.device import choose
+from cags_gpu.raster import GpuScene
+from cags_gpu.timing import frame_times_ms
+
+SCENE = "procedural:size={splats},frames=1"
+FRAME_SPLATS = 150_000
+FRAME_MS = 3.0
+"""Target of a whole client frame."""
+
+CLIENTS_RATE = 64, 30
+"""Target: so many clients, so many references a second each."""
+
+KNEE = 0.1
+
+Line = dict[str, Any]
+
+
+def measure_table(settings: RasterSettings) -> Iterator[Line]:
+    """Client table at the largest size, then clients, then growth. Raises :class:`ConfigError` without an adapter."""
+    adapter, _ = choose()
+    rasteriser, lines = create("gpu"), []
+    source = open_scene(SCENE.format(splats=min(FRAME_SPLATS, max(settings.growth_list))))
+    splats = source.frame(0)
+    scene = rasteriser.load(splats)
+    assert isinstance(scene, GpuScene)
+    parts: list[Iterator[Line]] = [
+        client_lines(settings, source, splats, scene),
+        *(reference_lines(settings, source, splats, scene, clients) for clients in settings.client_list),
+        *(growth_lines(settings, count) for count in settings.growth_list),
+    ]
+    for part in parts:
+        for line in part:
+            lines.append(line | {"adapter": str(adapter), "software": adapter.software, **provenance()})
+            yield lines[-1]
+    yield summary("raster", _checks(lines), adapter=str(adapter), repetitions=settings.repetitions)
+
+
+def client_lines(settings: RasterSettings, source: FrameSource, splats: Splats, scene: GpuScene) -> Iterator[Line]:
+    """Drawing, alignment with correction, and the whole frame with the read-back of what is shown."""
+    size = settings.size_list[-1]
+    camera, options = view_of(source, *size), RenderOptions()
+    there = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
+    grey = Reference(np.full((there.height_px, there.width_px, 3), 0.5, np.float32), there, knee=KNEE)
+    stages: dict[str, Callable[[], object]] = {
+        "drawn and shown": lambda: shown(scene, camera, options, None),
+        "whole frame": lambda: shown(scene, camera, options, grey),
+    }
+    spent = _interleaved(stages, settings)
+    spent["correction"] = [b - a for a, b in zip(spent["drawn and shown"], spent["whole frame"], strict=True)]
+    made_of = {"case": "client", "scene": source.name, "splats": len(splats), "size": size_text(size)}
+    for stage, taken in spent.items():
+        yield {**made_of, "stage": stage, "ms": round(statistics.median(taken), 3), "least_ms": round(min(taken), 3)}
+    passes = scene.on_device(lambda resident: frame_times_ms(resident, camera, options), lambda _: {})
+    device = {label: round(ms, 4) for label, ms in passes.items()}
+    yield {**made_of, "stage": "drawing on the device's clock", "ms": round(sum(device.values()), 3), "passes": device}
+
+
+def reference_lines(
+    settings: RasterSettings, source: FrameSource, splats: Splats, truth: GpuScene, clients: int
+) -> Iterator[Line]:
+    """References a second of a server: for each client truth and mirror drawn, subtracted and companded."""
+    camera = view_of(source, *settings.size_list[-1])
+    there = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
+    footprint = Footprint.of(camera.intrinsics, there.intrinsics)
+    options = RenderOptions(footprint=footprint, contribution=True)
+    mirrors = [_mirror(splats, seed) for seed in range(clients)]
+    for mirror in mirrors:
+        coded_reference(truth, mirror, there, options, KNEE)  # uploads, and the first frame's pipelines
+    start = time.perf_counter()
+    for _ in range(settings.repetitions):
+        for mirror in mirrors:
+            coded_reference(truth, mirror, there, options, KNEE)
+    rate = settings.repetitions * clients / (time.perf_counter() - start)
+    size = size_text((there.width_px, there.height_px))
+    yield {"case": "references", "clients": clients, "size": size, "a_second": round(rate, 1)}
+
+
+def _mirror(splats: Splats, seed: int) -> GpuScene:
+    """A client's copy: other base colours, so that there is something to send."""
+    noise = np.random.default_rng(seed).normal(0.0, 0.1, splats.sh0.shape).astype(np.float32)
+    made = create("gpu").load(replace(splats, sh0=splats.sh0 + noise))
+    assert isinstance(made, GpuScene)
+    return made
+
+
+def growth_lines(settings: RasterSettings, count: int) -> Iterator[Line]:
+    """A frame of ``count`` splats at the smallest and the largest size."""
+    source = open_scene(SCENE.format(splats=count))
+    scene = create("gpu").load(source.frame(0))
+    assert isinstance(scene, GpuScene)
+    for size in dict.fromkeys((settings.size_list[0], settings.size_list[-1])):
+        draw = partial(shown, scene, view_of(source, *size), RenderOptions(), None)
+        ms = round(statistics.median(_interleaved({"frame": draw}, settings)["frame"]), 3)
+        yield {"case": "growth", "splats": count, "size": size_text(size), "ms": ms}
+
+
+def _interleaved(stages: dict[str, Callable[[], object]], settings: RasterSettings) -> dict[str, list[float]]:
+    spent: dict[str, list[float]] = {name: [] for name in stages}
+    for turn in range(settings.warm_up + settings.repetitions):
+        for name, stage in stages.items():
+            start = time.perf_counter()
+            stage()
+            if turn >= settings.warm_up:
+                spent[name].append((time.perf_counter() - start) * 1e3)
+    return spent
+
+
+def _checks(lines: list[Line]) -> list[Line]:
+    frames = [x for x in lines if x["case"] == "client" and x["stage"] == "whole frame" and x["size"] == "1600x1200"]
+    checks = [
+        check("whole client frame at 1600x1200", f"<= {FRAME_MS:g} ms", x["ms"], x["ms"] <= FRAME_MS) for x in frames
+    ]
+    clients, rate = CLIENTS_RATE
+    many = [x["a_second"] for x in lines if x["case"] == "references" and x["clients"] == clients]
+    return checks + [
+        check(f"references a second for {clients} clients", f">= {clients * rate}", each, each >= clients * rate)
+        for each in many
+    ]

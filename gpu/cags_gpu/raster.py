@@ -1,0 +1,219 @@
+"""The ``gpu`` backend: the WGSL shaders behind the rasteriser seam."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cags_kernels
+from cags_common import raster
+from cags_common.geometry import F32, Camera
+from cags_common.raster.base import BackProjection, DepthKind, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.checks import (
+    MIN_QUATERNION_NORM,
+    check_camera,
+    check_residual,
+    drawable,
+    movement,
+    recolouring,
+    replacements,
+)
+from cags_common.splats import Splats
+from cags_gpu.device import DeviceLostError, Handle
+from cags_gpu.keeper import Keeper, shared_keeper
+from cags_gpu.scene import Columns, ResidentScene, Target
+from cags_gpu.submission import Recording, submitted
+from cags_gpu.workspace import TooLargeError, Workspace
+
+Result = TypeVar("Result")
+
+_log = logging.getLogger(__name__)
+
+
+class GpuRasteriser:
+    """The backend called ``gpu``. Raises :class:`ConfigError` with the reason where there is no adapter for it."""
+
+    name = "gpu"
+
+    def __init__(self, keeper: Keeper | None = None) -> None:
+        self._keeper = keeper or shared_keeper()
+
+    def load(self, splats: Splats) -> GpuScene:
+        """Take a copy of ``splats``. Raises :class:`cags_common.errors.SceneError` for values that cannot be drawn."""
+        return GpuScene(Splats(*(array.copy() for _, array in drawable(splats).arrays())), self._keeper)
+
+
+class GpuScene:
+    """Splats held by a device, with a copy in memory: after a lost device they are uploaded to the next one.
+
+    While there is none, and for what the adapter's buffers cannot hold, the CPU draws.
+    """
+
+    def __init__(self, splats: Splats, keeper: Keeper) -> None:
+        self._splats, self._keeper = splats, keeper
+        self._resident: ResidentScene | None = None
+        self._stand_in: RasterScene | None = None
+        self._refused = ""
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._splats)
+
+    def update(self, rows: NDArray[np.integer], splats: Splats) -> None:
+        """Replace the splats at ``rows`` [M]."""
+        new, indices = replacements(rows, splats, len(self), self._splats.sh_rest.shape[1])
+        indices, last = _last_of_each(indices)
+        new = new.take(last)
+        for (_, held), (_, given) in zip(self._splats.arrays(), new.arrays(), strict=True):
+            held[indices] = given
+        if self._stand_in is not None:
+            self._stand_in.update(indices, new)
+        self._change(Columns.of(indices, new))
+
+    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
+        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
+        indices, colours = recolouring(rows, sh0, len(self))
+        indices, last = _last_of_each(indices)
+        self._splats.sh0[indices] = colours[last]
+        if self._stand_in is not None:
+            self._stand_in.recolour(indices, colours[last])
+        self._change(Columns(indices, colours=colours[last]))
+
+    def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene.
+
+        36 bytes a row go to the device.
+        """
+        indices, logits = movement(rows, splats, len(self))
+        moved = np.take(splats.means, indices, axis=0), logits[indices], np.take(splats.quats, indices, axis=0)
+        if not _can_be_drawn(*moved):
+            drawable(splats.take(indices))  # says what is wrong with them
+        held = self._splats
+        held.means[indices], held.logit_opacities[indices], held.quats[indices] = moved
+        if self._stand_in is not None:
+            self._stand_in.move(indices, held, threads)
+        self._change(Columns(indices, motion=moved))
+
+    def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
+        """Render one view over black."""
+        check_camera(camera)
+        if not len(self):
+            return _empty_view(camera, options)
+        return self.on_device(
+            lambda scene: _rendered(scene, camera, options), lambda scene: scene.render(camera, options)
+        )
+
+    def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
+        """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
+        check_camera(camera)
+        image = check_residual(residual, camera)
+        if not len(self):
+            return BackProjection(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+        return self.on_device(
+            lambda scene: _back_projected(scene, camera, image, options),
+            lambda scene: scene.back_project(camera, image, options),
+        )
+
+    def on_device(self, draw: Callable[[ResidentScene], Result], instead: Callable[[RasterScene], Result]) -> Result:
+        """What ``draw`` makes of the scene on the device, or ``instead`` on the CPU where that cannot be."""
+        workspace = None if self._refused else self._keeper.current()
+        if workspace is not None:
+            try:
+                with workspace.gpu.used():
+                    return draw(self.on(workspace))
+            except DeviceLostError as error:
+                self._keeper.lost(workspace, str(error))
+            except TooLargeError as error:
+                self._refused = str(error)
+                _log.warning("%s; the CPU draws this scene", error)
+            self._resident = None
+        return instead(self._on_cpu())
+
+    def on(self, workspace: Workspace) -> ResidentScene:
+        """The scene in that device's memory; called with the device's lock held."""
+        if self._resident is None or self._resident.workspace is not workspace:
+            self._resident = ResidentScene(workspace, self._splats)
+            self._stand_in = None
+        return self._resident
+
+    def _on_cpu(self) -> RasterScene:
+        with self._lock:
+            if self._stand_in is None:
+                name = "cpu" if cags_kernels.native_available() else "reference"
+                self._stand_in = raster.create(name).load(self._splats)
+            return self._stand_in
+
+    def _change(self, columns: Columns) -> None:
+        resident = self._resident
+        if resident is None:
+            return
+        try:
+            with resident.gpu.used():
+                resident.change(columns)
+        except DeviceLostError as error:
+            self._resident = None
+            self._keeper.lost(resident.workspace, str(error))
+
+
+def _rendered(scene: ResidentScene, camera: Camera, options: RenderOptions) -> RenderedView:
+    pixels = camera.width_px * camera.height_px
+    wanted = options.depth is not DepthKind.NONE
+
+    def record(recording: Recording) -> list[tuple[Handle, int]]:
+        target = scene.record(recording, camera, options)
+        return _outputs(scene, target, options, pixels)
+
+    picture, *rest = submitted(scene.workspace, record)
+    shape = (camera.height_px, camera.width_px)
+    rgba = picture.view(np.float32).reshape(*shape, 4)
+    depth = rest[0].view(np.float32).reshape(shape).copy() if wanted else None
+    contribution = rest[-1].view(np.float32).copy() if options.contribution else None
+    return RenderedView(np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3]), depth, contribution)
+
+
+def _outputs(scene: ResidentScene, target: Target, options: RenderOptions, pixels: int) -> list[tuple[Handle, int]]:
+    out = [(target["picture"], 16 * pixels)]
+    if options.depth is not DepthKind.NONE:
+        out.append((target["depth"], 4 * pixels))
+    if options.contribution:
+        out.append((scene.workspace["contribution"], 4 * scene.count))
+    return out
+
+
+def _back_projected(scene: ResidentScene, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
+    largest = float(np.abs(residual).max(initial=0.0)) or 1.0
+    scaled = np.ascontiguousarray(residual / np.float32(largest))
+
+    def record(recording: Recording) -> list[tuple[Handle, int]]:
+        target = scene.target(camera)
+        scene.gpu.device.queue.write_buffer(target["residual"], 0, scaled)
+        scene.record(recording, camera, replace(options, depth=DepthKind.EXPECTED), adjoint=True)
+        return [(scene.workspace["carried"], 16 * scene.count)]
+
+    (carried,) = submitted(scene.workspace, record)
+    sums = carried.view(np.float32).reshape(-1, 4)
+    return BackProjection(sums[:, :3] * np.float32(largest), sums[:, 3].copy())
+
+
+def _empty_view(camera: Camera, options: RenderOptions) -> RenderedView:
+    shape = (camera.height_px, camera.width_px)
+    depth = None if options.depth is DepthKind.NONE else np.full(shape, np.inf, np.float32)
+    contribution = np.zeros(0, np.float32) if options.contribution else None
+    return RenderedView(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), depth, contribution)
+
+
+def _last_of_each(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The rows without repetition, and where the last mention of each stands: it wins, as in numpy."""
+    unique, backwards = np.unique(rows[::-1], return_index=True)
+    return unique, len(rows) - 1 - backwards
+
+
+def _can_be_drawn(means: F32, logits: F32, quats: F32) -> bool:
+    finite = all(bool(np.isfinite(array).all()) for array in (means, logits, quats))
+    return finite and not (len(quats) and np.linalg.norm(quats.astype(np.float64), axis=1).min() < MIN_QUATERNION_NORM)

@@ -1,0 +1,289 @@
+"""A scene in a device's memory: uploaded, changed in part, recorded into frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import takewhile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32, Camera
+from cags_common.raster.base import DepthKind, Exactness, RenderOptions
+from cags_common.splats import SH_REST_OF_DEGREE, Splats
+from cags_gpu.device import Gpu, Handle
+from cags_gpu.graph import Dispatch, buffer_bytes, build, encode
+from cags_gpu.layout import CHUNK, CORRECTION, COUNT, UPDATE, VIEW, tiles_of, view_bytes
+from cags_gpu.submission import Recording
+from cags_gpu.workspace import TooLargeError, Workspace
+
+STAGED_BYTES = 32 << 20
+"""Rows go to the device in pieces of at most this size."""
+
+KEPT_SIZES = 4
+"""Picture sizes whose buffers a scene keeps."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What is replaced in ``rows`` [M] (unique): motion, or looks, or base colours, or all of them."""
+
+    rows: NDArray[np.int64]
+    motion: tuple[F32, F32, F32] | None = None  # means [M, 3], logits [M], quats [M, 4]
+    looks: tuple[F32, F32] | None = None  # log scales [M, 3], sh_rest [M, K, 3]
+    colours: F32 | None = None  # sh0 [M, 3]
+
+    @classmethod
+    def of(cls, rows: NDArray[np.int64], splats: Splats) -> Columns:
+        """All columns."""
+        motion = splats.means, splats.logit_opacities, splats.quats
+        return cls(rows, motion, (splats.log_scales, splats.sh_rest), splats.sh0)
+
+    def packed(self, start: int, stop: int) -> NDArray[np.uint32]:
+        """Rows ``start`` to ``stop`` as they are staged [M, 1 + words]."""
+        part = slice(start, stop)
+        parts: list[F32] = []
+        if self.motion:
+            parts += [self.motion[0][part], self.motion[1][part, None], self.motion[2][part]]
+        if self.looks:
+            parts.append(self.looks[0][part])
+        if self.colours is not None:
+            parts.append(self.colours[part])
+        if self.looks:
+            parts.append(self.looks[1][part])
+        rows = self.rows[part].astype(np.uint32)[:, None]
+        words = [
+            np.ascontiguousarray(p, np.float32).view(np.uint32).reshape(len(p), math.prod(p.shape[1:])) for p in parts
+        ]
+        return np.concatenate([rows, *words], axis=1)
+
+    @property
+    def flags(self) -> dict[str, bool]:
+        """The constants of the shader ``update``."""
+        return {"motion": self.motion is not None, "looks": self.looks is not None, "colour": self.colours is not None}
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Splats whose harmonics lie in one buffer."""
+
+    first: int
+    count: int
+    sh_rest: Handle
+    job: Handle
+
+
+class Target:
+    """The buffers of pictures of one size, and the recorded steps of each kind of frame."""
+
+    def __init__(self, gpu: Gpu, camera: Camera) -> None:
+        self._gpu = gpu
+        tiles_x, tiles_y = tiles_of(camera)
+        width, height = camera.width_px, camera.height_px
+        cells_x, cells_y = -(-width // 8), -(-height // 8)
+        self.counts = {
+            "tiles": tiles_x * tiles_y,
+            "tiles_x": tiles_x,
+            "tiles_y": tiles_y,
+            "pixels": width * height,
+            "pixels_x": width,
+            "pixels_y": height,
+            "cells_x": cells_x,
+            "cells_y": cells_y,
+            "cells": 2 * cells_x * cells_y + 64,  # all levels together
+            "one": 1,
+            "tile_bits": max(1, (tiles_x * tiles_y).bit_length()),  # one tile more than there are: padding
+        }
+        self.view = gpu.buffer(VIEW.size, uniform=True)
+        self.correction = gpu.buffer(CORRECTION.size, uniform=True)
+        self._steps: dict[tuple[object, ...], list[Dispatch]] = {}
+        self._buffers: dict[str, Handle] = {}
+
+    def steps(self, version: int, key: tuple[object, ...], make: Callable[[], list[Dispatch]]) -> list[Dispatch]:
+        """What ``make`` records, made once for a key; those of other versions of the shared buffers are dropped."""
+        if (version, key) not in self._steps:
+            self._steps = {held: steps for held, steps in self._steps.items() if held[0] == version}
+            self._steps[version, key] = make()
+        return self._steps[version, key]
+
+    def __contains__(self, name: str) -> bool:
+        return name in buffer_bytes("view", self.counts)
+
+    def __getitem__(self, name: str) -> Handle:
+        if name not in self._buffers:
+            size = buffer_bytes("view", self.counts)[name]
+            if size > self._gpu.max_binding_bytes:
+                raise TooLargeError(f"buffer {name!r} of {size} bytes is over what {self._gpu.info.name} binds")
+            self._buffers[name] = self._gpu.buffer(size)
+        return self._buffers[name]
+
+
+class ResidentScene:
+    """Splats on one device. Every method is called with the device's lock held."""
+
+    def __init__(self, workspace: Workspace, splats: Splats) -> None:
+        gpu = self.gpu = workspace.gpu
+        self.workspace = workspace
+        self.count, self.sh_count = len(splats), splats.sh_rest.shape[1]
+        sizes = buffer_bytes("scene", {"splats": self.count})
+        if max(sizes.values()) > gpu.max_binding_bytes:
+            most = gpu.max_binding_bytes // 32
+            raise TooLargeError(f"scene of {self.count} splats: {gpu.info.name} binds {most} at most; use 'cpu'")
+        workspace.reserve(self.count, exact=False, capacity=4 * self.count)
+        self._buffers = {name: gpu.buffer(size) for name, size in sizes.items()}
+        self._chunks = self._chunked()
+        self._targets: dict[tuple[int, int, str], Target] = {}
+        self._kept: dict[str, Handle] = {}
+        self.kept_version = 0
+        self.changes = 0
+        """How often splats were replaced."""
+        self.held: tuple[object, object] | None = None
+        """What the buffers of the reference hold: an object that is kept alive, and what it was made under."""
+        self._unsorted = True
+        self.change(Columns.of(np.arange(self.count), splats))
+
+    def _chunked(self) -> list[Chunk]:
+        words = 3 * self.sh_count
+        most = max(1, self.gpu.max_binding_bytes // (4 * words)) if words else self.count
+        chunks = []
+        for first in range(0, self.count, most):
+            count = min(most, self.count - first)
+            job = self.gpu.uniform(CHUNK.pack(first=first, count=count))
+            chunks.append(Chunk(first, count, self.gpu.buffer(4 * words * count), job))
+        return chunks
+
+    def change(self, columns: Columns) -> None:
+        """Replace columns of rows; the cost is proportional to their number."""
+        total = len(columns.rows)
+        if not total:
+            return
+        width = columns.packed(0, 0).shape[1] - 1
+        piece = max(1, min(STAGED_BYTES, self.gpu.max_binding_bytes) // (4 * (1 + width)))
+        for start in range(0, total, piece):
+            stop = min(start + piece, total)
+            self._stage(columns.packed(start, stop), columns.flags, width)
+        self._unsorted = True
+        self.changes += 1
+
+    def _stage(self, packed: NDArray[np.uint32], flags: Mapping[str, bool], width: int) -> None:
+        import wgpu
+
+        staged = self.gpu.device.create_buffer_with_data(data=packed, usage=wgpu.BufferUsage.STORAGE)
+        job = self.gpu.buffer(UPDATE.size, uniform=True)  # not a shared one: hardly two updates have as many rows
+        words = UPDATE.pack(rows=len(packed), sh_words=3 * self.sh_count, width=width)
+        self.gpu.device.queue.write_buffer(job, 0, words)
+        encoder = self.gpu.device.create_command_encoder()
+        for chunk in self._chunks:
+            named = {"staged": staged, "update_job": job, "chunk": chunk.job, "sh_rest": chunk.sh_rest}
+            encode(
+                encoder, build(self.gpu, "update", {"rows": len(packed)}, flags, (self._buffers | named).__getitem__)
+            )
+        self.gpu.device.queue.submit([encoder.finish()])
+
+    def kept(self, name: str, size: int) -> Handle:
+        """A buffer of the scene's own, made when it is first asked for or was smaller."""
+        held = self._kept.get(name)
+        if held is None or held.size < size:
+            held = self._kept[name] = self.gpu.buffer(size)
+            self.kept_version += 1
+        return held
+
+    def hold(self, owner: object, made_under: object) -> None:
+        """Note what the buffers of the reference hold now."""
+        self.held = owner, made_under
+
+    def target(self, camera: Camera, role: str = "") -> Target:
+        """The buffers of pictures of the camera's size; ``role`` keeps two of one size apart."""
+        key = (camera.width_px, camera.height_px, role)
+        found = self._targets.pop(key, None) or Target(self.gpu, camera)
+        self._targets[key] = found  # the last used is the last to go
+        while len(self._targets) > KEPT_SIZES:
+            del self._targets[next(iter(self._targets))]
+        return found
+
+    def record(
+        self, recording: Recording, camera: Camera, options: RenderOptions, *, adjoint: bool = False, role: str = ""
+    ) -> Target:
+        """Record a frame: afterwards the target holds picture and depth, the workspace contributions and counts."""
+        target = self._prepared(recording, camera, options, role)
+        encode(recording.encoder, self.steps_of(target, options, adjoint=adjoint))
+        return target
+
+    def record_binning(self, recording: Recording, camera: Camera, options: RenderOptions) -> Target:
+        """Record a frame without blending it: afterwards the workspace holds records, tiles and counts."""
+        target = self._prepared(recording, camera, options, "")
+        steps = self.steps_of(target, options)
+        encode(recording.encoder, takewhile(lambda step: not step.label.startswith("blend"), steps))
+        return target
+
+    def _prepared(self, recording: Recording, camera: Camera, options: RenderOptions, role: str) -> Target:
+        self.workspace.reserve(self.count, exact=not _packed(options))
+        target = self.target(camera, role)
+        held = SH_REST_OF_DEGREE[options.max_sh_degree]
+        counted = {"count": self.count, "sh_count": self.sh_count, "sh_used": min(self.sh_count, held)}
+        view = view_bytes(camera, options, **counted, capacity=self.workspace.counts["capacity"])
+        self.gpu.device.queue.write_buffer(target.view, 0, view)
+        if self._unsorted:
+            encode(recording.encoder, self._steps(target, "hash", {}))
+            recording.once_submitted.append(self._is_sorted)
+        return target
+
+    def steps_of(self, target: Target, options: RenderOptions, *, adjoint: bool = False) -> list[Dispatch]:
+        """The dispatches of a frame with these options."""
+        flags = {
+            "packed": _packed(options),
+            "slots": options.contribution or adjoint,
+            "contribution": options.contribution and not adjoint,
+            "adjoint": adjoint,
+            "median": options.depth is DepthKind.MEDIAN,
+        }
+        return self._steps(target, "frame", flags)
+
+    def _is_sorted(self) -> None:
+        self._unsorted = False
+
+    def _steps(self, target: Target, kind: str, flags: dict[str, bool]) -> list[Dispatch]:
+        def make() -> list[Dispatch]:
+            return self._hash_steps(target) if kind == "hash" else self._frame_steps(target, flags)
+
+        return target.steps(self.workspace.version, (kind, *flags.items()), make)
+
+    def counts_of(self, target: Target) -> dict[str, int]:
+        """Everything that sizes and dispatches of a frame depend on."""
+        return self.workspace.counts | target.counts | {"splats": self.count}
+
+    def _hash_steps(self, target: Target) -> list[Dispatch]:
+        job = self.gpu.uniform(COUNT.pack(count=self.count))
+        return build(
+            self.gpu, "hash", self.counts_of(target), {}, lambda name: self._find(target, name, {"count_job": job})
+        )
+
+    def _frame_steps(self, target: Target, flags: dict[str, bool]) -> list[Dispatch]:
+        counts = self.counts_of(target)
+        steps: list[Dispatch] = []
+        for chunk in self._chunks:
+            named = {"view": target.view, "chunk": chunk.job, "sh_rest": chunk.sh_rest}
+            steps += build(
+                self.gpu,
+                "project",
+                counts | {"chunk_splats": chunk.count},
+                flags,
+                lambda name, named=named: self._find(target, name, named),  # type: ignore[misc]
+            )
+        return steps + build(
+            self.gpu, "draw", counts, flags, lambda name: self._find(target, name, {"view": target.view})
+        )
+
+    def _find(self, target: Target, name: str, named: Mapping[str, Handle]) -> Handle:
+        if name in named:
+            return named[name]
+        if name in self._buffers:
+            return self._buffers[name]
+        return target[name] if name in target else self.workspace[name]
+
+
+def _packed(options: RenderOptions) -> bool:
+    """Whether records of 32 bytes are exact enough."""
+    return options.exactness is not Exactness.EXACT

@@ -1,0 +1,125 @@
+// Stage 5: a workgroup a tile of 16x16 pixels, front to back, with an early end. Colour, alpha, depth; with SLOTS also what
+// each splat contributes, summed as integers: the result depends on no order.
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var<storage, read> records: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> colours: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> entry_value: array<u32>;
+@group(0) @binding(4) var<storage, read> slot_splat: array<u32>;
+@group(0) @binding(5) var<storage, read> ranges: array<vec2<u32>>;
+@group(0) @binding(6) var<storage, read_write> picture: array<vec4<f32>>;  // rgb, alpha
+@group(0) @binding(7) var<storage, read_write> depth: array<u32>;          // bits of a float; +inf where void
+@group(0) @binding(8) var<storage, read_write> slots: array<u32>;          // contribution of each entry, 2^-23 pixels
+override MEDIAN: bool = false;
+const BATCH = 256u;
+const UNIT = 8388608.0;
+var<workgroup> batch_a: array<vec4<f32>, BATCH>;  // u, v, l11, l12
+var<workgroup> batch_b: array<vec4<f32>, BATCH>;  // l22, strength, z, rest of u
+var<workgroup> batch_c: array<vec4<f32>, BATCH>;  // r, g, b, rest of v
+var<workgroup> weights: array<atomic<u32>, BATCH>;
+var<workgroup> open: atomic<u32>;
+var<workgroup> going_on: u32;
+
+fn fetched(lane: u32, splat: u32) {
+  let second = records[2u * splat + 1u];
+  let drawn = drawn_of(records[2u * splat], second);
+  batch_a[lane] = vec4(drawn.centre, drawn.l11, drawn.l12);
+  batch_b[lane] = vec4(drawn.l22, drawn.strength, drawn.z, drawn.rest.x);
+  if (PACKED) {
+    batch_c[lane] = vec4(unpack2x16float(second.z), unpack2x16float(second.w & 0xffffu).x, 0.0);
+  } else {
+    batch_c[lane] = vec4(colours[splat].xyz, drawn.rest.y);
+  }
+}
+
+struct Pixel { rgb: vec3<f32>, light: f32, z: f32 }
+
+fn written(pixel: vec2<u32>, p: Pixel) {
+  let i = pixel.y * view.size.x + pixel.x;
+  let alpha = 1.0 - p.light;
+  picture[i] = vec4(min(p.rgb, vec3(view.brightest)), alpha);
+  var known = alpha >= view.void_alpha && alpha > 0.0;
+  var z = p.z;
+  if (MEDIAN) { known = known && z > 0.0; } else { z /= alpha; }
+  depth[i] = select(VOID, bitcast<u32>(z), known);
+}
+
+fn going(lane: u32, finished: bool) -> bool {
+  if (lane == 0u) { atomicStore(&open, 0u); }
+  workgroupBarrier();
+  if (!finished) { atomicOr(&open, 1u); }
+  workgroupBarrier();
+  if (lane == 0u) { going_on = atomicLoad(&open); }
+  return workgroupUniformLoad(&going_on) != 0u;
+}
+
+// Alpha of entry `k` of the batch at a pixel centre; 0 where it is not drawn.
+fn alpha_at(k: u32, at: vec2<f32>) -> f32 {
+  let a = batch_a[k]; let b = batch_b[k];
+  let d = (at - a.xy) - vec2(b.w, batch_c[k].w);
+  let s = a.z * d.x + a.w * d.y; let t = b.x * d.y;
+  let power = b.y - s * s - t * t;
+  if (!(power >= LOG2_ALPHA_CUT)) { return 0.0; }
+  return min(ALPHA_MAX, exp2(power));
+}
+
+fn composited(p: ptr<function, Pixel>, k: u32, weight: f32) {
+  let light = (*p).light - weight;
+  (*p).rgb += weight * batch_c[k].xyz;
+  if (MEDIAN) {
+    if ((*p).light >= 0.5 && light < 0.5) { (*p).z = batch_b[k].z; }
+  } else {
+    (*p).z += weight * batch_b[k].z;
+  }
+  (*p).light = light;
+}
+
+@compute @workgroup_size(16, 16)
+fn blend(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+  let pixel = tile.xy * TILE + local.xy;
+  let inside = all(pixel < view.size);
+  let range = ranges[tile.y * view.tiles.x + tile.x];
+  var p = Pixel(vec3(0.0), 1.0, 0.0);
+  var finished = !inside;
+  for (var begin = range.x; begin < range.y; begin += BATCH) {
+    if (!going(lane, finished)) { break; }
+    let count = min(BATCH, range.y - begin);
+    if (lane < count) { fetched(lane, entry_value[begin + lane]); }
+    workgroupBarrier();
+    for (var k = 0u; k < count && !finished; k++) {
+      let alpha = alpha_at(k, vec2<f32>(pixel) + 0.5);
+      if (alpha == 0.0) { continue; }
+      composited(&p, k, p.light * alpha);
+      finished = p.light <= view.stop;
+    }
+  }
+  if (inside) { written(pixel, p); }
+}
+
+@compute @workgroup_size(16, 16)
+fn blend_counting(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+  let pixel = tile.xy * TILE + local.xy;
+  let inside = all(pixel < view.size);
+  let range = ranges[tile.y * view.tiles.x + tile.x];
+  var p = Pixel(vec3(0.0), 1.0, 0.0);
+  var finished = !inside;
+  for (var begin = range.x; begin < range.y; begin += BATCH) {
+    if (!going(lane, finished)) { break; }
+    let count = min(BATCH, range.y - begin);
+    if (lane < count) {
+      fetched(lane, slot_splat[entry_value[begin + lane]]);
+      atomicStore(&weights[lane], 0u);
+    }
+    workgroupBarrier();
+    for (var k = 0u; k < count && !finished; k++) {
+      let alpha = alpha_at(k, vec2<f32>(pixel) + 0.5);
+      if (alpha == 0.0) { continue; }
+      let weight = p.light * alpha;
+      composited(&p, k, weight);
+      atomicAdd(&weights[k], u32(weight * UNIT + 0.5));
+      finished = p.light <= view.stop;
+    }
+    workgroupBarrier();
+    if (lane < count) { slots[entry_value[begin + lane]] = atomicLoad(&weights[lane]); }
+  }
+  if (inside) { written(pixel, p); }
+}

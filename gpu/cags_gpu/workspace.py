@@ -1,0 +1,76 @@
+"""Working memory of a device: buffers that all scenes share, for frames follow one another on its queue."""
+
+from __future__ import annotations
+
+from cags_common.errors import CagsError
+from cags_gpu.device import Gpu, Handle
+from cags_gpu.graph import buffer_bytes
+
+LEAST_CAPACITY = 1 << 16
+"""Entries (splat, tile) that a frame may have at first; it grows with what frames ask for."""
+
+HEADROOM = 1.5
+CROWDED = 0.8
+"""Beyond this share of the capacity it grows before the next frame, so that hardly any frame is drawn twice."""
+
+
+class TooLargeError(CagsError):
+    """A frame or scene that this adapter's buffers cannot hold."""
+
+
+class Workspace:
+    """Buffers of the owner ``work`` in the graph. ``version`` changes when bind groups on them have to be made anew."""
+
+    def __init__(self, gpu: Gpu) -> None:
+        self.gpu = gpu
+        self._buffers: dict[str, Handle] = {}
+        self._readback: Handle = None
+        self.version = 0
+        self.counts = {"one": 1, "splats": 1, "exact_splats": 1, "capacity": LEAST_CAPACITY}
+
+    def reserve(self, splats: int, *, exact: bool, capacity: int = 0) -> None:
+        """Make room for a scene of ``splats``, and for ``capacity`` entries. Raises :class:`TooLargeError`."""
+        needed = {"splats": splats, "exact_splats": splats if exact else 1, "capacity": capacity}
+        grown = {name: count for name, count in needed.items() if count > self.counts[name]}
+        if not grown:
+            return
+        counts = self.counts | grown
+        self._check(counts)
+        self.counts = counts
+        self._buffers.clear()
+        self.version += 1
+
+    def grow(self, wanted: int) -> bool:
+        """Grow for frames that want as many entries; whether the frame that did fitted."""
+        fitted = wanted <= self.counts["capacity"]
+        if wanted > CROWDED * self.counts["capacity"]:
+            most = self.gpu.max_binding_bytes // 4
+            self.reserve(1, exact=False, capacity=max(wanted, min(int(wanted * HEADROOM), most)))
+        return fitted
+
+    def __getitem__(self, name: str) -> Handle:
+        if name not in self._buffers:
+            size = buffer_bytes("work", self.counts)[name]
+            self._limit(name, size)
+            self._buffers[name] = self.gpu.buffer(size, indirect=name == "dispatch")
+        return self._buffers[name]
+
+    def readback(self, size: int) -> Handle:
+        """A buffer of at least ``size`` bytes that the host maps."""
+        import wgpu
+
+        if self._readback is None or self._readback.size < size:
+            usage = wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
+            self._readback = self.gpu.device.create_buffer(size=size, usage=usage)
+        return self._readback
+
+    def _check(self, counts: dict[str, int]) -> None:
+        sizes = buffer_bytes("work", counts)
+        for name in ("records", "colours", "tile_a"):  # what is largest of those that every frame has
+            self._limit(name, sizes[name])
+
+    def _limit(self, name: str, size: int) -> None:
+        most = self.gpu.max_binding_bytes
+        if size > most:
+            mib = f"{size / 2**20:.0f} MiB is over the {most / 2**20:.0f} MiB"
+            raise TooLargeError(f"buffer {name!r} of {mib} that {self.gpu.info.name} binds; draw fewer splats")

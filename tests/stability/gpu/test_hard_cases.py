@@ -1,0 +1,53 @@
+"""The rasteriser's hard cases drawn by the shaders: the bounds are those of the ``cpu`` backend's levels."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from cags_common.raster import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions, create
+from cags_common.raster.cpu import BOUNDS
+from support.gpu import needs_adapter, rasteriser
+from support.hard_cases import CASES, USUAL_OF_SINGLE_PRECISION
+from support.raster_scenes import F, assert_sound
+
+pytestmark = needs_adapter
+
+
+@cache
+def drawn(name: str) -> tuple[RenderedView, RasterScene]:
+    """The case's reference view, and the scene on the device."""
+    make, cam = CASES[name]
+    splats = make()
+    return create("reference").load(splats).render(cam, RenderOptions(contribution=True)), rasteriser().load(splats)
+
+
+@pytest.mark.parametrize("exactness", Exactness)
+@pytest.mark.parametrize("name", CASES)
+def test_is_sound_and_within_the_bound_of_its_level(name: str, exactness: Exactness) -> None:
+    right, scene = drawn(name)
+    ours = scene.render(CASES[name][1], RenderOptions(exactness=exactness, contribution=True))
+    assert_sound(ours)
+    bound = BOUNDS[exactness]
+    error = np.abs(ours.rgb - right.rgb) / max(1.0, float(right.rgb.max()))
+    usual = max(bound.usual, USUAL_OF_SINGLE_PRECISION.get(name, 0.0))
+    assert np.quantile(error.max(axis=2), 0.99, method="lower") <= usual
+    assert error.max() <= bound.largest
+    assert np.abs(ours.alpha - right.alpha).max() <= bound.largest
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "footprint", [Footprint.antialiased(), Footprint(0.3 / 36, 1 / 12)], ids=["antialiased", "client"]
+)
+def test_other_footprints_median_depth_and_back_projection_are_sound(name: str, footprint: Footprint) -> None:
+    _, scene = drawn(name)
+    cam = CASES[name][1]
+    options = RenderOptions(footprint=footprint, exactness=Exactness.EXACT, depth=DepthKind.MEDIAN, contribution=True)
+    ours = scene.render(cam, options)
+    assert_sound(ours)
+    back = scene.back_project(cam, np.ones((cam.height_px, cam.width_px, 3), F), options)
+    assert np.isfinite(back.weighted_residual).all()
+    np.testing.assert_allclose(back.weight, ours.contribution, rtol=1e-4, atol=2e-3)

@@ -1,0 +1,222 @@
+"""The client's whole frame and the server's reference on the device, against the readable definition."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.raster import DepthKind, Exactness, Footprint, RenderOptions, create
+from cags_common.splats import Splats
+from cags_gpu import definition
+from cags_gpu.correct import coded_reference, corrected, shown
+from cags_gpu.definition import CorrectSettings, Placement, Reference, compand, correct, expand
+from cags_gpu.keeper import Keeper
+from cags_gpu.raster import GpuRasteriser
+from support.gpu import any_gpu, needs_adapter, rasteriser
+from support.raster_scenes import F, camera, random_splats, splat
+
+EXACT = RenderOptions(exactness=Exactness.EXACT)
+CLIENT = camera(96, 64)
+SERVER = Camera(
+    Intrinsics.of_fov(48, 36, 1.1, 2 * math.atan(math.tan(0.55) * 36 / 48)),
+    Pose.looking_at((0.9, 0.3, -4.7), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+)
+
+
+def plates() -> Splats:
+    """A wall, and discs before it: occlusion, silhouettes, and holes around them."""
+    rng = np.random.default_rng(0)
+    wall = random_splats(400, seed=1, log_scale=-1.6)
+    wall.means[:] = np.stack([*rng.uniform(-2, 2, (2, 400)), rng.uniform(1.4, 1.6, 400)], axis=1)
+    near = random_splats(60, seed=2, log_scale=-1.5)
+    near.means[:, 2] = rng.uniform(-2.1, -1.9, 60)  # not one depth: the order of ties hangs on the colours
+    for part in (wall, near):
+        part.logit_opacities[:] = 3.0
+    both = zip(wall.arrays(), near.arrays(), strict=True)
+    return Splats(*(np.concatenate([far, close]) for (_, far), (_, close) in both))
+
+
+def lack(seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(36, 48, 3)).astype(F) * F(0.2)
+
+
+def reference(**changed: object) -> Reference:
+    return replace(Reference(compand(lack(), 0.1).astype(F), SERVER), **changed)
+
+
+def by_definition(splats: Splats, ref: Reference, settings: CorrectSettings | None = None) -> definition.Corrected:
+    """Corrected from the device's own view: a z-test may hang on the last bit of a depth."""
+    scene = rasteriser().load(splats)
+    own = None
+    if ref.picture:
+        footprint = Footprint.of(CLIENT.intrinsics, ref.camera.intrinsics)
+        own = scene.render(ref.camera, replace(EXACT, footprint=footprint, depth=DepthKind.NONE)).rgb
+    return correct(scene.render(CLIENT, EXACT), CLIENT, ref, own, settings)
+
+
+def share_within(a: np.ndarray, b: np.ndarray) -> float:
+    """Share of the pixels whose channels all differ by no more than one level of 255."""
+    return float((np.abs(a.astype(np.float64) - b) <= 1 / 255).all(axis=2).mean())
+
+
+@needs_adapter
+@pytest.mark.parametrize("picture", [False, True], ids=["difference", "picture"])
+@pytest.mark.parametrize("border", [0.0, 3.0])
+def test_the_frame_is_the_definitions(picture: bool, border: float) -> None:
+    splats, settings = plates(), CorrectSettings(border_px=border)
+    coded = np.clip(0.5 + lack(), 0, 1).astype(F) if picture else reference().coded
+    ref = reference(coded=coded, picture=picture)
+    right = by_definition(splats, ref, settings)
+    ours = corrected(rasteriser().load(splats), CLIENT, EXACT, ref, settings)
+    assert (right.confidence == 0).mean() > 0.01, "the case has pixels that nothing is added to"
+    assert (right.confidence > 0).mean() > 0.5
+    assert share_within(ours.rgb, right.rgb) >= 0.9999
+    assert (np.abs(ours.confidence - right.confidence) > 1e-3).mean() <= 1e-3
+
+
+@needs_adapter
+def test_bytes_shown_are_the_floats_rounded_and_opaque() -> None:
+    scene = rasteriser().load(plates())
+    floats, levels = corrected(scene, CLIENT, EXACT, reference()), shown(scene, CLIENT, EXACT, reference())
+    assert levels.shape == (64, 96, 4)
+    assert (levels[..., 3] == 255).all()
+    assert np.abs(levels[..., :3] - floats.rgb.astype(np.float64) * 255).max() <= 0.5 + 1e-3
+
+
+@needs_adapter
+def test_nothing_lacking_changes_nothing_and_no_reference_is_the_drawing() -> None:
+    scene = rasteriser().load(plates())
+    drawn = np.clip(scene.render(CLIENT, EXACT).rgb, 0, 1)
+    none = corrected(scene, CLIENT, EXACT, None)
+    np.testing.assert_array_equal(none.rgb, drawn)
+    assert not none.confidence.any()
+    grey = corrected(scene, CLIENT, EXACT, reference(coded=np.full((36, 48, 3), 0.5, F)))
+    np.testing.assert_allclose(grey.rgb, drawn, atol=1e-6)
+    assert shown(scene, CLIENT, EXACT, None).shape == (64, 96, 4)
+
+
+@needs_adapter
+def test_a_reference_is_expanded_once_and_a_picture_again_when_splats_change() -> None:
+    splats = plates()
+    scene = rasteriser().load(splats)
+    difference, picture = reference(), reference(coded=np.full((36, 48, 3), 0.6, F), picture=True)
+    turned = CLIENT.at(Pose((0.2, 0.0, -5.0), CLIENT.pose.rotation))
+    for ref in (difference, difference, picture, picture, difference, reference(coded=difference.coded * F(0.9))):
+        for cam in (CLIENT, turned):
+            fresh = rasteriser().load(splats)
+            ours, right = (corrected(s, cam, EXACT, ref).rgb for s in (scene, fresh))
+            np.testing.assert_array_equal(ours, right)
+    corrected(scene, CLIENT, EXACT, picture)
+    scene.recolour(np.arange(100), np.zeros((100, 3), F))
+    splats.sh0[:100] = 0
+    fresh = rasteriser().load(splats)
+    np.testing.assert_array_equal(*(corrected(s, CLIENT, EXACT, picture).rgb for s in (scene, fresh)))
+
+
+@needs_adapter
+def test_a_client_without_splats_sees_what_the_reference_shows() -> None:
+    picture = reference(coded=np.full((36, 48, 3), 0.7, F), picture=True)
+    for splats in (random_splats(0), splat((0.0, 0.0, -40.0))):  # none; one behind the camera
+        out = corrected(rasteriser().load(splats), CLIENT, EXACT, picture)
+        np.testing.assert_allclose(out.rgb[out.confidence == 1], 0.7, atol=1e-5)
+        assert (out.confidence == 1).mean() > 0.5
+
+
+@needs_adapter
+def test_an_identity_returns_the_reference() -> None:
+    splats = plates()
+    there = Camera(CLIENT.intrinsics, CLIENT.pose)
+    truth = np.random.default_rng(5).random((64, 96, 3), dtype=F)
+    out = corrected(
+        rasteriser().load(splats), CLIENT, EXACT, Reference(truth, there, picture=True), CorrectSettings(border_px=0)
+    )
+    np.testing.assert_allclose(out.rgb, truth, atol=2e-5)
+
+
+@needs_adapter
+def test_without_a_device_the_definition_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cags_gpu.keeper.FIRST_DELAY_S", 60.0)
+    own = Keeper(any_gpu)
+    scene = GpuRasteriser(own).load(plates())
+    before = corrected(scene, CLIENT, EXACT, reference())
+    own.current().gpu.destroy()
+    after = corrected(scene, CLIENT, EXACT, reference())
+    assert own.current() is None
+    assert share_within(after.rgb, before.rgb) >= 0.999
+    assert np.abs(shown(scene, CLIENT, EXACT, reference())[..., :3] / 255.0 - after.rgb).max() <= 0.5 / 255 + 1e-6
+    assert coded_reference(scene, scene, SERVER, EXACT, 0.1).coded.std() == 0
+    own.close()
+
+
+@needs_adapter
+def test_the_servers_reference_is_the_companded_difference_of_two_pictures() -> None:
+    truth, held = plates(), plates()
+    held.sh0[::3] += 0.4
+    scenes = rasteriser().load(truth), rasteriser().load(held)
+    options = replace(EXACT, contribution=True)
+    made = coded_reference(*scenes, SERVER, options, 0.1)
+    views = [create("cpu").load(s).render(SERVER, options) for s in (truth, held)]
+    np.testing.assert_allclose(made.truth.rgb, views[0].rgb, atol=1e-4)
+    np.testing.assert_allclose(made.mirror, views[1].rgb, atol=1e-4)
+    np.testing.assert_allclose(made.truth.contribution, views[0].contribution, rtol=1e-3, atol=5e-3)
+    right = compand(np.clip(views[0].rgb, 0, 1) - np.clip(views[1].rgb, 0, 1), 0.1)
+    np.testing.assert_allclose(made.coded, right, atol=1e-3)
+
+
+@needs_adapter
+def test_what_the_server_codes_the_client_adds() -> None:
+    truth, held = plates(), plates()
+    held.sh0[:] -= 0.5
+    scene = rasteriser().load(held)
+    options = replace(EXACT, footprint=Footprint.of(CLIENT.intrinsics, SERVER.intrinsics))
+    made = coded_reference(rasteriser().load(truth), scene, SERVER, options, 0.1)
+    right = np.clip(create("cpu").load(truth).render(CLIENT, EXACT).rgb, 0, 1)
+    before = corrected(scene, CLIENT, EXACT, None)
+    after = corrected(scene, CLIENT, EXACT, Reference(made.coded, SERVER))
+    assert np.mean((after.rgb - right) ** 2) < 0.2 * np.mean((before.rgb - right) ** 2)
+
+
+@given(st.floats(-1, 1), st.floats(0.01, 1.0))
+def test_the_compander_is_odd_and_undone(difference: float, knee: float) -> None:
+    coded = compand(np.array([difference, -difference]), knee)
+    assert ((coded >= 0) & (coded <= 1)).all()
+    assert coded.sum() == pytest.approx(1.0)
+    assert expand(coded, knee)[0] == pytest.approx(difference, abs=1e-9)
+
+
+def test_holes_take_the_depth_around_them_and_an_empty_view_is_far() -> None:
+    depth = np.full((40, 56), 2.0)
+    depth[8:24, 16:40] = np.inf
+    out = definition.filled(depth)
+    np.testing.assert_allclose(out, 2.0, rtol=1e-9)
+    assert (definition.filled(np.full((9, 9), np.inf)) == definition.FAR).all()
+
+
+def test_a_placement_is_the_projection_of_points() -> None:
+    m = Placement(CLIENT, SERVER).matrix
+    u, v, depth = 31.5, 40.25, 4.2
+    ray = np.array([(u - 48) / CLIENT.intrinsics.fx_px, (v - 32) / CLIENT.intrinsics.fy_px, 1.0]) * depth
+    world = CLIENT.pose.rotation_matrix @ ray + np.asarray(CLIENT.pose.position)
+    rotation, shift = SERVER.world_to_camera
+    seen = rotation @ world + shift
+    x, y, z = m @ np.array([u * depth, v * depth, depth, 1.0])
+    i = SERVER.intrinsics
+    assert z == pytest.approx(seen[2])
+    assert (x / z, y / z) == pytest.approx(
+        (seen[0] / seen[2] * i.fx_px + i.cx_px, seen[1] / seen[2] * i.fy_px + i.cy_px)
+    )
+
+
+def test_references_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"reference of shape \(36, 48\)"):
+        Reference(np.zeros((36, 48), F), SERVER)
+    with pytest.raises(ValueError, match="knee = 0"):
+        reference(knee=0.0)
+    with pytest.raises(ValueError, match="client's own view"):
+        definition.lacking(reference(picture=True), None)
