@@ -67,7 +67,7 @@ def predicted(samples: I32, knot: Knot) -> I32:
     return guess
 
 
-def quantised(wanted: F64, guess: I32, deadzone: float) -> I32:
+def quantised(wanted: F64, guess: I32, deadzone: F64 | float) -> I32:
     """Residuals of ``wanted`` (units) against a ``guess`` (fixed point); within half a unit and ``deadzone``: none."""
     off = wanted - guess / (1 << FRACTION_BITS)
     size = np.floor(np.abs(off) + (0.5 - deadzone))

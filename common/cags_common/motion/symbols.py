@@ -74,7 +74,7 @@ class SymbolWriter:
     def tree(self, order: tuple[Knot, ...], left: F64, told: U8, unit: int, deadzone: float, *, turn: bool) -> None:
         """What is ``left`` [span + 1, n, c] to be said, in finest units, in units of ``unit``; takes it off there.
 
-        A residual within half a unit and ``deadzone`` units is zero: a sample is off by no more than that. ``told``
+        A residual within half a unit, and ``deadzone`` units where none was told before, is zero. ``told``
         [span + 1, n, c] is 1 where a coarser level had a residual, and becomes so where this one has.
         """
         splats, parts = left.shape[1:]
@@ -91,7 +91,7 @@ class SymbolWriter:
         for knot in order:
             apart = told[knot.at] != 0
             guess = np.where(apart, np.int32(0), predicted(samples, knot))
-            residual = quantised(left[knot.at] / unit, guess, deadzone)
+            residual = quantised(left[knot.at] / unit, guess, np.where(apart, 0.0, deadzone))
 
             def code(tables: U8, flips: Any, rows: Any, part: int, residual: I32 = residual) -> I32:
                 values: I32 = residual[rows, part]

@@ -276,11 +276,11 @@ int32_t decode(const CagsMotionTree& tree, SymbolDecoder& decoder, Escapes& esca
 }
 
 struct Quantiser {
-  double to_units, threshold;
+  double to_units, deadzone;
 
-  int32_t operator()(double wanted, int32_t guess) const {
+  int32_t operator()(double wanted, int32_t guess, bool told) const {
     const double off = wanted * to_units - guess * (1.0 / (1 << kFractionBits));
-    const double size = std::fabs(off) + threshold;
+    const double size = std::fabs(off) + (told ? 0.5 : 0.5 - deadzone);
     const int32_t whole = size < 0x1p30 ? static_cast<int32_t>(size) : 1 << 30;
     return off < 0 ? -whole : whole;
   }
@@ -312,7 +312,7 @@ void encode(const CagsMotionTree& tree, double* left, uint8_t* told, int32_t uni
   Walk walk(tree);
   const int64_t row_size = int64_t{tree.splats} * tree.parts, all = row_size * (tree.span + 1);
   std::vector<int32_t> samples(all), residuals(row_size + 1), values(tree.splats + 1);
-  const Quantiser quantised{1.0 / unit, 0.5 - deadzone};
+  const Quantiser quantised{1.0 / unit, deadzone};
   auto code = [&](const Run& run) -> int32_t {
     const int64_t step = int64_t{run.group.step} * tree.parts;
     const int32_t* from = residuals.data() + int64_t{run.group.first} * tree.parts + run.part;
@@ -338,7 +338,7 @@ void encode(const CagsMotionTree& tree, double* left, uint8_t* told, int32_t uni
     uint8_t* apart = told + knot->at * row_size;
     for (int64_t i = 0; i < row_size; i++) {
       const int32_t guess = apart[i] ? 0 : sample[i];
-      residuals[i] = quantised(wanted[i], guess);
+      residuals[i] = quantised(wanted[i], guess, apart[i]);
       sample[i] = wrapped_sum(guess, fixed(residuals[i]));
     }
     walk.knot(*knot, apart, code);
