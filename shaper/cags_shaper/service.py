@@ -9,6 +9,8 @@ import signal
 import time
 from typing import TYPE_CHECKING
 
+from cags_common.errors import NetworkError
+from cags_common.tasks import watched
 from cags_common.transport.hosts import host_port
 from cags_shaper.control import ControlPort
 from cags_shaper.link import Link
@@ -40,9 +42,21 @@ class Service:
             for number in (signal.SIGTERM, signal.SIGINT):
                 asyncio.get_running_loop().add_signal_handler(number, stop.set)
             print(self._ready_line(ready), flush=True)
+            watching = watched(self._end_with_proxy(stop), lambda error: None)  # raised below
             if log is not None:
                 await LogWriter(log, self._settings).follow(self._proxy, stop)
             await stop.wait()
+            if watching.done():
+                await watching
+            watching.cancel()
+
+    async def _end_with_proxy(self, stop: asyncio.Event) -> None:
+        try:
+            await self._proxy.stopped()
+        except Exception as error:
+            raise NetworkError(f"the link has stopped ({error}); start the shaper again") from error
+        finally:
+            stop.set()
 
     async def _start(self, stack: contextlib.AsyncExitStack) -> dict[str, str | int]:
         address, control_address = self._settings.address("listen"), self._settings.address("control")
