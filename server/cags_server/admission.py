@@ -16,8 +16,8 @@ from cags_server.fov.base import client_halves
 MIN_FOV_RAD = math.radians(0.5)
 """Narrowest view that is drawn: focal lengths of references of up to 4,096 pixels then fit the wire's bounds."""
 
-HANDSHAKES_BEYOND_CLIENTS = 16
-"""Connections that may be shaking hands while all places are taken."""
+MAX_HANDSHAKES = 64
+"""WebSockets that may have shown neither a Hello nor the token: one more ends the oldest of them."""
 
 
 def origin_allowed(origin: str | None, host: str | None, allowed: str) -> bool:

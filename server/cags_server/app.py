@@ -14,12 +14,14 @@ from pathlib import Path
 from aiohttp import web
 
 from cags_common.errors import NetworkError, OutputError
+from cags_common.rare_log import RareLog
+from cags_common.transport.accepting import listen_on
 from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from cags_protocol.messages import Hello, RefusalCode
 from cags_server.admission import (
-    HANDSHAKES_BEYOND_CLIENTS,
+    MAX_HANDSHAKES,
     header_allowed,
     origin_allowed,
     tls_context,
@@ -27,6 +29,7 @@ from cags_server.admission import (
 )
 from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
+from cags_server.door import BACKLOG, Door, max_connections
 from cags_server.event_file import EventFile
 from cags_server.library import SceneLibrary
 from cags_server.metrics import Totals, exposition
@@ -36,15 +39,22 @@ from cags_server.render_pool import RenderPool
 from cags_server.render_slots import RenderSlots
 from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
+from cags_server.waiting import Waiting
 
 log = logging.getLogger(__name__)
+
+LINES_AT_ONCE = 16
+"""Log lines about comings and goings of one address that may come at once; then there is one a second."""
 
 
 class App:
     """One served scene and its clients."""
 
-    def __init__(self, library: SceneLibrary, settings: ServeSettings) -> None:
-        self._library, self._settings = library, settings
+    def __init__(self, library: SceneLibrary, settings: ServeSettings, door: Door | None = None) -> None:
+        """``door``: where its connections come from, if there is one that wants to know what they are at."""
+        self._library, self._settings, self._door = library, settings, door
+        self._told = RareLog(log, burst=LINES_AT_ONCE)
+        self._unvouched = Waiting[str]()  # names of those who have shown neither a Hello nor the token yet
         self._render_slots = RenderSlots(settings.workers)
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
@@ -57,7 +67,7 @@ class App:
 
     def web_app(self) -> web.Application:
         """Routes: health, readiness, metrics, the bundle's public manifest, and the stream."""
-        app = web.Application()
+        app = web.Application(middlewares=[] if self._door is None else [self._door.middleware()])
         app.router.add_get("/healthz", self._health)
         app.router.add_get("/readyz", self._ready)
         app.router.add_get("/metrics", self._metrics)
@@ -111,33 +121,43 @@ class App:
         transport = await ServerWebSocket.accept(
             request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
         )
+        if self._door is not None:
+            self._door.streams(request)
         name = f"s{next(self._names)}"
         events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
-        connection = self._connection(name, request.headers.get("Authorization"), events)
+        header = request.headers.get("Authorization")
+        connection = self._connection(name, transport.peer, header, events)
         task = ClientTask(transport, connection, self._executor, slow_s=self._settings.slow_s)
         self._clients[name] = task, connection
         self._empty.clear()
-        log.info("%s: joined from %s", name, transport.peer)
+        if not (self._settings.token and header_allowed(self._settings.token, header)):
+            self._wait_for_hello(transport.peer, name)
         try:
             await task.run()
         finally:
-            self._leave(name, connection)
+            self._leave(name, transport.peer, connection)
             if events is not None:
                 events.close()
         return transport.response
 
+    def _wait_for_hello(self, peer: str, name: str) -> None:
+        """One that has shown nothing yet may take the place of one that has been at it for longer."""
+        self._unvouched.add(peer, name)
+        if len(self._unvouched) > MAX_HANDSHAKES and (longest := self._unvouched.first_to_go()) is not None:
+            task, _ = self._clients[longest]
+            self._unvouched.discard(task.peer, longest)
+            task.cut("others wait, and you said nothing")
+
     def _refusal(self, request: web.Request) -> web.Response | None:
-        """Why a request is turned away before any WebSocket: draining, a strange origin, a flood of handshakes."""
+        """Why a request is turned away before any WebSocket: draining, or a strange origin."""
         if self._draining:
             return web.json_response({"error": "the server is shutting down"}, status=503)
         origin = request.headers.get("Origin")
         if not origin_allowed(origin, request.headers.get("Host"), self._settings.origins):
             return web.json_response({"error": f"origin {origin} is not allowed; list it with --origins"}, status=403)
-        if len(self._clients) >= self._settings.max_clients + HANDSHAKES_BEYOND_CLIENTS:
-            return web.json_response({"error": "too many connections; try again later"}, status=503)
         return None
 
-    def _connection(self, name: str, header: str | None, events: EventFile | None) -> Connection:
+    def _connection(self, name: str, peer: str, header: str | None, events: EventFile | None) -> Connection:
         settings = self._settings
         session = ServerSessionSettings(
             timers=SessionTimers(idle_us=round(settings.idle_s * 1e6)),
@@ -145,10 +165,12 @@ class App:
         )
 
         def admit(hello: Hello) -> tuple[RefusalCode, str, str] | None:
+            self._unvouched.discard(peer, name)
             if not token_allowed(settings.token, hello, header):
                 return RefusalCode.TOKEN, "token", "the token is missing or wrong; give the server's with --token"
             if self._served() >= settings.max_clients:
                 return RefusalCode.FULL, "", f"{settings.max_clients} clients are here already; try again later"
+            self._told.write(logging.INFO, (peer, "joined"), "%s: joined from %s", name, peer)
             return None
 
         return Connection(
@@ -164,20 +186,24 @@ class App:
             quotas=Quotas(messages=settings.max_message_rate, poses=settings.max_pose_rate),
         )
 
-    def _leave(self, name: str, connection: Connection) -> None:
+    def _leave(self, name: str, peer: str, connection: Connection) -> None:
         del self._clients[name]
+        self._unvouched.discard(peer, name)
         connection.release()
         if not self._clients:
             self._empty.set()
-        if connection.streamer is not None:
-            self._ended.add(connection.stats)
         ending = connection.ending
-        log.info("%s: left (%s)", name, f"{ending.code}: {ending.reason}" if ending else "lost")
+        why = f"{ending.code}: {ending.reason}" if ending else "lost"
+        if connection.streamer is None:
+            self._told.write(logging.INFO, (peer, "turned away"), "%s: not let in, from %s (%s)", name, peer, why)
+            return
+        self._ended.add(connection.stats)
+        self._told.write(logging.INFO, (peer, "left"), "%s: left (%s)", name, why)
         if self._settings.session_logs:
             try:
                 write_session(Path(self._settings.session_logs), name, connection.stats, ending)
             except OutputError as error:  # a full disk is no reason to stop serving
-                log.warning("%s", error)
+                self._told.write(logging.WARNING, "session log", "%s", error)
 
 
 async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int, App], None]) -> None:
@@ -186,24 +212,35 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
     Raises :class:`NetworkError` where the address cannot be listened on.
     """
     tls = tls_context(settings.tls_cert, settings.tls_key)
-    app = App(library, settings)
+    try:
+        listeners = listen_on(settings.host, settings.port, BACKLOG)
+    except OSError as error:
+        raise NetworkError(
+            f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); {_way_out(error)}"
+        ) from error
+    door = Door(max_connections(settings.max_clients))
+    app = App(library, settings, door)
     runner = web.AppRunner(app.web_app(), access_log=None, shutdown_timeout=settings.drain_s)
     await runner.setup()
+    assert runner.server is not None
+    failed: list[BaseException] = []
+    stop = _stop_on_signals()
+
+    def fault(error: BaseException) -> None:
+        failed.append(error)
+        stop.set()
+
     try:
-        site = web.TCPSite(runner, settings.host, settings.port, ssl_context=tls)
-        try:
-            await site.start()
-        except OSError as error:
-            raise NetworkError(
-                f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); {_way_out(error)}"
-            ) from error
-        stop = _stop_on_signals()
-        on_ready(settings.host, int(runner.addresses[0][1]), app)
+        door.open(listeners, runner.server, tls, fault)
+        on_ready(settings.host, int(listeners[0].getsockname()[1]), app)
         await stop.wait()
         await app.drain()
     finally:
+        await door.close()
         await runner.cleanup()
         app.close()
+    if failed:
+        raise NetworkError(f"no connections can be accepted any more ({failed[0]}); start the server again")
 
 
 def _reason(error: OSError) -> str:

@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from cags_common.cli import command_parser, run_command
+from cags_common.rare_log import RareFilter
 from cags_common.settings import add_settings, load_settings
 from cags_server.settings import ServeSettings
 
@@ -85,4 +86,5 @@ def _start_logging(settings: ServeSettings) -> None:
     handler = logging.StreamHandler(sys.stderr)
     plain = logging.Formatter("%(asctime)s %(levelname)s %(message)s")
     handler.setFormatter(_JsonFormatter() if settings.log_format == "json" else plain)
+    handler.addFilter(RareFilter())
     logging.basicConfig(level=logging.INFO, handlers=[handler])

@@ -66,10 +66,20 @@ class ClientTask:
                 if isinstance(result, Exception) and not isinstance(result, ConnectionEndedError):
                     log.error("%s: %s", self._connection.name, result, exc_info=result)
 
+    @property
+    def peer(self) -> str:
+        """Address of the client."""
+        return self._transport.peer
+
     def say_goodbye(self, reason: str) -> None:
         """End the session; the coroutines finish by themselves."""
         self._connection.close(reason, now_us())
         self._wake()
+
+    def cut(self, reason: str) -> None:
+        """End a session that has not begun, without waiting for its peer."""
+        self.say_goodbye(reason)
+        self._transport.abort()
 
     async def _read(self) -> None:
         while not self._connection.closed:
@@ -148,7 +158,7 @@ class ClientTask:
                     await self._transport.send(packet)
                 await self._transport.close(self._farewell())
         except (TimeoutError, ConnectionEndedError):
-            log.info("%s: gone before the goodbye", self._connection.name)
+            self._transport.abort()  # else what it does not take is kept for it, with the socket
 
     def _farewell(self) -> str:
         ending = self._connection.ending

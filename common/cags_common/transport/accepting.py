@@ -43,3 +43,33 @@ async def accept_all(
                 raise
         else:
             take(accepted)
+
+
+def listen_on(host: str, port: int, backlog: int) -> list[socket.socket]:
+    """Listening sockets for every address of ``host``, on one port (0: a free one). Raises ``OSError``."""
+    found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    listeners: list[socket.socket] = []
+    try:
+        for family, kind, protocol, _, address in dict.fromkeys(found):
+            if listeners and port == 0:
+                address = (address[0], listeners[0].getsockname()[1], *address[2:])  # noqa: PLW2901
+            listeners.append(_listening(socket.socket(family, kind, protocol), address, backlog))
+    except OSError:
+        for listener in listeners:
+            listener.close()
+        raise
+    return listeners
+
+
+def _listening(listener: socket.socket, address: tuple[object, ...], backlog: int) -> socket.socket:
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if listener.family == socket.AF_INET6:
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        listener.bind(address)
+        listener.setblocking(False)
+        listener.listen(backlog)
+    except OSError:
+        listener.close()
+        raise
+    return listener

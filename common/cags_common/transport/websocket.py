@@ -29,7 +29,6 @@ class ServerWebSocket:
     def __init__(self, socket: web.WebSocketResponse, transport: Any, peer: str) -> None:
         self._ws, self._transport = socket, transport
         self.peer = peer
-        """Address of the client, for logs."""
 
     @classmethod
     async def accept(cls, request: web.Request, *, subprotocol: str, max_message_bytes: int) -> ServerWebSocket:
@@ -79,6 +78,11 @@ class ServerWebSocket:
         """See :class:`Transport`."""
         await self._ws.close(message=_close_reason(reason))
 
+    def abort(self) -> None:
+        """See :class:`Transport`."""
+        if self._transport is not None:
+            self._transport.abort()
+
     def tcp_info(self) -> TcpInfo | None:
         """The kernel's figures for this connection, where there are any."""
         return None if self._transport is None else tcp_info(self._transport.get_extra_info("socket"))
@@ -89,6 +93,7 @@ class ClientWebSocket:
 
     def __init__(self, socket: ClientConnection, url: str) -> None:
         self._ws, self._url = socket, url
+        self.peer = url
 
     async def send(self, data: bytes) -> None:
         """See :class:`Transport`."""
@@ -112,6 +117,10 @@ class ClientWebSocket:
     async def close(self, reason: str = "") -> None:
         """See :class:`Transport`."""
         await self._ws.close(reason=_close_reason(reason).decode())
+
+    def abort(self) -> None:
+        """See :class:`Transport`."""
+        self._ws.transport.abort()
 
 
 async def connect(

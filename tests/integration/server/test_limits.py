@@ -11,7 +11,6 @@ from typing import Any
 import aiohttp
 import pytest
 
-from cags_common.errors import NetworkError
 from cags_common.geometry import Pose
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
@@ -41,21 +40,28 @@ async def test_a_server_is_ready_until_it_drains() -> None:
             assert answer.status == 200, "it still lives"
 
 
-async def test_connections_that_never_shake_hands_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app, "HANDSHAKES_BEYOND_CLIENTS", 2)
-    async with serving(max_clients=1) as (_, server):
-        silent = [await Client.join(server) for _ in range(3)]
-        with pytest.raises(NetworkError, match="503"):
-            await Client.join(server)
+async def test_connections_that_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each that comes takes the place of the one that has been silent for longest."""
+    monkeypatch.setattr(app, "MAX_HANDSHAKES", 3)
+    async with serving(max_clients=1) as (running, server):
+        silent = [await Client.join(server) for _ in range(12)]
+        good = await Client.join(server)
+        await good.until(ev.Welcomed)
+        assert len(running._clients) <= 4
         for client in silent:
             await client.transport.close()
-        async with asyncio.timeout(10):
-            while True:
-                try:
-                    await (await Client.join(server)).until(ev.Welcomed)
-                    break
-                except NetworkError:
-                    await asyncio.sleep(0.02)
+
+
+async def test_who_shows_the_token_waits_with_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app, "MAX_HANDSHAKES", 2)
+    async with serving(token="secret", max_clients=4) as (_, server):
+        good = await Client.join(server, header_token="secret")
+        silent = [await Client.join(server) for _ in range(8)]
+        await good.until(ev.Welcomed)
+        by_hello = await Client.join(server, token="secret")
+        await by_hello.until(ev.Welcomed)
+        for client in silent:
+            await client.transport.close()
 
 
 async def test_too_many_poses_are_refused_by_name() -> None:
@@ -111,17 +117,22 @@ class Stuck:
     async def close(self, reason: str = "") -> None:
         await asyncio.Event().wait()
 
+    def abort(self) -> None:
+        self.aborted = True
+
 
 async def test_a_client_that_takes_nothing_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client_task, "CLOSE_TIMEOUT_S", 0.05)
     settings = ServerSettings(reference_width=64, reference_height=48)
     connection = Connection(library(), settings, name="slow", now_us=now_us())
     with ThreadPoolExecutor(1) as executor:
+        transport = Stuck()
         async with asyncio.timeout(10):
-            await ClientTask(Stuck(), connection, executor, slow_s=0.1).run()
+            await ClientTask(transport, connection, executor, slow_s=0.1).run()
     assert connection.ending is not None
     assert connection.ending.code == "timeout"
     assert "0.1 s" in connection.ending.reason
+    assert transport.aborted, "else the socket stays open until its peer takes what is left"
 
 
 class Willing(Stuck):
