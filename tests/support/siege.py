@@ -29,6 +29,8 @@ CLIENT = Intrinsics.of_fov(320, 240, 1.2, 0.95)
 FPS = 10.0
 """Rate at which good viewers watch: far below what the server can do, so that an attack is to blame for a miss."""
 
+FAST = ("--train-splats", "4096", "--lod-order", "paper")
+
 STARTING_S = 2.5
 """Until an attacker is at it."""
 
@@ -42,7 +44,7 @@ def now_us() -> int:
 def encode_small(folder: Path, scene: str = "procedural:size=1500,frames=20", *flags: str) -> Path:
     """A small bundle in ``folder``."""
     bundle = folder / "clip.cags"
-    command = [sys.executable, "-m", "cags_encoder", scene, str(bundle), "--gof-frames", "10", *flags]
+    command = [sys.executable, "-m", "cags_encoder", scene, str(bundle), "--gof-frames", "10", *FAST, *flags]
     subprocess.run(command, check=True, capture_output=True)
     return bundle
 
