@@ -186,6 +186,11 @@ class Connection:
         self.session.bye(reason, now_us=now_us)
         self._settle(now_us)
 
+    def fail(self, reason: str, now_us: int) -> None:
+        """End the session for a fault of the server, of which the viewer is told ``reason``."""
+        self.session.refuse(RefusalCode.INTERNAL, "", reason, now_us=now_us)
+        self._settle(now_us)
+
     def _settle(self, now_us: int) -> None:
         """Pass on every event of the session, and whatever those cause."""
         while (event := self.session.next_event()) is not None:

@@ -63,13 +63,13 @@ class Relay:
 
     async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         while True:
-            while not self._flows.is_set():
+            while not self._flows.is_set():  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
             data = await reader.read(4096)
             if not data:
                 writer.close()
                 return
-            while not self._flows.is_set():
+            while not self._flows.is_set():  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
             writer.write(data)
             await writer.drain()

@@ -112,8 +112,8 @@ class BundleReader:
         return data
 
     def tile_ids(self, frame: int, tile: int) -> Ids:
-        """Ids [n] of a tile's splats, ascending, in the tile's order."""
-        return self.codec.tile_ids(self.payload(frame, tile, 0))
+        """Ids [n] of a tile's splats, ascending, in the tile's order. Raises :class:`BundleError`."""
+        return self._within(self.codec.tile_ids(self.payload(frame, tile, 0)), frame, f"tile {tile}")
 
     def removed_payload(self, frame: int) -> bytes:
         """The ids that ``frame`` removes, packed by :func:`~cags_common.packing.encode_ids`."""
@@ -135,7 +135,10 @@ class BundleReader:
         start = 8 + sum(size for size, _ in sizes[:row])
         data = self._store.read(self.manifest.gofs[gof].source.name, start, start + sizes[row][0])
         check_crc(data, sizes[row][1], f"source frame {frame}")
-        return decode_source(data, f"source frame {frame}")
+        delta = decode_source(data, f"source frame {frame}")
+        self._within(delta.ids, frame, "source")
+        self._within(delta.removed, frame, "source, removed")
+        return delta
 
     def source(self, frame: int) -> SourceFrame:
         """All unquantised splats alive in ``frame``. Cheapest in rising order: an earlier frame replays its group."""
@@ -183,6 +186,16 @@ class BundleReader:
             with self._lock:
                 self._frames.put(entry.frame, data, len(data))
         return data
+
+    def _within(self, ids: Ids, frame: int, what: str) -> Ids:
+        """``ids``, which index arrays and kernels' memory. Raises :class:`BundleError` beyond the group's capacity."""
+        capacity = self.manifest.capacity[self.manifest.gof_of(frame)]
+        if len(ids) and not 0 <= int(ids.min()) <= int(ids.max()) < capacity:
+            raise BundleError(
+                f"frame {frame}, {what}: ids {int(ids.min())} to {int(ids.max())} do not lie within the group's "
+                f"capacity of {capacity}; encode the bundle again"
+            )
+        return ids
 
     @staticmethod
     def _tile(entry: FrameEntry, tile: int) -> TileEntry:
