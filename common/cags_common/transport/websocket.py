@@ -39,7 +39,7 @@ class ServerWebSocket:
             timeout=CLOSE_TIMEOUT_S,
             protocols=(subprotocol,),
             compress=False,
-            max_msg_size=max_message_bytes,
+            max_msg_size=max_message_bytes + 1,  # of aiohttp: the first size that is refused
             writer_limit=0,  # wait for the transport after every message, not after every 256 KiB
         )
         await ws.prepare(request)

@@ -82,6 +82,16 @@ async def test_too_many_poses_are_refused_by_name() -> None:
         assert (refused.refusal.code, refused.refusal.field) == ("quota", "poses")
 
 
+async def test_a_message_of_the_largest_size_is_read() -> None:
+    """It is no message, and is refused as that; one more byte would end the WebSocket with 1009."""
+    async with serving() as (_, server):
+        client = await Client.join(server)
+        client.session.data_to_send(now_us())
+        await client.transport.send(bytes(MAX_CLIENT_MESSAGE_BYTES))
+        (refused,) = await client.until(ev.Refused)
+        assert refused.refusal.code == "malformed"
+
+
 async def test_a_message_larger_than_any_client_needs_ends_the_connection() -> None:
     async with serving() as (_, server):
         client = await Client.join(server)
