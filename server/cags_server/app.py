@@ -12,10 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from aiohttp import web
+from aiohttp.typedefs import Handler, Middleware
 
 from cags_common.errors import NetworkError, OutputError
 from cags_common.rare_log import RareLog
 from cags_common.transport.accepting import listen_on
+from cags_common.transport.hosts import named
 from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
@@ -23,6 +25,7 @@ from cags_protocol.messages import Hello, RefusalCode
 from cags_server.admission import (
     MAX_HANDSHAKES,
     header_allowed,
+    host_refusal,
     origin_allowed,
     tls_context,
     token_allowed,
@@ -67,13 +70,21 @@ class App:
 
     def web_app(self) -> web.Application:
         """Routes: health, readiness, metrics, the bundle's public manifest, and the stream."""
-        app = web.Application(middlewares=[] if self._door is None else [self._door.middleware()])
+        app = web.Application(middlewares=([] if self._door is None else [self._door.middleware()]) + [self._guard()])
         app.router.add_get("/healthz", self._health)
         app.router.add_get("/readyz", self._ready)
         app.router.add_get("/metrics", self._metrics)
         app.router.add_get("/bundle", self._bundle)
         app.router.add_get("/stream", self._stream)
         return app
+
+    def _guard(self) -> Middleware:
+        @web.middleware
+        async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
+            refusal = host_refusal(self._settings, request.headers.get("Host"))
+            return await handler(request) if refusal is None else web.json_response({"error": refusal}, status=403)
+
+        return guard
 
     def sessions(self) -> list[tuple[str, StreamStats]]:
         """Name and figures of every client that has been let in."""
@@ -153,7 +164,8 @@ class App:
         if self._draining:
             return web.json_response({"error": "the server is shutting down"}, status=503)
         origin = request.headers.get("Origin")
-        if not origin_allowed(origin, request.headers.get("Host"), self._settings.origins):
+        host, names = request.headers.get("Host"), named(self._settings.hosts)
+        if not origin_allowed(origin, host, self._settings.origins, names):
             return web.json_response({"error": f"origin {origin} is not allowed; list it with --origins"}, status=403)
         return None
 

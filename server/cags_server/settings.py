@@ -73,6 +73,9 @@ class ServeSettings(ServerSettings):
     tls_cert: str = setting("", "PEM file of the certificate; with it the server speaks HTTPS and WSS")
     tls_key: str = setting("", "PEM file of the certificate's private key")
     origins: str = setting("", "web origins whose pages may connect, comma separated, or *; this host's own always may")
+    hosts: str = setting(
+        "", "names under which this server is reached, comma separated; needed behind a proxy on this machine"
+    )
     max_pose_rate: float = setting(2000.0, "poses a client may send, a second", low=1.0, high=1e6)
     max_message_rate: float = setting(1000.0, "messages a client may send, a second", low=1.0, high=1e6)
     max_queue_mb: float = setting(16.0, "data that may wait for one client, MB", low=0.1, high=4096.0)

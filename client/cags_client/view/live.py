@@ -42,7 +42,7 @@ from cags_client.viewpoint import PoseSource
 from cags_common.errors import CagsError, ConfigError, NetworkError, ProtocolError
 from cags_common.raster.base import Exactness
 from cags_common.tasks import watched
-from cags_common.transport.hosts import host_port
+from cags_common.transport.hosts import host_port, named
 
 EXACTNESSES = tuple(exactness.value for exactness in Exactness)
 
@@ -86,8 +86,7 @@ class LiveView:
     async def start(self) -> str:
         """Serve the page; returns its address. Raises :class:`NetworkError` where the port is taken."""
         self._loop = asyncio.get_running_loop()
-        names = frozenset(name.strip() for name in self.settings.view_allow_host.split(",") if name.strip())
-        app = web.Application(middlewares=[guard(names)])
+        app = web.Application(middlewares=[guard(named(self.settings.view_allow_host))])
         app.router.add_get("/live", self._live)
         app.router.add_get("/", self._asset)
         app.router.add_get("/{name}", self._asset)

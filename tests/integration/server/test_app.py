@@ -182,6 +182,29 @@ async def test_pages_of_strange_origins_are_turned_away(origin: str | None, allo
         assert reached == status
 
 
+@pytest.mark.parametrize(
+    ("hosts", "host", "status"),
+    [
+        ("", "rebound.example", 403),
+        ("viewer.example", "Viewer.example", 200),
+        ("", "127.0.0.1", 200),
+        ("", "[::1]:7", 200),
+    ],
+)
+async def test_a_name_that_a_stranger_points_here_reaches_nothing(hosts: str, host: str, status: int) -> None:
+    """DNS rebinding: the page's ``Origin`` is its ``Host``."""
+    async with serving(hosts=hosts) as (_, server), aiohttp.ClientSession() as http:
+        for path in ("/bundle", "/metrics", "/healthz"):
+            async with http.get(server.make_url(path), headers={"Host": host}) as answer:
+                assert answer.status == status
+        headers = {"Host": host, "Origin": f"http://{host}"}
+        if status == 403:
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await http.ws_connect(stream_url(server), headers=headers, protocols=(SUBPROTOCOL,))
+        else:
+            await (await http.ws_connect(stream_url(server), headers=headers, protocols=(SUBPROTOCOL,))).close()
+
+
 @pytest.mark.parametrize("data", [b"", b"\x00" * 64, b"\x81\xa4type\xa5hello", bytes(range(256))])
 async def test_nonsense_ends_in_a_refusal_and_the_server_lives(data: bytes) -> None:
     async with serving() as (_, server):

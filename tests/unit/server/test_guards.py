@@ -20,7 +20,10 @@ from support.server_scene import hello
     ("origin", "host", "allowed", "expected"),
     [
         (None, "a:1", "", True),
+        ("http://127.0.0.1:1", "127.0.0.1:1", "", True),
+        ("http://localhost:1", "localhost:1", "", True),
         ("http://a:1", "a:1", "", True),
+        ("http://rebound:1", "rebound:1", "", False),
         ("http://b", "a:1", "", False),
         ("http://b", "a:1", "http://c, http://b/", True),
         ("http://b.evil", "a:1", "http://b", False),
@@ -30,7 +33,7 @@ from support.server_scene import hello
     ],
 )
 def test_origins(origin: str | None, host: str | None, allowed: str, expected: bool) -> None:
-    assert origin_allowed(origin, host, allowed) is expected
+    assert origin_allowed(origin, host, allowed, frozenset({"a"})) is expected
 
 
 def test_tokens() -> None:
