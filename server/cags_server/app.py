@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import gc
 import itertools
 import logging
 import os
@@ -138,7 +139,9 @@ class App:
         events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
         header = request.headers.get("Authorization")
         connection = self._connection(name, transport.peer, header, events)
-        task = ClientTask(transport, connection, self._executor, slow_s=self._settings.slow_s)
+        task = ClientTask(
+            transport, connection, self._executor, slow_s=self._settings.slow_s, clients=lambda: len(self._clients)
+        )
         self._clients[name] = task, connection
         self._empty.clear()
         if not (self._settings.token and header_allowed(self._settings.token, header)):
@@ -243,6 +246,7 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
         stop.set()
 
     try:
+        gc.freeze()  # modules and the scene live as long as the server: collections need not look at them
         door.open(listeners, runner.server, tls, fault)
         on_ready(settings.host, int(listeners[0].getsockname()[1]), app)
         await stop.wait()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from concurrent.futures import Executor
 from typing import Any
 
@@ -20,6 +20,7 @@ from cags_common.transport.base import ConnectionEndedError, Transport
 from cags_common.wake import woken
 from cags_protocol.messages import RefusalCode
 from cags_server.connection import Connection
+from cags_server.quota import ReadingShare
 from cags_server.reference import FrameJob
 
 BATCH_BYTES = 64 * 1024
@@ -46,8 +47,18 @@ def now_us() -> int:
 class ClientTask:
     """One client's coroutines. ``run`` returns when the session is over."""
 
-    def __init__(self, transport: Transport, connection: Connection, executor: Executor, *, slow_s: float) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        connection: Connection,
+        executor: Executor,
+        *,
+        slow_s: float,
+        clients: Callable[[], int] = lambda: 1,
+    ) -> None:
+        """``clients()``: how many share the event loop."""
         self._transport, self._connection, self._executor = transport, connection, executor
+        self._share = ReadingShare(clients, time.perf_counter())
         self._slow_s = slow_s
         self._to_send = asyncio.Event()
         self._to_plan = asyncio.Event()
@@ -107,8 +118,12 @@ class ClientTask:
 
     async def _read(self) -> None:
         while not self._connection.closed:
-            self._connection.receive(await self._transport.recv(), now_us())
+            data = await self._transport.recv()
+            began_s = time.perf_counter()
+            self._connection.receive(data, now_us())
             self._wake()
+            now_s = time.perf_counter()
+            await asyncio.sleep(self._share.took(now_s - began_s, now_s))  # at least a turn of everybody else's
 
     async def _write(self) -> None:
         while not self._connection.closed:
