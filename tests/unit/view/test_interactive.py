@@ -210,6 +210,16 @@ def test_what_is_held_loops_without_a_break_and_without_a_word(stage: Stage) -> 
     assert not stage.player.playing
 
 
+def test_rounds_that_were_slept_through_are_not_made_up_for(stage: Stage) -> None:
+    stage.pipeline.kept = True
+    stage.player.set_rate(1.0, stage.now_us)
+    stage.run(DELAY_US + 0.5 * FRAMES * FRAME_US)
+    stage.now_us += 11 * 86_400 * 1_000_000
+    stage.turn()  # the last frame of the round that was under way
+    drawn = stage.run(DELAY_US + 0.5 * FRAMES * FRAME_US)
+    assert len(drawn) < FRAMES, "at the clip's own speed again"
+
+
 def test_a_store_that_can_keep_no_more_loops_by_a_seek(stage: Stage) -> None:
     stage.pipeline.kept = True
     stage.player.set_rate(1.0, stage.now_us)
