@@ -31,6 +31,7 @@ from cags_client.viewpoint import PoseSource, Viewpoint
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
+from cags_common.splats import SH_REST_OF_DEGREE
 from cags_protocol import events as ev
 from cags_protocol.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
 from cags_protocol.client import ClientSession, ClientSessionSettings
@@ -268,7 +269,7 @@ class Player:
         self._welcome = welcome
         if self.pipeline is None:
             try:
-                self.info = _affordable(Manifest.from_json(welcome.info), self.settings.max_splats)
+                self.info = _affordable(Manifest.from_json(welcome.info), self.settings)
             except (BundleError, NetworkError) as error:
                 self._fail(error)
                 return
@@ -389,9 +390,21 @@ def _refused(refusal: Refusal) -> NetworkError:
     return NetworkError(f"the server refused{where}: {refusal.message}")
 
 
-def _affordable(info: Manifest, most: int) -> Manifest:
+COPIES = 4.5
+"""Times that the memory of a group's splats is taken at most: merged and in the renderer, of both groups at a border."""
+
+
+def _affordable(info: Manifest, settings: ClientSettings) -> Manifest:
     """``info``. Raises :class:`NetworkError` where a group of frames takes more memory than the viewer gives."""
     largest = max(info.capacity, default=0)
-    if largest > most:
-        raise NetworkError(f"the stream has groups of {largest} splats, and this client takes {most}; see --max-splats")
+    if largest > settings.max_splats:
+        raise NetworkError(
+            f"the stream has groups of {largest} splats, and this client takes {settings.max_splats}; see --max-splats"
+        )
+    needed_mb = COPIES * largest * 4 * (14 + 3 * SH_REST_OF_DEGREE[info.sh_degree]) / 1e6
+    if needed_mb > settings.max_memory_mb:
+        raise NetworkError(
+            f"the stream has groups of {largest} splats, which take {needed_mb:.0f} MB; this client gives "
+            f"{settings.max_memory_mb:g}; see --max-memory-mb"
+        )
     return info

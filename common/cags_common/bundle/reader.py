@@ -21,6 +21,9 @@ MANIFEST_NAME = "manifest.json"
 CODEBOOKS_NAME = "codebooks.bin"
 MAX_WEIGHTS_BYTES = 4 << 20
 
+MOST_IDS_A_SPLAT, SPARE_IDS = 8, 65_536
+"""Ids of a group are mostly dense: its capacity is at most so many times the splats that its tiles carry, and some."""
+
 
 def weights_name(crc: int) -> str:
     """The file of a restorer's weights, by their CRC-32: new ones lie beside the old until the manifest names them."""
@@ -130,6 +133,7 @@ class BundleReader:
     def source_delta(self, frame: int) -> SourceDelta:
         """What the unquantised ``frame`` changes against the one before (everything in the first of a group)."""
         gof = self.manifest.gof_of(frame)
+        self._tile_index(gof)  # which checks the capacity
         row = frame - self.manifest.gof_starts[gof]
         sizes = self._sources(gof)
         start = 8 + sum(size for size, _ in sizes[:row])
@@ -144,6 +148,7 @@ class BundleReader:
         """All unquantised splats alive in ``frame``. Cheapest in rising order: an earlier frame replays its group."""
         gof = self.manifest.gof_of(frame)
         first = self.manifest.gof_starts[gof]
+        self._tile_index(gof)
         with self._replaying:  # seconds of reading and decoding: payloads need not wait for it
             if self._replay is None or not first <= self._replay[0] <= frame:
                 state = SourceState(self.manifest.capacity[gof], self.manifest.sh_degree)
@@ -160,8 +165,19 @@ class BundleReader:
         if known is None:  # two threads may read it side by side: both read the same
             data = self._read_index(self.manifest.gofs[gof].tiles)
             frames = self.manifest.gof_frames(gof)
-            known = self._index[gof] = decode_tile_index(data, gof=gof, frames=frames, lods=self.manifest.lods)
+            known = decode_tile_index(data, gof=gof, frames=frames, lods=self.manifest.lods)
+            self._check_capacity(gof, known)
+            self._index[gof] = known
         return known
+
+    def _check_capacity(self, gof: int, entries: tuple[FrameEntry, ...]) -> None:
+        """Whoever draws a group takes memory for its capacity: it must not claim far more ids than tiles carry."""
+        capacity, carried = self.manifest.capacity[gof], sum(t.splats for entry in entries for t in entry.tiles)
+        if capacity > MOST_IDS_A_SPLAT * carried + SPARE_IDS:
+            raise BundleError(
+                f"manifest: capacity[{gof}] = {capacity} is far more than the {carried} splats that the group's tiles "
+                "carry; encode the bundle again"
+            )
 
     def _sources(self, gof: int) -> tuple[tuple[int, int], ...]:
         known = self._source_index.get(gof)

@@ -30,3 +30,11 @@ def test_ids_of_tiles_and_sources_stay_within_the_capacity(bundle: Path, monkeyp
         monkeypatch.setattr(reader.codec, "tile_ids", lambda data: np.array([-1], np.int32))
         with pytest.raises(BundleError, match="ids -1 to -1"):
             reader.tile_ids(0, 0)
+
+
+def test_a_capacity_that_no_tile_backs_is_refused_before_memory_is_taken(bundle: Path) -> None:
+    with BundleReader.open(str(bundle)) as reader:
+        reader.manifest = replace(reader.manifest, capacity=(20_000_000,) * len(reader.manifest.capacity))
+        for read in (reader.frame, reader.source_delta, reader.source):
+            with pytest.raises(BundleError, match=r"capacity\[0\] = 20000000 is far more than"):
+                read(0)

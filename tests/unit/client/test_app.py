@@ -62,6 +62,16 @@ async def test_groups_larger_than_the_viewer_gives_memory_for_end_the_play_at_on
     assert "4000001 splats, and this client takes 4000000; see --max-splats" in str(client.player.error)
 
 
+async def test_groups_that_take_more_memory_than_the_viewer_gives_end_the_play_at_once() -> None:
+    client, server = shell()
+    huge = replace(MANIFEST, sh_degree=3, capacity=(3_000_000,))
+    await server.send(encode(Welcome("s", 30.0, 3, False, huge.to_json())))
+    async with asyncio.timeout(5):
+        await client.run()
+    client.close()
+    assert "3000000 splats, which take 3186 MB; this client gives 2048; see --max-memory-mb" in str(client.player.error)
+
+
 async def test_a_fault_while_reading_is_raised_and_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     client, server = shell()
 
