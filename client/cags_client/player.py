@@ -391,7 +391,7 @@ def _refused(refusal: Refusal) -> NetworkError:
 
 
 COPIES = 4.5
-"""Times that the memory of a group's splats is taken at most: merged and in the renderer, of both groups at a border."""
+"""Times that the memory of a group's splats is taken at most: merged and in the renderer, two groups at a border."""
 
 
 def _affordable(info: Manifest, settings: ClientSettings) -> Manifest:

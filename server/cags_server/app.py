@@ -36,6 +36,7 @@ from cags_server.connection import Connection
 from cags_server.door import BACKLOG, Door, max_connections
 from cags_server.event_file import EventFile
 from cags_server.library import SceneLibrary
+from cags_server.memory import FreedMemory
 from cags_server.metrics import Totals, exposition
 from cags_server.quota import Quotas
 from cags_server.records import StreamStats
@@ -65,6 +66,7 @@ class App:
         self._executor = RenderPool(settings.workers, self._served)
         self._executor.submit(library.warm)
         self._ended = Totals()
+        self._memory = FreedMemory()
         self._draining = False
         self._empty = asyncio.Event()
         self._empty.set()
@@ -108,6 +110,7 @@ class App:
 
     def close(self) -> None:
         """Stop rendering."""
+        self._memory.close()
         self._executor.shutdown(wait=True, cancel_futures=True)
 
     async def _health(self, request: web.Request) -> web.Response:
@@ -204,12 +207,14 @@ class App:
     def _leave(self, name: str, peer: str, connection: Connection) -> None:
         del self._clients[name]
         self._unvouched.discard(peer, name)
+        let_in = connection.streamer is not None
         connection.release()
+        self._memory.session_ended()
         if not self._clients:
             self._empty.set()
         ending = connection.ending
         why = f"{ending.code}: {ending.reason}" if ending else "lost"
-        if connection.streamer is None:
+        if not let_in:
             self._told.write(logging.INFO, (peer, "turned away"), "%s: not let in, from %s (%s)", name, peer, why)
             return
         self._ended.add(connection.stats)

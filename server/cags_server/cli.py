@@ -50,7 +50,9 @@ def _serve(argv: Sequence[str]) -> None:
     from cags_server.board import sessions_table
     from cags_server.choices import check_choices
     from cags_server.library import SceneLibrary
+    from cags_server.memory import share_arenas
 
+    share_arenas()
     check_choices(settings)
     tls_context(settings.tls_cert, settings.tls_key)
     for folder in filter(None, (settings.session_logs, settings.event_traces)):
