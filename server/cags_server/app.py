@@ -44,6 +44,7 @@ from cags_server.render_pool import RenderPool
 from cags_server.render_slots import RenderSlots
 from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
+from cags_server.turns import Turns
 from cags_server.waiting import Waiting
 
 log = logging.getLogger(__name__)
@@ -59,6 +60,7 @@ class App:
         """``door``: where its connections come from, if there is one that wants to know what they are at."""
         self._library, self._settings, self._door = library, settings, door
         self._told = RareLog(log, burst=LINES_AT_ONCE)
+        self._turns = Turns()
         self._unvouched = Waiting[str]()  # names of those who have shown neither a Hello nor the token yet
         self._render_slots = RenderSlots(settings.workers)
         self._names = itertools.count(1)
@@ -133,6 +135,10 @@ class App:
         refusal = self._refusal(request)
         if refusal is not None:
             return refusal
+        header = request.headers.get("Authorization")
+        vouched = bool(self._settings.token) and header_allowed(self._settings.token, header)
+        if not vouched and not await self._turns.take():
+            return web.json_response({"error": "too many ask at once; try again later"}, status=503)
         transport = await ServerWebSocket.accept(
             request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
         )
@@ -140,14 +146,13 @@ class App:
             self._door.streams(request)
         name = f"s{next(self._names)}"
         events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
-        header = request.headers.get("Authorization")
         connection = self._connection(name, transport.peer, header, events)
         task = ClientTask(
             transport, connection, self._executor, slow_s=self._settings.slow_s, clients=lambda: len(self._clients)
         )
         self._clients[name] = task, connection
         self._empty.clear()
-        if not (self._settings.token and header_allowed(self._settings.token, header)):
+        if not vouched:
             self._wait_for_hello(transport.peer, name)
         try:
             await task.run()

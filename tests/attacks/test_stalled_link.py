@@ -37,6 +37,7 @@ def wait_for(server_log: Path, word: str) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.siege
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signals_are_heeded_and_frames_drawn_on_a_stalled_link(
     bundle: Path, tmp_path: Path, number: signal.Signals
@@ -59,6 +60,7 @@ def test_signals_are_heeded_and_frames_drawn_on_a_stalled_link(
     assert process.returncode == 128 + number, words
 
 
+@pytest.mark.siege
 def test_the_picture_goes_on_while_the_link_is_stalled(bundle: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.jsonl"
     with (

@@ -31,8 +31,11 @@ FPS = 10.0
 
 FAST = ("--train-splats", "4096", "--lod-order", "paper")
 
-STARTING_S = 2.5
+STARTING_S = 1.5
 """Until an attacker is at it."""
+
+LEAST_KEPT, LONGEST_JOIN_S, MORE_MEMORY_MB, LINES_AT_ONCE = 0.9, 2.0, 150.0, 20
+"""What the others must be left with: share of their quiet frames, time to join; and what an attack may cost."""
 
 PAGE_BYTES = resource.getpagesize()
 
@@ -218,17 +221,29 @@ async def watching(url: str, count: int = 2, **named: Any) -> AsyncIterator[list
 
 
 @contextmanager
-def attack(name: str, port: int, *arguments: str, seconds: float = 3600.0) -> Iterator[subprocess.Popen[bytes]]:
-    """One of :mod:`support.attackers`, until the block ends."""
+def attack(port: int, *attacks: str) -> Iterator[None]:
+    """Some of :mod:`support.attackers`, each as ``NAME`` or ``NAME:ARGUMENT``, until the block ends."""
     here = Path(__file__).parent.parent
-    command = [sys.executable, "-m", "support.attackers", name, str(port), *arguments]
-    process = subprocess.Popen(command, cwd=here, stdout=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "support.attackers", str(port), *attacks]
+    with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n"
+            yield
+            assert process.poll() in (None, 0), f"{attacks} have failed"
+        finally:
+            process.kill()
+
+
+@asynccontextmanager
+async def attacked(port: int, *attacks: str) -> AsyncIterator[None]:
+    """:func:`attack`, while the event loop goes on."""
+    running = attack(port, *attacks)
+    await asyncio.to_thread(running.__enter__)
     try:
-        yield process
-        assert process.poll() in (None, 0), f"the attack {name} has failed"
+        yield
     finally:
-        process.kill()
-        process.wait()
+        await asyncio.to_thread(running.__exit__, None, None, None)
 
 
 @dataclass
@@ -261,17 +276,15 @@ class Outcome:
 
 
 async def besiege(
-    keep: Keep, attacks: Sequence[Sequence[str]], *, quiet_s: float = 3.0, attack_s: float = 5.0, **viewer: Any
+    keep: Keep, attacks: Sequence[str], *, quiet_s: float = 3.0, attack_s: float = 5.0, **viewer: Any
 ) -> Outcome:
-    """Two viewers watch in peace, then under attack; meanwhile a third one joins."""
+    """Two viewers watch in peace, under attack, and in peace again; meanwhile a third one joins."""
     async with watching(keep.url, 2, **viewer) as viewers:
         begun = time.monotonic()
         await asyncio.sleep(quiet_s)
         quiet = min(each.frames_between(begun, begun + quiet_s) for each in viewers) / quiet_s
         before = keep.rss_mb, keep.descriptors, len(keep.log_lines)
-        with contextlib.ExitStack() as stack:
-            for name, *arguments in attacks:
-                stack.enter_context(attack(name, keep.port, *arguments))
+        async with attacked(keep.port, *attacks):
             await asyncio.sleep(STARTING_S)
             begun, cpu_s = time.monotonic(), keep.cpu_s
             newcomer = Viewer(keep.url, **viewer)
@@ -281,6 +294,9 @@ async def besiege(
             joining.cancel()
             await asyncio.gather(joining, return_exceptions=True)
             after = keep.rss_mb, keep.descriptors, len(keep.log_lines)
+        again = time.monotonic() + 0.5  # what the machine is busy with may have changed: peace before and after counts
+        await asyncio.sleep(0.5 + quiet_s)
+        quiet = min(quiet, min(each.frames_between(again, again + quiet_s) for each in viewers) / quiet_s)
         under = min(each.frames_between(begun, ended) for each in viewers) / (ended - begun)
     join_s = float("inf") if newcomer.join_s is None else newcomer.join_s
     seconds, lines = ended - begun, after[2] - before[2]
@@ -288,13 +304,19 @@ async def besiege(
     return Outcome(quiet, under, join_s, memory, descriptors, lines, cpu_s / seconds, seconds + STARTING_S)
 
 
-def assert_others_are_well(keep: Keep, attacks: Sequence[Sequence[str]], offenders: int, **named: Any) -> None:
-    """The good viewers keep their frames, a newcomer joins, and memory, descriptors and log stay small."""
-    outcome = asyncio.run(besiege(keep, attacks, **named))
-    row = outcome.row(" ".join(each[0] for each in attacks))
-    print(row)
-    assert outcome.kept >= 0.9, row
-    assert outcome.join_s <= 2.0, row
-    assert outcome.rss_mb[1] - outcome.rss_mb[0] <= 150, row
-    assert outcome.lines <= offenders * (outcome.seconds + 20), row
+def assert_others_are_well(keep: Keep, attacks: Sequence[str], offenders: int, **named: Any) -> None:
+    """The good viewers keep their frames, a newcomer joins, and memory, descriptors and log stay small.
+
+    Frames are counted in real time: where a busy machine took them, the attack is made once more.
+    """
+    for last in (False, True):
+        outcome = asyncio.run(besiege(keep, attacks, **named))
+        row = outcome.row(" ".join(attacks))
+        print(row)
+        if last or (outcome.kept >= LEAST_KEPT and outcome.join_s <= LONGEST_JOIN_S):
+            break
+    assert outcome.kept >= LEAST_KEPT, row
+    assert outcome.join_s <= LONGEST_JOIN_S, row
+    assert outcome.rss_mb[1] - outcome.rss_mb[0] <= MORE_MEMORY_MB, row
+    assert outcome.lines <= offenders * (outcome.seconds + LINES_AT_ONCE), row
     assert keep.stop() <= 1.5, row
