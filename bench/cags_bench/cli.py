@@ -15,6 +15,7 @@ SUBCOMMANDS = {
     "stream": "stream a scene over a trace in virtual time and score every frame",
     "raster": "speed and exactness of the rasteriser backends, beside the prototype and peers",
     "codec": "rate and distortion of the quantisers beside other codecs, and their times",
+    "motion": "bytes a frame and quality of moving scenes, motion coded apart and not",
     "predict": "precision of pose prediction and of the reference's field of view",
     "align": "time and quality of alignment",
     "restore": "time and quality of the restoration tiers",

@@ -163,14 +163,15 @@ class ReferenceViews:
         return then.picture
 
     def _undone(self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions) -> RenderedView:
-        before = held.store.past.as_of(reference.frame)
-        assert before is not None, "now() keeps the view of a reference after which nothing has changed"
-        rows, splats = before
-        held.scene.update(rows, splats)
+        then = held.store.past.as_of(reference.frame, held.store.splats)
+        assert then is not None, "now() keeps the view of a reference after which nothing has changed"
+        held.scene.move(then.moved, then.scene, options.threads)
+        held.scene.update(then.rows, then.splats)
         try:
             return held.scene.render(reference.camera, options)
         finally:
-            held.restore(rows)
+            held.scene.move(then.moved, held.store.splats, options.threads)
+            held.restore(then.rows)
 
     def _of_earlier_group(self, reference: ReferencePicture, _: OnDisplay, options: RenderOptions) -> RenderedView:
         scene = self._rasteriser.load(self._earlier.as_of(reference.frame))

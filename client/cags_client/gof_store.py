@@ -1,61 +1,66 @@
 """What the client holds of one group of frames: tiles at any depth, in any order of arrival.
 
-Tiles are decoded when they arrive (off the display path, several at a time) and *staged*; :meth:`GofStore.commit` makes
-them visible, all of a frame's at once, when that frame is shown (:mod:`cags_client.merged` has the rules by which they
-become one array of splats). Each group of frames has ids, and a store, of its own. Showing an earlier frame of the
-group replays what is held, so a loop or a jump back asks the network for nothing.
+Tiles are decoded when they arrive (:mod:`cags_client.gof_tiles`); :meth:`GofStore.commit` makes them visible, all of a
+frame's at once, when that frame is shown (:mod:`cags_common.splat_buffer` has the rules by which looks, updates and
+motion become one array of splats). Each group of frames has ids, and a store, of its own. Showing an earlier frame of
+the group replays what is held, so a loop or a jump back asks the network for nothing.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.merged import MergedSplats
-from cags_client.opening import Arrival, OpenTile, TileOpener
+from cags_client.gof_tiles import GofTiles
+from cags_client.motions import HeldMotion, HeldUpdate, Staged
+from cags_client.opening import Arrival, TileOpener
 from cags_client.past import SplatPast
 from cags_client.shown import Held, Shown
-from cags_client.waiting import Key, WaitingLayers
+from cags_client.waiting import Key
 from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.errors import DecodeError
+from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
+from cags_common.motion.chunk import Chunk
+from cags_common.splat_buffer import Slot, SplatBuffer
 from cags_common.splats import Ids, Splats
 from cags_protocol.messages import HeldTile
-
-MAX_LATE_BYTES = 8 << 20
-"""Bound on layers of replaced tiles that are kept for showing earlier frames again; past it none are."""
-
-MAX_TILES_PER_GOF = 1 << 17
-"""Bound on the tiles of one group of frames."""
-
-MAX_KEPT_SPLATS = 1 << 22
-"""Splats of replaced tiles that are kept for showing earlier frames again (about 40 bytes each); past it none are."""
 
 REPLAY_AHEAD = 8
 """Frames ahead of the display whose kept tiles are dequantised off the display path."""
 
 
-@dataclass(eq=False)
-class _Staged:
-    held: Held
-    ids: Ids
-    splats: Splats
-    lod: int
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What a commit did."""
+
+    rows: NDArray[np.intp]
+    """[M] whose splats changed."""
+    moved: NDArray[np.intp]
+    """[K] further ones, of which only position, rotation and opacity did."""
+    whole: bool
+    """Whether the end of the frame was there."""
 
 
 @dataclass(frozen=True, slots=True)
 class Committed:
-    """What became visible: the rows that changed [M], all of them where the group of frames is new."""
+    """What became visible: the rows that changed [M] or only moved [K]; all of them where the group is new."""
 
     gof: int
     rows: NDArray[np.intp]
+    moved: NDArray[np.intp]
     fresh: bool
     missed: bool
     """The end of this frame was not there: something older is shown."""
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything became visible."""
+        return self.fresh or len(self.rows) > 0 or len(self.moved) > 0
 
 
 class GofStore:
@@ -63,215 +68,158 @@ class GofStore:
 
     def __init__(self, manifest: Manifest, gof: int, opener: TileOpener) -> None:
         self.capacity = manifest.capacity[gof]
-        self.past = SplatPast(manifest.gof_starts[gof])
+        frames, self._top_lod = manifest.gof_frames(gof), manifest.lods - 1
+        self.past = SplatPast(frames.start)
         """What the splats on display were a few frames ago."""
-        self._opener, self._top_lod = opener, manifest.lods - 1
-        self._merged = MergedSplats(self.capacity, manifest.sh_degree, self.past, self._replaced)
-        self._tiles: dict[Key, Held | None] = {}  # None: every splat of it has been replaced, and it is not kept
-        self._late: dict[Key, list[tuple[int, bytes]]] = {}  # layers of tiles that are kept, though replaced
-        self._replay: dict[Key, Held] = {}
-        self._kept_splats = self._late_bytes = 0
+        self._buffer = SplatBuffer(
+            self.capacity,
+            manifest.sh_degree,
+            on_replaced=self._replaced,
+            before_change=lambda frame, rows: self.past.record(frame, rows, self._buffer.splats),
+            before_move=lambda frame, rows: self.past.record(frame, rows, self._buffer.splats, moved=True),
+            threads=opener.threads,
+        )
+        layered, in_motion = manifest.codec != WHOLE_TILES_CODEC, manifest.motion is not None
+        self._tiles = GofTiles(frames, self.capacity, opener, layered=layered, in_motion=in_motion)
+        self._shown: list[Held] = []
+        self._coarse: dict[Key, HeldMotion | HeldUpdate] = {}  # shown below its highest level
         self._shown_frame = -1
-        self.keeps = True
-        """Whether earlier frames of the group can be shown again from what is held."""
         self._rewound = False
-        self._waiting = WaitingLayers()
-        self._dropped: list[HeldTile] = []
-        self._touched: dict[Key, Held] = {}
-        self._errors: list[DecodeError] = []
-        self._staged: dict[Key, _Staged] = {}
         self._ends: dict[int, Ids] = {}  # not yet shown
         self._ended: dict[int, Ids] = {}
         self._lock = threading.Lock()
-        self._decoding = threading.Lock()
 
     @property
     def splats(self) -> Splats:
-        """Those on display; rows are splat ids. They change with :meth:`commit`."""
-        return self._merged.splats
+        """Those on display; rows are splat ids. They change with :meth:`commit` and :meth:`move`."""
+        return self._buffer.splats
 
     @property
     def improved(self) -> int:
         """Times that layers made splats on display better without a change of what they show."""
-        return self._merged.improved
+        return self._buffer.improved
+
+    @property
+    def keeps(self) -> bool:
+        """Whether earlier frames of the group can be shown again from what is held."""
+        return self._tiles.keeps
 
     # ------------------------------------------------------------------------------------------ arrival (decode thread)
 
     def add(self, arrivals: Sequence[Arrival]) -> list[DecodeError]:
-        """Decode tiles' layers; what is wrong with those that are left out. Duplicates change nothing.
-
-        Damaged payloads and ids beyond the group's capacity are left out; what was held stays.
-        """
-        errors = []
-        with self._decoding:
-            ahead = self._open_ahead(arrivals)
-            for at, arrival in enumerate(arrivals):
-                try:
-                    self._add(arrival, ahead.get(at))
-                except DecodeError as error:
-                    errors.append(error)
-        return errors
+        """Decode tiles' layers; what is wrong with those that are left out. Duplicates change nothing."""
+        return self._tiles.add(arrivals)
 
     def flush(self) -> list[DecodeError]:
-        """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that have
-        grown ids beyond the capacity, and are left out.
+        """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that are
+        left out.
         """
-        with self._decoding:
-            self._stage(None, self._shown_frame + REPLAY_AHEAD)
-            errors, self._errors = self._errors, []
-        return errors
+        return self._tiles.flush(self._shown_frame, self._shown_frame + REPLAY_AHEAD)
 
     def take_dropped(self) -> list[HeldTile]:
         """What had come and was given up since the last call, for want of memory: the server may send it again."""
-        with self._decoding:
-            dropped, self._dropped = self._dropped, []
-        return dropped
-
-    def _stage(self, horizon: int | None, replayed: int) -> None:
-        """Dequantise touched tiles of frames up to ``horizon``, and those to be replayed of frames up to ``replayed``.
-
-        Errors wait for the next :meth:`flush`.
-        """
-        for key in [k for k in self._replay if k[0] <= replayed]:
-            self._touched[key] = self._replay.pop(key)
-        touched = self._take_touched(horizon)
-        splats = self._opener.dequantise([held.tile.state for held in touched.values()])
-        with self._lock:
-            for (key, held), values in zip(touched.items(), splats, strict=True):
-                self._staged[key] = _Staged(held, held.tile.state.ids, values, held.tile.state.lod)
-
-    def _take_touched(self, horizon: int | None) -> dict[Key, Held]:
-        touched: dict[Key, Held] = {}
-        for key in [k for k in self._touched if horizon is None or k[0] <= horizon]:
-            held = self._touched.pop(key)
-            try:
-                self._check_ids(held.tile.state.ids, f"tile {key[1]} of frame {key[0]}")
-                touched[key] = held
-            except DecodeError as error:
-                self._errors.append(error)
-        return touched
-
-    def _open_ahead(self, arrivals: Sequence[Arrival]) -> dict[int, OpenTile | DecodeError]:
-        """Arrivals' places -> the new tiles that they bring."""
-        first: dict[Key, int] = {}
-        for at, arrival in enumerate(arrivals):
-            if arrival.from_lod == 0 and arrival.payloads and arrival.key not in self._tiles:
-                first.setdefault(arrival.key, at)
-        places = list(first.values())
-        return dict(zip(places, self._opener.open([arrivals[at].payloads[0] for at in places]), strict=True))
-
-    def _add(self, arrival: Arrival, ahead: OpenTile | DecodeError | None) -> None:
-        key = arrival.key
-        if key in self._tiles and self._tiles[key] is None:
-            return
-        held = self._tiles.get(key)
-        layers = list(enumerate(arrival.payloads, start=arrival.from_lod))
-        if held is not None and held.replaced:  # of use once earlier frames are shown again
-            self._keep_late(key, layers)
-            return
-        changed = False
-        if held is None:
-            if arrival.from_lod > 0 or not layers:
-                self._dropped += [HeldTile(*gone, 0) for gone in self._waiting.add(key, layers)]
-                return
-            held = self._take(key, ahead or self._opener.open([layers[0][1]])[0])
-            layers = layers[1:] + self._waiting.take(key)
-            changed = True
-        try:
-            for lod, payload in layers:
-                changed |= lod > 0 and held.tile.state.add_layer(lod, payload)
-        finally:
-            if changed:
-                self._touched[key] = held
+        return self._tiles.take_dropped()
 
     def end(self, frame: int, removed: Ids) -> None:
         """Nothing more is planned for ``frame``; ``removed`` ids end there. Raises :class:`DecodeError`."""
-        self._check_ids(removed, f"removed ids of frame {frame}")
+        self._tiles.check_ids(removed, f"removed ids of frame {frame}")
         with self._lock:
             if frame not in self._ended:
                 self._ends[frame] = self._ended[frame] = removed
 
-    def _take(self, key: Key, tile: OpenTile | DecodeError) -> Held:
-        if isinstance(tile, DecodeError):
-            raise tile
-        if len(self._merged.tiles) >= MAX_TILES_PER_GOF:
-            raise DecodeError(f"tile {key[1]} of frame {key[0]}: the group already has {MAX_TILES_PER_GOF} tiles")
-        self._check_ids(tile.state.ids, f"tile {key[1]} of frame {key[0]}")
-        held = Held(len(self._merged.tiles), key, tile)
-        with self._lock:
-            self._merged.tiles.append(held)
-            self._tiles[key] = held
-        return held
-
-    def _check_ids(self, ids: Ids, what: str) -> None:
-        if len(ids) and (int(ids.min()) < 0 or int(ids.max()) >= self.capacity):
-            raise DecodeError(f"{what}: id {int(ids.max())} is outside the group's capacity {self.capacity}")
-
-    def _keep_late(self, key: Key, layers: list[tuple[int, memoryview]]) -> None:
-        with self._lock:
-            self._late.setdefault(key, []).extend((lod, bytes(payload)) for lod, payload in layers)
-            self._late_bytes += sum(len(payload) for _, payload in layers)
-            if self._late_bytes > MAX_LATE_BYTES:
-                self._stop_keeping()
-
     # ----------------------------------------------------------------------------------------- display (display thread)
 
-    def commit(self, frame: int) -> tuple[NDArray[np.intp], bool]:
-        """Show what has come for frames up to ``frame``: the rows that changed, and whether ``frame`` is whole."""
+    def commit(self, frame: int) -> Changes:
+        """Show what has come for frames up to ``frame``, where it is at ``frame``."""
         if frame < self._shown_frame:
             self._rewind()
             self.past.restart(frame)
         self._shown_frame = frame
         self.past.advance(frame)
-        with self._lock:
-            horizon = max((f for f in self._ended if f <= frame), default=-1)
-        self._stage_unless_decoding(horizon)
-        updates, ends, whole = self._due(frame, horizon)
+        horizon, ends, whole = self._due(frame)
+        self._tiles.stage_unless_decoding(horizon)
+        updates = self._tiles.due(horizon)
         touched = np.zeros(self.capacity, dtype=bool)
         if self._rewound:
             touched[:], self._rewound = True, False
         for f, ids in ends:
-            touched[self._merged.remove(f, ids)] = True
+            touched[self._buffer.remove(f, ids)] = True
         for staged in updates:
-            touched[self._merged.write(staged.held, staged.lod, staged.ids, staged.splats)] = True
-        return np.nonzero(touched)[0], whole
+            touched[self._show(staged)] = True
+        moved = self._buffer.move(float(frame))
+        self._forget_past(frame, changed=bool(updates or ends))
+        only = np.zeros(self.capacity, dtype=bool)
+        only[moved] = True
+        return Changes(np.nonzero(touched)[0], np.nonzero(only & ~touched)[0], whole)
 
-    def _stage_unless_decoding(self, horizon: int) -> None:
-        """Dequantise what nobody flushed. While a batch is being decoded nothing of a frame that has ended is missing:
-        its tiles are flushed before its end. Only what is replayed must be waited for.
+    def move(self, time: float) -> NDArray[np.intp]:
+        """Show the splats on display where they are at ``time``, after the frame that was committed; the rows [K] that
+        moved. Nothing else of them changes.
         """
-        wait = any(key[0] <= horizon for key in list(self._replay))
-        if not self._decoding.acquire(blocking=wait):
-            return
-        try:
-            self._stage(horizon, horizon)
-        finally:
-            self._decoding.release()
+        return np.sort(self._buffer.move(time))
 
-    def _due(self, frame: int, horizon: int) -> tuple[list[_Staged], list[tuple[int, Ids]], bool]:
-        """Staged tiles and removals of frames up to ``horizon``, in order, and whether ``frame`` has ended."""
+    def _show(self, staged: Staged) -> NDArray[np.integer]:
+        """The rows that change by it; motion changes none before all of it is evaluated."""
+        held, value = staged.held, staged.value
+        if isinstance(held, Held):
+            assert isinstance(value, tuple)
+            if held.index < 0:
+                held.index = len(self._buffer.slots)
+                self._buffer.add(held)
+                self._shown.append(held)
+            return self._buffer.write(held, staged.lod, *value)
+        held.shown_lod, top = staged.lod, MOTION_LEVELS - 1
+        rows = np.zeros(0, np.intp)
+        if isinstance(held, HeldUpdate):
+            assert isinstance(value, dict)
+            held.ids_of, top = {column: ids for column, (ids, _) in value.items()}, self._top_lod
+            rows = self._buffer.update(held.key[0], value)
+        elif held.state is not None:
+            assert isinstance(value, Chunk)
+            self._buffer.set_motion(held.looks, held.key[0], value)
+        if staged.lod < top:
+            self._coarse[held.key] = held
+        else:
+            self._coarse.pop(held.key, None)
+        return rows
+
+    def _due(self, frame: int) -> tuple[int, list[tuple[int, Ids]], bool]:
+        """The newest frame up to ``frame`` that has ended, removals to be shown, and whether ``frame`` has ended."""
         with self._lock:
-            keys = sorted(key for key in self._staged if key[0] <= horizon)
+            horizon = max((f for f in self._ended if f <= frame), default=-1)
             frames = sorted(f for f in self._ends if f <= horizon)
-            updates = [self._staged.pop(key) for key in keys]
-            return updates, [(f, self._ends.pop(f)) for f in frames], frame in self._ended
+            return horizon, [(f, self._ends.pop(f)) for f in frames], frame in self._ended
 
     def _rewind(self) -> None:
         """Back to an empty picture; everything held waits to be shown again, in order."""
-        with self._decoding, self._lock:
-            self._merged.clear()
-            for key, held in self._tiles.items():
-                if held is not None:
-                    held.owned, held.shown_lod, held.replaced = 0, -1, False
-                    self._replay[key] = held
-                    for lod, payload in self._late.pop(key, []):
-                        with suppress(DecodeError):  # damaged on the way: the tile stays as good as it was
-                            held.tile.state.add_layer(lod, payload)
-            self._staged.clear()
-            self._touched.clear()
+        self._buffer.clear()
+        for looks in self._tiles.rewind():
+            self._buffer.drop_motion(looks)
+        self._coarse.clear()
+        with self._lock:
             self._ends = dict(self._ended)
-            self._kept_splats = self._late_bytes = 0
-            self._rewound = True
+        self._rewound = True
+
+    def _replaced(self, slot: Slot) -> None:
+        """Nothing of a tile is shown any more."""
+        if slot.replaced:
+            return
+        assert isinstance(slot, Held)
+        self._buffer.drop_motion(slot.key)
+        self._forget(self._tiles.replaced(slot))
+
+    def _forget_past(self, frame: int, *, changed: bool) -> None:
+        """Chunks of motion that later ones followed; once nothing is kept, updates too of which nothing is left."""
+        self._forget(self._tiles.past(self._buffer.drop_past(frame)))
+        if changed and not self.keeps:
+            for update in self._tiles.updates():
+                if not self._buffer.uses(update.key[0], update.ids_of):
+                    self._tiles.forget(update)
+                    self._forget([update])
+
+    def _forget(self, changes: Sequence[HeldMotion | HeldUpdate]) -> None:
+        for held in changes:
+            self._coarse.pop(held.key, None)
 
     @property
     def shown_frame(self) -> int:
@@ -287,41 +235,27 @@ class GofStore:
     def holds(self, frame: int) -> bool:
         """Whether ``frame`` can be shown whole at once."""
         with self._lock:
-            return self.keeps and frame in self._ended
-
-    def _replaced(self, held: Held) -> None:
-        """Nothing of a tile is shown any more: it is kept for a replay, as long as there is room."""
-        if held.replaced:
-            return
-        with self._lock:
-            self._staged.pop(held.key, None)
-            held.replaced = True
-            self._kept_splats += len(held.tile.state)
-            if not self.keeps:
-                self._tiles[held.key] = None
-            elif self._kept_splats > MAX_KEPT_SPLATS:
-                self._stop_keeping()
-
-    def _stop_keeping(self) -> None:
-        self.keeps = False
-        self._late.clear()
-        for key in [k for k, h in self._tiles.items() if h is not None and h.replaced]:
-            self._tiles[key] = None
+            return self._tiles.keeps and frame in self._ended
 
     # ---------------------------------------------------------------------------------------------------------- figures
 
     @property
     def shown(self) -> Shown:
         """What is on display."""
-        with self._lock:
-            return self._merged.shown
+        return Shown(self._buffer.owner, tuple(self._shown))
 
     def held(self) -> list[HeldTile]:
-        """The tiles of which splats are shown, wait to be, or are kept for a replay."""
-        with self._decoding, self._lock:
-            return [HeldTile(*key, h.tile.state.lod + 1) for key, h in self._tiles.items() if h is not None]
+        """The tiles of which splats are shown, wait to be, or are kept for a replay; motion and updates like looks."""
+        return self._tiles.held()
 
     @property
     def full(self) -> bool:
-        """Whether everything shown is at its highest LoD, so that nothing is left to restore."""
-        return self.shown.full(self._top_lod)
+        """Whether everything shown is at its highest LoD, motion and updates too: nothing is left to restore."""
+        return self.shown.full(self._top_lod) and not any(map(self._counts, list(self._coarse.values())))
+
+    def _counts(self, held: HeldMotion | HeldUpdate) -> bool:
+        """Whether ``held`` makes anything that is shown what it is."""
+        if isinstance(held, HeldUpdate):
+            return self._buffer.uses(held.key[0], held.ids_of, shown=True)
+        looks = self._tiles.looks(held.looks)
+        return looks is not None and looks.on_display and self._buffer.moves(held.looks) == held.key[0]

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import TileCodec, TileDecoder, dequantise_tiles
+from cags_common.codecs import AnyTile, MotionTile, TileCodec, TileDecoder, dequantise_tiles
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, Camera, axis_bounds
 from cags_common.splats import Splats
+from cags_common.updates import UpdateState
+
+T = TypeVar("T")
+U = TypeVar("U")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,16 +37,22 @@ class Arrival:
 
 @dataclass(frozen=True, eq=False)
 class OpenTile:
-    """A decoded base layer, and the sphere that holds its means."""
+    """A decoded base layer of looks, and the sphere that holds its means."""
 
     state: TileDecoder
     centre: F32  # [3]
     radius: float
 
 
-def open_tile(codec: TileCodec, payload: memoryview) -> OpenTile:
+Opened: TypeAlias = OpenTile | MotionTile | UpdateState
+"""A tile of any kind whose LoD 0 is decoded."""
+
+
+def open_tile(codec: TileCodec, payload: memoryview) -> Opened:
     """Decode LoD 0. Raises :class:`DecodeError`."""
-    state = codec.open_tile(payload)
+    state: AnyTile = codec.open_tile(payload)
+    if isinstance(state, MotionTile | UpdateState):
+        return state
     low, high = axis_bounds(state.means) if len(state) else (np.zeros(3, np.float32), np.zeros(3, np.float32))
     return OpenTile(state, ((low + high) / 2).astype(np.float32), float(np.linalg.norm(high - low) / 2))
 
@@ -63,22 +74,26 @@ class TileOpener:
     """Decodes base layers and dequantises tiles on ``threads`` threads. The results do not depend on their number."""
 
     def __init__(self, codec: TileCodec, threads: int) -> None:
-        self._codec = codec
+        self._codec, self.threads = codec, threads
         self._pool = ThreadPoolExecutor(threads, "cags-tiles") if threads > 1 else None
 
-    def open(self, payloads: Sequence[memoryview]) -> list[OpenTile | DecodeError]:
+    def open(self, payloads: Sequence[memoryview]) -> list[Opened | DecodeError]:
         """What each LoD 0 payload holds, or why it cannot be read."""
         return list(self._pool.map(self._try, payloads) if self._pool else map(self._try, payloads))
 
     def dequantise(self, tiles: Sequence[TileDecoder]) -> list[Splats]:
         """Each tile's splats; the tiles are different ones."""
-        return list(self._pool.map(_dequantised, tiles) if self._pool else map(_dequantised, tiles))
+        return self.run(_dequantised, tiles)
+
+    def run(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
+        """``work`` on each of ``items``, in order."""
+        return list(self._pool.map(work, items) if self._pool else map(work, items))
 
     def merged(self, tiles: Sequence[TileDecoder], sh_degree: int) -> Splats:
         """All splats of different ``tiles`` in order."""
         return dequantise_tiles(tiles, sh_degree, self._pool.map if self._pool else map)
 
-    def _try(self, payload: memoryview) -> OpenTile | DecodeError:
+    def _try(self, payload: memoryview) -> Opened | DecodeError:
         try:
             return open_tile(self._codec, payload)
         except DecodeError as error:

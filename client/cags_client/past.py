@@ -7,24 +7,55 @@ of the same frame better, and is not undone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.splats import Ids, Splats
+from cags_common.geometry import F32
+from cags_common.splat_buffer import MOVING_COLUMNS
+from cags_common.splats import Splats
+
+Rows = NDArray[np.integer]
+
+_MOVING = frozenset(MOVING_COLUMNS)
 
 MAX_PAST_SPLATS = 1 << 20
 """Bound on the splats that are remembered; past it the oldest frames are forgotten."""
 
 
+MOVED_SHARE = 8
+"""A splat that only moved takes so much less than a whole one of SH degree 3."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """Rows [M] that source frame ``frame`` replaced or removed, and what they were."""
+    """Rows [M] that source frame ``frame`` replaced, removed or moved, and what they were: the columns that changed."""
 
     frame: int
-    rows: Ids
-    before: Splats
+    rows: Rows
+    before: dict[str, F32]
+    weight: int
+    """Whole splats that take as much memory."""
+
+    @property
+    def moved(self) -> bool:
+        """Whether the rows only moved."""
+        return self.before.keys() == _MOVING
+
+
+@dataclass(frozen=True, eq=False)
+class Then:
+    """What splats were at an earlier frame."""
+
+    rows: NDArray[np.intp]
+    """[M] ascending, of those that have been replaced or removed since."""
+    splats: Splats
+    """[M] what those were."""
+    moved: NDArray[np.intp]
+    """[K] ascending, of those that have only moved since."""
+    scene: Splats
+    """The splats of now, by row, but where all of them were then."""
 
 
 class SplatPast:
@@ -47,12 +78,19 @@ class SplatPast:
         self._changes.clear()
         self._held, self._known_from = 0, frame
 
-    def record(self, frame: int, rows: Ids, splats: Splats) -> None:
-        """``rows`` [M] of ``splats`` are about to be replaced or removed by source frame ``frame``."""
-        if not len(rows) or frame <= self._known_from:
+    def record(self, frame: int, rows: Rows, splats: Splats, *, moved: bool = False) -> None:
+        """``rows`` [M] of ``splats`` are about to be replaced or removed by source frame ``frame``; ``moved``: or only
+        to change their :data:`~cags_common.splat_buffer.MOVING_COLUMNS` on the way to it.
+        """
+        if not len(rows) or not self.span or frame <= self._known_from:
             return
-        self._changes.append(_Change(frame, rows.copy(), splats.take(rows)))
-        self._held += len(rows)
+        last = self._changes[-1] if self._changes else None
+        if moved and last is not None and last.frame == frame and last.moved and np.array_equal(last.rows, rows):
+            return  # on the way to the same frame: where it came from is known
+        before = {name: values.take(rows, axis=0) for name, values in splats.arrays() if not moved or name in _MOVING}
+        weight = -(-len(rows) // MOVED_SHARE) if moved else len(rows)
+        self._changes.append(_Change(frame, rows.copy(), before, weight))
+        self._held += weight
         while self._held > MAX_PAST_SPLATS:
             self._forget(self._changes[0].frame)
 
@@ -64,19 +102,30 @@ class SplatPast:
         """Whether any splat has changed after ``frame``, as far as is known."""
         return any(change.frame > frame for change in self._changes)
 
-    def as_of(self, frame: int) -> tuple[NDArray[np.intp], Splats] | None:
-        """Rows [M] that have changed since ``frame``, ascending, and what they were then; None where nothing has."""
+    def as_of(self, frame: int, splats: Splats) -> Then | None:
+        """What of ``splats``, those of now, has changed since ``frame``, and what it was; None where nothing has."""
         since = [change for change in self._changes if change.frame > frame]
         if not since:
             return None
-        rows, first = np.unique(np.concatenate([change.rows for change in since]), return_index=True)
-        return rows.astype(np.intp), Splats.concatenate([change.before for change in since]).take(first)
+        whole = _union([change.rows for change in since if not change.moved])
+        columns = {name: getattr(splats, name).copy() for name in MOVING_COLUMNS}
+        then, place = splats.take(whole), np.zeros(len(splats), np.intp)
+        place[whole] = np.arange(len(whole))
+        for change in reversed(since):
+            for name, before in change.before.items():
+                if name in columns:
+                    columns[name][change.rows] = before
+                else:
+                    getattr(then, name)[place[change.rows]] = before
+        moved = np.setdiff1d(_union([change.rows for change in since if change.moved]), whole, assume_unique=True)
+        places = {name: column.take(whole, axis=0) for name, column in columns.items()}
+        return Then(whole, replace(then, **places), moved, replace(splats, **columns))
 
     def _forget(self, frame: int) -> None:
         """Nothing before ``frame`` needs to be known."""
         self._known_from = max(self._known_from, frame)
         self._changes = [change for change in self._changes if change.frame > self._known_from]
-        self._held = sum(len(change.rows) for change in self._changes)
+        self._held = sum(change.weight for change in self._changes)
 
 
 class EarlierGroups:
@@ -107,11 +156,16 @@ class EarlierGroups:
     def as_of(self, frame: int) -> Splats:
         """The splats of the group of ``frame``, by row, as of it. Only of a frame that :meth:`knows` knows."""
         _, splats, past = next(g for g in self._groups if g[2].knows(frame) and frame <= g[0])
-        change = past.as_of(frame)
-        if change is None:
+        then = past.as_of(frame, splats)
+        if then is None:
             return splats
-        rows, before = change
-        arrays = [array.copy() for _, array in splats.arrays()]
-        for array, (_, old) in zip(arrays, before.arrays(), strict=True):
-            array[rows] = old
-        return Splats(*arrays)
+        columns = dict(then.scene.arrays())
+        for name, old in then.splats.arrays():
+            if name not in _MOVING:
+                columns[name] = columns[name].copy()
+                columns[name][then.rows] = old
+        return Splats(**columns)
+
+
+def _union(parts: list[Rows]) -> NDArray[np.intp]:
+    return np.unique(np.concatenate([np.zeros(0, np.intp), *parts])).astype(np.intp)

@@ -219,7 +219,7 @@ class ClientPipeline:
         return Situation(
             sh_degree=self._sh_degree,
             scene_sh_degree=self.info.sh_degree,
-            changed=committed.fresh or len(committed.rows) > 0,
+            changed=committed.changed,
             whole=store.full and not committed.missed,
             reference=reference is not None,
             same_place=there == camera.pose.position,
@@ -340,7 +340,10 @@ class ClientPipeline:
             self._sh_degree = held_sh_degree(store.splats.sh_rest)
             self._changes += 1
             return self._scene
-        self._adapted(store, must_end=len(committed.rows) > 0)
+        self._adapted(store, must_end=committed.changed)
+        if len(committed.moved):
+            self._scene.move(committed.moved, store.splats, self.settings.threads)
+            self._changes += 1
         if len(committed.rows):
             if self._adapter is not None:
                 self._adapter.forget(committed.rows)

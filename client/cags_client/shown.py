@@ -1,4 +1,4 @@
-"""What of a group of frames is on display, tile by tile, and the figures of its detail."""
+"""What of a group of frames is on display, tile of looks by tile, and the figures of its detail."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from numpy.typing import NDArray
 from cags_client.opening import OpenTile, in_view
 from cags_client.waiting import Key
 from cags_common.geometry import F32, Camera
+from cags_common.splat_buffer import Slot
 
 
-@dataclass(eq=False)
-class Held:
-    """One tile: what is decoded of it, and how many rows it still owns."""
+@dataclass(eq=False, kw_only=True)
+class Held(Slot):
+    """One tile of looks: what is decoded of it, and how many rows it still owns."""
 
-    index: int
-    key: Key
     tile: OpenTile
-    owned: int = 0
-    shown_lod: int = -1
-    replaced: bool = False
 
     @property
-    def frame(self) -> int:
-        """Source frame."""
-        return self.key[0]
+    def on_display(self) -> bool:
+        """Whether any of its splats is."""
+        return self.owned > 0 and not self.ended
+
+    @property
+    def lods(self) -> int:
+        """Levels that are decoded, from the base on without a gap."""
+        return self.tile.state.lod + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class Shown:
 
     def full(self, top_lod: int) -> bool:
         """Whether everything shown is at ``top_lod``, so that nothing is left to restore."""
-        return all(not tile.owned or tile.shown_lod == top_lod for tile in self.tiles)
+        return all(not tile.on_display or tile.shown_lod == top_lod for tile in self.tiles)
 
     def lod_mean(self, camera: Camera, contribution: F32 | None = None) -> float:
         """Mean LoD of the shown splats in view; NaN where none is.
@@ -57,7 +58,7 @@ class Shown:
         Weighted by ``contribution`` [capacity], each splat's share in the picture, where that is known; else by tiles
         whose bounding sphere meets the view.
         """
-        tiles = [tile for tile in self.tiles if tile.owned and tile.shown_lod >= 0]
+        tiles = [tile for tile in self.tiles if tile.on_display and tile.shown_lod >= 0]
         if not tiles:
             return float("nan")
         if contribution is not None:

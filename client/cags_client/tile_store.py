@@ -89,9 +89,10 @@ class TileStore:
         store = self._store(frame)
         assert store is not None, "frames are committed in order within a pass; reset() starts another"
         store.past.span = span
-        rows, whole = store.commit(frame)
+        changes = store.commit(frame)
         if not store.shown.splats and self._shown is not None:
-            return self._shown, Committed(gof, np.zeros(0, np.intp), False, True)
+            none = np.zeros(0, np.intp)
+            return self._shown, Committed(gof, none, none, False, True)
         fresh = store is not self._shown
         if fresh and span and self._shown is not None:
             self.earlier.add(self._shown.shown_frame, self._shown.splats, self._shown.past)
@@ -101,7 +102,7 @@ class TileStore:
             self._oldest = gof
             for old in [g for g in self._gofs if g < gof]:
                 del self._gofs[old]
-        return store, Committed(gof, rows, fresh, not whole)
+        return store, Committed(gof, changes.rows, changes.moved, fresh, not changes.whole)
 
     @property
     def on_display(self) -> GofStore | None:

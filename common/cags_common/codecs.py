@@ -10,14 +10,22 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
+import numpy as np
+
 from cags_common.dequantise import Dequantiser
-from cags_common.errors import BundleError
+from cags_common.errors import BundleError, DecodeError
 from cags_common.geometry import F32
 from cags_common.lod import check_order
+from cags_common.motion.apply import Steps
+from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
+from cags_common.motion.chunk import VERSION as MOTION_VERSION
+from cags_common.motion.chunk import Chunk, ChunkDecoder
 from cags_common.splats import Ids, Splats
 from cags_common.svq import CodebookSet
+from cags_common.tile_kinds import TileKind
 from cags_common.tile_state import TileState
 from cags_common.tiles import decode_base, decode_base_ids
+from cags_common.updates import UPDATE_VERSION, UpdateState, update_ids
 
 if TYPE_CHECKING:  # the bundle's reader opens tiles by this module
     from cags_common.bundle.manifest import Manifest
@@ -28,7 +36,17 @@ Run: TypeAlias = Callable[..., Iterable[Any]]
 
 
 class TileDecoder(Protocol):
-    """One tile as far as it has come. Not thread-safe."""
+    """One tile of looks as far as it has come. Not thread-safe."""
+
+    @property
+    def kind(self) -> TileKind:
+        """What the tile brings: ``TileKind.LOOKS``."""
+        ...
+
+    @property
+    def steps(self) -> Steps | None:
+        """Units of the splats' motion; None in bundles without any."""
+        ...
 
     def __len__(self) -> int: ...
 
@@ -59,11 +77,55 @@ class TileDecoder(Protocol):
         ...
 
 
+class MotionTile:
+    """A chunk of motion as far as it has come; levels may come in any order. Not thread-safe."""
+
+    kind = TileKind.MOTION
+
+    def __init__(self, payload: bytes | memoryview) -> None:
+        """Decode level 0. Raises :class:`DecodeError`."""
+        self._decoder = ChunkDecoder(payload)
+        self._waiting: dict[int, bytes] = {}
+
+    def __len__(self) -> int:
+        return self._decoder.chunk.splats
+
+    @property
+    def looks(self) -> tuple[int, int]:
+        """Media frame and tile of the looks that move."""
+        return self._decoder.looks
+
+    @property
+    def chunk(self) -> Chunk:
+        """The motion, at the levels there are."""
+        return self._decoder.chunk
+
+    @property
+    def lod(self) -> int:
+        """Highest level up to which everything has come."""
+        return self._decoder.levels - 1
+
+    def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
+        """Take level ``lod`` >= 1; whether the motion changed. Raises :class:`DecodeError`."""
+        if not 1 <= lod < MOTION_LEVELS:
+            raise DecodeError(f"motion: level {lod} is outside 1 to {MOTION_LEVELS - 1}")
+        if lod < self._decoder.levels:
+            return False
+        self._waiting[lod] = bytes(payload)
+        before = self._decoder.levels
+        while (level := self._waiting.pop(self._decoder.levels, None)) is not None:
+            self._decoder.add_level(level)
+        return self._decoder.levels > before
+
+
+AnyTile: TypeAlias = "TileDecoder | MotionTile | UpdateState"
+
+
 class TileCodec(Protocol):
     """Opens the tiles of one bundle."""
 
-    def open_tile(self, payload: bytes | memoryview) -> TileDecoder:
-        """Decode LoD 0. Raises :class:`DecodeError`."""
+    def open_tile(self, payload: bytes | memoryview) -> AnyTile:
+        """Decode LoD 0 of a tile of any kind. Raises :class:`DecodeError`."""
         ...
 
     def tile_ids(self, payload: bytes | memoryview) -> Ids:
@@ -88,14 +150,32 @@ class SvqTileCodec:
         self._books, self._order = CodebookSet.from_bytes(codebooks), manifest.lod_order
         check_order(self._order, {book.attribute: book.enhancement_layers for book in self._books})
         self._dequantiser = Dequantiser(self._books)
+        self._steps = _step_tables(manifest, self._books)
 
-    def open_tile(self, payload: bytes | memoryview) -> TileDecoder:
-        """Decode LoD 0."""
-        return TileState(decode_base(payload, self._books), self._dequantiser, self._order)
+    def open_tile(self, payload: bytes | memoryview) -> AnyTile:
+        """Decode LoD 0; its first byte tells the kinds apart."""
+        version = payload[0] if len(payload) else 0
+        if version == UPDATE_VERSION:
+            return UpdateState(payload, self._books, self._order)
+        if version == MOTION_VERSION:
+            return MotionTile(payload)
+        return TileState(decode_base(payload, self._books), self._dequantiser, self._order, self._steps)
 
     def tile_ids(self, payload: bytes | memoryview) -> Ids:
-        """Only the ids [n] of a LoD 0 payload."""
+        """Only the ids [n] of a LoD 0 payload of looks or of an update."""
+        if len(payload) and payload[0] == UPDATE_VERSION:
+            return update_ids(payload)
         return decode_base_ids(payload)
+
+
+def _step_tables(manifest: Manifest, books: CodebookSet) -> Steps | None:
+    """Units of motion by the base code of scale."""
+    motion = manifest.motion
+    if motion is None:
+        return None
+    if "scale" not in books.attributes or len(motion.moves) != 1 << books["scale"].layer_bits[0]:
+        raise BundleError(f"manifest: motion has {len(motion.moves)} units, which are not one a base code of scale")
+    return Steps(np.array(motion.moves, np.float32), np.array(motion.turns, np.float32))
 
 
 def _density(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:
@@ -115,6 +195,10 @@ TILE_CODECS: dict[str, Callable[[Manifest, bytes | memoryview], TileCodec]] = {
     "density": _density,
     "video": _video,
 }
+
+
+WHOLE_TILES_CODEC = "video"
+"""Codec of bundles whose LoD k is the whole tile at quality k: any payload opens a tile."""
 
 
 def tile_codec(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:

@@ -8,8 +8,10 @@ from cags_common.dequantise import Dequantiser, FreshLayers
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.lod import LodLayer
+from cags_common.motion.apply import Steps
 from cags_common.packing import U32, PackedCodes
 from cags_common.splats import Ids, Splats
+from cags_common.tile_kinds import TileKind
 from cags_common.tiles import BaseTile, decode_layer
 
 
@@ -20,7 +22,18 @@ class TileState:
     :meth:`dequantise` needs them. Not thread-safe; different tiles may be decoded in different threads.
     """
 
-    def __init__(self, base: BaseTile, dequantiser: Dequantiser, lod_order: Sequence[LodLayer]) -> None:
+    kind = TileKind.LOOKS
+
+    def __init__(
+        self,
+        base: BaseTile,
+        dequantiser: Dequantiser,
+        lod_order: Sequence[LodLayer],
+        step_tables: Steps | None = None,
+    ) -> None:
+        """``step_tables`` are units of motion by the base code of scale."""
+        self.steps = None if step_tables is None else _steps(base, step_tables)
+        """Units of the splats' motion; None in bundles without any."""
         self.base = base
         self._dequantise, self._order = dequantiser, tuple(lod_order)
         self._books = dequantiser.books
@@ -81,3 +94,8 @@ class TileState:
             self._depth[attribute] += 1
             self._fresh[attribute].append(part)
         return self._depth[attribute] > before
+
+
+def _steps(base: BaseTile, tables: Steps) -> Steps:
+    codes = base.layers["scale"].unpack(len(base))
+    return Steps(tables.moves[codes], tables.turns[codes])

@@ -20,6 +20,7 @@ EXAMPLES = """\
   cags-encode procedural:size=60000,frames=60 room.cags    the embedded dynamic room
   cags-encode captures/plant.splat plant.cags              a static capture
   cags-encode frames/ clip.cags --fps 30 --frames 90       a folder of numbered files
+  cags-encode fourd:frames=100,shuffle=1 clip.cags         a generated 4D clip, identities withheld
   cags-encode clip.ply s3://bucket/clip --json             any fsspec URL; a summary for programs
   cags-encode frames/ clip.cags --scheduler tcp://10.0.0.5:8786    on the workers of a dask cluster
   cags-encode --inspect clip.cags --plot clip.png          frames, levels, codebooks, quality
@@ -35,7 +36,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(PROG, "Encode a sequence of Gaussian frames into a bundle for streaming.", EXAMPLES)
     parser.add_argument(
-        "scene", metavar="SCENE", nargs="?", help="file, folder of numbered files, or procedural[:size=..,..]"
+        "scene",
+        metavar="SCENE",
+        nargs="?",
+        help="file, folder of numbered files, procedural[:size=..,..] or fourd[:splats=..,..]",
     )
     parser.add_argument("out", metavar="OUT", nargs="?", help="folder or fsspec URL; an older bundle there is replaced")
     parser.add_argument("--json", action="store_true", help="print one JSON object about the bundle to stdout")

@@ -1,7 +1,7 @@
 """What a run has finished, kept beside the bundle: a killed run that is started again goes on from there.
 
-One file a frame, written whole or not at all, holds what the frame sends and what a decoder then shows of it; the rest
-of the encoder's state follows from reading the frames again. The journal belongs to one input, one set of settings and
+One file a frame, written whole or not at all, holds what the frame sends, packed; the rest of the encoder's state
+follows from reading and quantising the frames again. The journal belongs to one input, one set of settings and
 one set of codebooks; whatever differs starts it afresh. Plain arrays and JSON: nothing in it is evaluated.
 """
 
@@ -22,9 +22,7 @@ import numpy as np
 from cags_common.bundle import TilePayloads
 from cags_common.errors import BundleError
 from cags_common.files import whole_file, write_whole
-from cags_common.splats import Ids, Splats
-
-_PARTS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "sh_rest")
+from cags_common.tile_kinds import TileKind
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +32,6 @@ class FrameRecord:
     tiles: tuple[TilePayloads, ...]
     source: bytes
     """Its unquantised changes, packed."""
-    ids: Ids  # [m] sent, tile by tile
-    shown: Splats | None  # [m] what a decoder with every LoD shows of them; None when nothing is sent
 
 
 class Journal:
@@ -85,6 +81,10 @@ class Journal:
         """Keep a JSON value."""
         write_whole(self._folder / f"{name}.json", json.dumps(value).encode())
 
+    def has(self, index: int) -> bool:
+        """Whether there is a record of frame ``index``; it may be damaged."""
+        return (self._folder / _name(index)).is_file()
+
     def frame(self, index: int) -> FrameRecord | None:
         """The record of frame ``index``, or None where it is not finished (or its file is damaged)."""
         try:
@@ -123,25 +123,27 @@ def _arrays(record: FrameRecord) -> dict[str, Any]:
     sizes = [[len(payload) for payload in tile.payloads] for tile in tiles]
     arrays: dict[str, Any] = {
         "source": np.frombuffer(record.source, np.uint8),
-        "ids": record.ids,
         "splats": np.array([tile.splats for tile in tiles], np.int64),
         "first_ids": np.array([-1 if tile.first_id is None else tile.first_id for tile in tiles], np.int64),
         "bounds": np.array([tile.bounds for tile in tiles], np.float64).reshape(-1, 2, 3),
-        "sizes": np.array(sizes, np.int64).reshape(len(tiles), len(sizes[0]) if sizes else 0),
+        "kinds": np.array([(int(t.kind), *(t.looks or (0, 0)), t.span) for t in tiles], np.int64).reshape(-1, 4),
+        "sizes": np.array([size for each in sizes for size in each], np.int64),
+        "levels": np.array([len(each) for each in sizes], np.int64),
         "payloads": np.frombuffer(b"".join(p for tile in tiles for p in tile.payloads), np.uint8),
     }
-    return arrays if record.shown is None else {**arrays, **dict(record.shown.arrays())}
+    return arrays
 
 
 def _record(arrays: dict[str, Any]) -> FrameRecord:
-    blob, at, tiles = arrays["payloads"].tobytes(), 0, []
-    for row, sizes in enumerate(arrays["sizes"]):
-        ends = at + np.cumsum(sizes)
-        payloads = tuple(blob[end - size : end] for size, end in zip(sizes.tolist(), ends.tolist(), strict=True))
+    blob, tiles = arrays["payloads"].tobytes(), []
+    ends = np.cumsum(arrays["sizes"]).tolist()
+    payloads = [blob[end - size : end] for size, end in zip(arrays["sizes"].tolist(), ends, strict=True)]
+    for row, levels in enumerate(arrays["levels"].tolist()):
         low, high = arrays["bounds"][row].tolist()
-        first = int(arrays["first_ids"][row])
+        first, (kind, *looks, span) = int(arrays["first_ids"][row]), arrays["kinds"][row].tolist()
         bounds = (low[0], low[1], low[2]), (high[0], high[1], high[2])
-        tiles.append(TilePayloads(int(arrays["splats"][row]), None if first < 0 else first, bounds, payloads))
-        at = int(ends[-1])
-    shown = Splats(*(arrays[name] for name in _PARTS)) if "means" in arrays else None
-    return FrameRecord(tuple(tiles), arrays["source"].tobytes(), arrays["ids"], shown)
+        own, payloads = tuple(payloads[:levels]), payloads[levels:]
+        of = (looks[0], looks[1]) if kind == TileKind.MOTION else None
+        first_id = None if first < 0 else first
+        tiles.append(TilePayloads(int(arrays["splats"][row]), first_id, bounds, own, TileKind(kind), of, span))
+    return FrameRecord(tuple(tiles), arrays["source"].tobytes())

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from cags_common.bundle import BundleWriter, Manifest, Pruning
+from cags_common.bundle.manifest import MotionSteps
 from cags_common.bundle.quality import LodQuality
 from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import F64, Vec3
 from cags_common.lod import LodLayer
+from cags_common.motion.chunk import LEVELS
 from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_encoder.clip import ClipEncoder
@@ -22,6 +24,7 @@ from cags_encoder.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.frames.tasks import read
 from cags_encoder.journal import Journal
 from cags_encoder.measuring import VIEWS, LodMeasurement, measure
+from cags_encoder.motion.steps import motion_steps
 from cags_encoder.pruning import prune, prune_within
 from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS
 from cags_encoder.quantiser.importance import importance
@@ -125,8 +128,19 @@ class _Encoding:
         if self._quality is not None:
             writer.quality(self._quality)
         clip = ClipEncoder(self._source, self._settings, codec, writer, self._workers)
-        clip.run(self._count, self._journal, lambda done: self._tell("encode", done, self._count))
-        return writer.commit(self._manifest(codec, clip))
+        motion = self._motion(codec)
+        clip.run(self._count, self._journal, lambda done: self._tell("encode", done, self._count), motion)
+        return writer.commit(replace(self._manifest(codec, clip), motion=motion))
+
+    def _motion(self, codec: ClipCodec) -> MotionSteps | None:
+        """Units of motion, where splats may move by themselves: not in a clip of one frame."""
+        tracks = self._settings.motion == "tracks" and self._count > 1 and len(codec.lod_order) + 1 >= LEVELS
+        if not tracks or not isinstance(codec, SvqCodec):
+            return None
+        book = codec.quantiser.books["scale"]
+        prepared = codec.prepare(self._source.frame(0))
+        base = book.layer(codec.quantise(prepared).codes["scale"], 0)
+        return motion_steps(prepared, base, 1 << book.layer_bits[0])
 
     def _pruned(self, source: FrameSource) -> FrameSource:
         def tell(done: int, total: int) -> None:

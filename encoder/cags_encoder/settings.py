@@ -41,6 +41,18 @@ class EncodeSettings:
     change_threshold: float = setting(
         0.01, "visible effect (0..1 of a pixel's colour) by which a splat must be wrong to be sent again", low=0, high=1
     )
+    motion: str = setting(
+        "tracks",
+        "'tracks': splats keep their looks and motion is coded apart; 'none': splats that change are sent whole, as in "
+        "the paper (codecs other than svq always do so)",
+        choices=("tracks", "none"),
+    )
+    motion_span: int = setting(
+        16,
+        "frames that one chunk of motion covers: longer ones are smaller in all and arrive in larger pieces",
+        low=2,
+        high=64,
+    )
     prune: float = setting(
         0.0,
         "share of the splats to leave out, those that contribute least to views from around the scene; what it costs "

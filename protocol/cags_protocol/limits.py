@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 """Version spoken by this package. A change that an older peer cannot ignore raises it."""
 
-SUPPORTED_VERSIONS = (1,)
+SUPPORTED_VERSIONS = (2,)
 """Versions that this package can talk to."""
 
 SUBPROTOCOL = "cags.v1"
-"""WebSocket subprotocol name."""
+"""WebSocket subprotocol name, of the framing: all versions share it, so that a session can refuse the others by name.
+"""
 
 PACKET_BYTES = 8192
 """Size of the largest packet a server writes: a message is cut into fragments of this size, header included."""

@@ -222,6 +222,7 @@ class Blob(Message):
 class TileLayers(Message):
     """LoDs ``from_lod`` .. ``to_lod`` - 1 of a tile: the payload is their payloads, one after another.
 
+    A tile brings looks, motion or updates (:mod:`cags_common.tile_kinds`); the first byte of its LoD 0 says which.
     ``sizes`` and ``crcs`` (CRC-32, as in the bundle) have one entry each a LoD.
     """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.geometry import Camera
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, HeldTile, TileLayers
@@ -15,9 +16,6 @@ from cags_server.staleness import Staleness
 
 BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3
 """Base layers and ends of frames, detail, what is out of view; references go before, in the session's own order."""
-
-WHOLE_TILES_CODEC = "video"
-"""Codec of bundles whose LoD k is the whole tile at quality k."""
 
 
 class TileSender:

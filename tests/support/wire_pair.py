@@ -11,6 +11,7 @@ from typing import Any
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import ClientSession, Outgoing, ServerSession
 from cags_protocol import events as ev
+from cags_protocol.limits import PROTOCOL_VERSION
 from cags_protocol.messages import Hello, ReferenceFrame, TileLayers, Welcome
 
 INTRINSICS = Intrinsics.of_fov(400, 300, 1.0, 0.8)
@@ -28,7 +29,7 @@ def steady(delay_us: int) -> Fate:
 
 def hello(**changes: Any) -> Hello:
     """A valid Hello."""
-    return Hello(**{"version": 1, "intrinsics": INTRINSICS, "pose": Pose.identity(), **changes})
+    return Hello(**{"version": PROTOCOL_VERSION, "intrinsics": INTRINSICS, "pose": Pose.identity(), **changes})
 
 
 def tile(frame: int, number: int, size: int, **how: Any) -> Outgoing:

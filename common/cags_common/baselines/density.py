@@ -22,8 +22,10 @@ from cags_common.baselines.scalar import U8, ScalarBook
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
+from cags_common.motion.apply import Steps
 from cags_common.packing import U32, decode_ids, encode_ids
 from cags_common.splats import Ids, Splats
+from cags_common.tile_kinds import TileKind
 
 KIND = b"DENS"
 MAX_LEVELS = 32
@@ -68,6 +70,9 @@ class _Chunk:
 
 class DensityTile:
     """A tile of which the most important splats are there. Levels may come in any order and show without gaps."""
+
+    kind = TileKind.LOOKS
+    steps: Steps | None = None
 
     def __init__(self, payload: bytes | memoryview, book: ScalarBook) -> None:
         self._book = book

@@ -20,8 +20,10 @@ from cags_common.baselines.scalar import U8, ScalarBook
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
+from cags_common.motion.apply import Steps
 from cags_common.packing import U32
 from cags_common.splats import Ids, Splats
+from cags_common.tile_kinds import TileKind
 
 KIND = b"VIDE"
 _PARTS = struct.Struct("<BI")  # quality, bytes of the positions
@@ -39,6 +41,9 @@ def encode_video(head: bytes, codes: U8, cells: U32, bits: int, crfs: tuple[int,
 
 class VideoTile:
     """A tile at one quality. Any payload opens it; a better one replaces it."""
+
+    kind = TileKind.LOOKS
+    steps: Steps | None = None
 
     def __init__(self, payload: bytes | memoryview, book: ScalarBook) -> None:
         self._book = book

@@ -13,17 +13,24 @@ import numpy as np
 
 from cags_common.errors import BundleError, DecodeError
 from cags_common.geometry import Vec3
+from cags_common.motion.chunk import LEVELS, MAX_SPAN
 from cags_common.packing import gunzip_bounded, gzip_bytes
 from cags_common.splats import MAX_SPLATS
+from cags_common.tile_kinds import TileKind
 from cags_common.tiles import MAX_TILE_SPLATS
 
-TILES_MAGIC = b"CAGSGF01"
+TILES_MAGIC = b"CAGSGF02"
 SOURCE_MAGIC = b"CAGSSR01"
 MAX_INDEX_BYTES = 512 * 2**20
 
 _HEADER = struct.Struct("<IIII")
 _FRAME = np.dtype([("tiles", "<u4"), ("removed_count", "<u4"), ("removed_bytes", "<u4"), ("removed_crc", "<u4")])
-_TILE = np.dtype([("splats", "<u4"), ("first_id", "<i4"), ("low", "<f4", 3), ("high", "<f4", 3)])
+_TILE = np.dtype(
+    [
+        *(("kind", "u1"), ("span", "u1"), ("looks_tile", "<u4"), ("looks_frame", "<u4")),
+        *(("splats", "<u4"), ("first_id", "<i4"), ("low", "<f4", 3), ("high", "<f4", 3)),
+    ]
+)
 _SOURCE = np.dtype([("bytes", "<u8"), ("crc", "<u4")])
 
 
@@ -38,7 +45,13 @@ class TileEntry:
     bounds: tuple[Vec3, Vec3]
     """Smallest and largest corner of the tile's means (without the splats' own extent), world, metres."""
     lod_bytes: tuple[int, ...]
+    """Size of each level that the tile has; those of motion have levels of their own."""
     crcs: tuple[int, ...]
+    kind: TileKind = TileKind.LOOKS
+    looks: tuple[int, int] | None = None
+    """Media frame and tile of the looks that a tile of motion moves; None for other kinds."""
+    span: int = 0
+    """Frames that a tile of motion covers after its first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +78,21 @@ def encode_tile_index(frames: Sequence[FrameEntry], lods: int) -> bytes:
     """Pack the entries of one group of frames."""
     tiles = [tile for frame in frames for tile in frame.tiles]
     frame_rows = np.array([(len(f.tiles), f.removed_count, f.removed_bytes, f.removed_crc) for f in frames], _FRAME)
-    tile_rows = np.array(
-        [(t.splats, -1 if t.first_id is None else t.first_id, t.bounds[0], t.bounds[1]) for t in tiles], _TILE
-    )
-    sizes = np.array([t.lod_bytes for t in tiles], "<u4").reshape(-1, lods)
-    crcs = np.array([t.crcs for t in tiles], "<u4").reshape(-1, lods)
+    tile_rows = np.array([_tile_row(tile) for tile in tiles], _TILE)
+    sizes = np.array([_padded(t.lod_bytes, lods) for t in tiles], "<u4").reshape(-1, lods)
+    crcs = np.array([_padded(t.crcs, lods) for t in tiles], "<u4").reshape(-1, lods)
     head = _HEADER.pack(frames[0].frame, len(frames), lods, len(tiles))
     return gzip_bytes(b"".join([head, *(rows.tobytes() for rows in (frame_rows, tile_rows, sizes, crcs))]))
+
+
+def _tile_row(tile: TileEntry) -> tuple[object, ...]:
+    frame, number = tile.looks or (0, 0)
+    first_id = -1 if tile.first_id is None else tile.first_id
+    return (int(tile.kind), tile.span, number, frame, tile.splats, first_id, *tile.bounds)
+
+
+def _padded(values: tuple[int, ...], lods: int) -> tuple[int, ...]:
+    return (*values, *(0,) * (lods - len(values)))
 
 
 def decode_tile_index(data: bytes, *, gof: int, frames: range, lods: int) -> tuple[FrameEntry, ...]:
@@ -137,11 +158,20 @@ def _frame_entries(
 
 
 def _tile_entry(tile: int, row: np.void, sizes: np.ndarray, crcs: np.ndarray) -> TileEntry:
-    first = int(row["first_id"])
-    if first >= MAX_SPLATS:
-        raise BundleError(f"index: first id {first} of tile {tile} is outside the bounds")
+    first, kind, span = int(row["first_id"]), int(row["kind"]), int(row["span"])
+    if first >= MAX_SPLATS or kind >= len(TileKind) or span > MAX_SPAN or (kind == TileKind.MOTION) != (span > 0):
+        raise BundleError(f"index: first id {first}, kind {kind}, span {span} of tile {tile} are outside the bounds")
+    levels = LEVELS if kind == TileKind.MOTION else len(sizes)
     low, high = row["low"].tolist(), row["high"].tolist()
     bounds = (low[0], low[1], low[2]), (high[0], high[1], high[2])
     return TileEntry(
-        tile, int(row["splats"]), None if first < 0 else first, bounds, tuple(sizes.tolist()), tuple(crcs.tolist())
+        tile,
+        int(row["splats"]),
+        None if first < 0 else first,
+        bounds,
+        tuple(sizes[:levels].tolist()),
+        tuple(crcs[:levels].tolist()),
+        TileKind(kind),
+        (int(row["looks_frame"]), int(row["looks_tile"])) if kind == TileKind.MOTION else None,
+        span,
     )

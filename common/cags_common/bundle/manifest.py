@@ -17,9 +17,10 @@ from cags_common.errors import BundleError
 from cags_common.geometry import DEFAULT_NEAR, Vec3
 from cags_common.lod import MAX_LODS, LodLayer
 from cags_common.splats import MAX_SPLATS
+from cags_common.svq import MAX_BASE_BITS
 
 FORMAT = "cags-bundle"
-VERSION = 2
+VERSION = 3
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
 
@@ -59,6 +60,16 @@ class Pruning:
 
 
 @dataclass(frozen=True, slots=True)
+class MotionSteps:
+    """Finest units of motion, by the base code of a splat's scale: a large splat may be off by more."""
+
+    moves: tuple[float, ...]
+    """Metres."""
+    turns: tuple[float, ...]
+    """Of a quaternion's imaginary part: half an angle, radians."""
+
+
+@dataclass(frozen=True, slots=True)
 class Manifest:
     """What a bundle holds. All lengths are in the scene's units (metres), world frame."""
 
@@ -90,6 +101,8 @@ class Manifest:
     gofs: tuple[GofFiles, ...] = ()
     """One entry a group, or none in the public part."""
     pruning: Pruning | None = None
+    motion: MotionSteps | None = None
+    """Units of motion; None where no splat of the bundle moves by itself."""
     version: int = VERSION
 
     @property
@@ -112,8 +125,9 @@ class Manifest:
         """UTF-8 JSON; equal manifests give equal bytes."""
         table = {"format": FORMAT, **asdict(self)}
         table["lod_order"] = [[item.attribute, item.layer] for item in self.lod_order]
-        if self.pruning is None:
-            del table["pruning"]
+        for name in ("pruning", "motion"):
+            if table[name] is None:
+                del table[name]
         if self.weights_crc is None:
             del table["weights_crc"]
         return json.dumps(table, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
@@ -158,6 +172,7 @@ def _checked(fields: _Fields) -> Manifest:
         focus_radius=fields.number("focus_radius", 0.0, 1e12),
         near=fields.number("near", 1e-9, 1e9),
         pruning=_pruning(fields.inner("pruning")) if fields.has("pruning") else None,
+        motion=_motion(fields.inner("motion")) if fields.has("motion") else None,
         weights_crc=fields.integer("weights_crc", 0, 2**32 - 1) if fields.has("weights_crc") else None,
         gofs=fields.many("gofs", lambda f: GofFiles(_file(f.inner("tiles")), _file(f.inner("source"))), MAX_FRAMES),
     )
@@ -188,6 +203,16 @@ def _pruning(fields: _Fields) -> Pruning:
         psnr_db=fields.number("psnr_db", -1e3, 1e3),
         ssim=fields.number("ssim", -1.0, 1.0),
     )
+
+
+def _motion(fields: _Fields) -> MotionSteps:
+    def step(field: _Fields) -> float:
+        return field.number("", 0.0, 1e12)
+
+    moves, turns = (fields.many(name, step, 1 << MAX_BASE_BITS) for name in ("moves", "turns"))
+    if len(moves) != len(turns):
+        raise BundleError(f"manifest: motion has {len(moves)} units of moves and {len(turns)} of turns")
+    return MotionSteps(moves, turns)
 
 
 def _lod_layer(field: _Fields) -> LodLayer:

@@ -115,8 +115,12 @@ class BundleReader:
         return data
 
     def tile_ids(self, frame: int, tile: int) -> Ids:
-        """Ids [n] of a tile's splats, ascending, in the tile's order. Raises :class:`BundleError`."""
-        return self._within(self.codec.tile_ids(self.payload(frame, tile, 0)), frame, f"tile {tile}")
+        """Ids [n] of a tile's splats, ascending, in the tile's order; of motion, those of the looks that it moves.
+
+        Raises :class:`BundleError`.
+        """
+        looks = self._tile(self.frame(frame), tile).looks
+        return self._within(self.codec.tile_ids(self.payload(*(looks or (frame, tile)), 0)), frame, f"tile {tile}")
 
     def removed_payload(self, frame: int) -> bytes:
         """The ids that ``frame`` removes, packed by :func:`~cags_common.packing.encode_ids`."""

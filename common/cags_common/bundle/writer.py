@@ -30,6 +30,7 @@ from cags_common.errors import BundleError
 from cags_common.geometry import Vec3
 from cags_common.packing import crc32, encode_ids
 from cags_common.splats import Ids
+from cags_common.tile_kinds import TileKind
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,10 @@ class TilePayloads:
     first_id: int | None
     bounds: tuple[Vec3, Vec3]
     payloads: tuple[bytes, ...]
+    kind: TileKind = TileKind.LOOKS
+    looks: tuple[int, int] | None = None
+    """Media frame and tile that a tile of motion moves."""
+    span: int = 0
 
 
 class BundleWriter:
@@ -211,4 +216,5 @@ class GofWriter:
 
 def _entry(index: int, tile: TilePayloads) -> TileEntry:
     sizes = tuple(len(payload) for payload in tile.payloads)
-    return TileEntry(index, tile.splats, tile.first_id, tile.bounds, sizes, tuple(map(crc32, tile.payloads)))
+    crcs = tuple(map(crc32, tile.payloads))
+    return TileEntry(index, tile.splats, tile.first_id, tile.bounds, sizes, crcs, tile.kind, tile.looks, tile.span)

@@ -175,6 +175,14 @@ class RasterScene(Protocol):
         """Replace the splats at ``rows`` [M]; the cost is proportional to M."""
         ...
 
+    def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take position, rotation and opacity of the splats at ``rows`` [M] from ``splats``, those of the whole scene.
+
+        Their other attributes must be those that the scene was given (colours by :meth:`recolour` stay): a fraction of
+        :meth:`update`. Raises ``ValueError`` where ``splats`` are not as many as the scene's, and what ``update`` does.
+        """
+        ...
+
     def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
         """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]: a fraction of :meth:`update`."""
         ...

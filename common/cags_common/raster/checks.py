@@ -64,6 +64,19 @@ def replacements(
     return new, indices
 
 
+def movement(rows: NDArray[np.integer], splats: Splats, count: int) -> tuple[NDArray[np.int64], F32]:
+    """Rising ``rows`` once each, and opacity logits [N] that can be drawn, for a scene of ``count`` splats that take
+    their places of ``splats`` [N]; raises as above, but for values.
+    """
+    indices = np.ascontiguousarray(rows, dtype=np.int64)
+    if indices.ndim != 1 or len(splats) != count:
+        raise ValueError(f"{len(splats)} splats for a scene of {count}; rows of shape {indices.shape}")
+    if len(indices) > 1 and not (np.diff(indices) > 0).all():
+        indices = np.unique(indices)
+    _check_rows(indices, count)
+    return indices, np.clip(splats.logit_opacities, -MAX_LOGIT, MAX_LOGIT, dtype=np.float32)
+
+
 def recolouring(rows: NDArray[np.integer], sh0: F32, count: int) -> tuple[NDArray[np.int64], F32]:
     """``rows`` and ``sh0`` as they replace the base colours of a scene of ``count`` splats; raises as above."""
     indices, colours = np.ascontiguousarray(rows, dtype=np.int64), np.ascontiguousarray(sh0, dtype=np.float32)

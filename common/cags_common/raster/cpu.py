@@ -12,7 +12,7 @@ import cags_kernels
 from cags_common.errors import CagsError, ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable, recolouring, replacements
+from cags_common.raster.checks import check_camera, check_residual, drawable, movement, recolouring, replacements
 from cags_common.raster.halving import halved
 from cags_common.splats import Splats
 
@@ -72,6 +72,15 @@ class CpuScene:
         """Replace the splats at ``rows`` [M]."""
         new, indices = replacements(rows, splats, len(self), self._harmonics)
         self._native.update(indices, _arrays(new))
+
+    def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene."""
+        indices, logits = movement(rows, splats, len(self))
+        try:
+            self._native.move(indices, _arrays(replace(splats, logit_opacities=logits)), threads)
+        except cags_kernels.KernelError:
+            drawable(splats.take(indices))  # says what is wrong with them
+            raise
 
     def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
         """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable, recolouring, replacements
+from cags_common.raster.checks import check_camera, check_residual, drawable, movement, recolouring, replacements
 from cags_common.raster.definition import MAX_DEPTH
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 
@@ -86,6 +86,13 @@ class CudaScene:
         at = self._tensor(indices)
         for name, array in new.arrays():
             self._columns[name][at] = self._tensor(array)
+
+    def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene."""
+        indices, _ = movement(rows, splats, len(self))
+        new, at = drawable(splats.take(indices)), self._tensor(indices)
+        for name in ("means", "quats", "logit_opacities"):
+            self._columns[name][at] = self._tensor(getattr(new, name))
 
     def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
         """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""

@@ -26,11 +26,11 @@ MAX_SCALE = 1e7
 def content_hash(splats: Splats) -> NDArray[np.uint32]:
     """A 32-bit hash of each splat's content [N]: of two splats at one depth, the one with the smaller hash is in front.
 
-    So a picture does not depend on the order in which a scene lists its splats. FNV-1a over the words of the attributes
-    in declaration order, then a finaliser.
+    So a picture does not depend on the order in which a scene lists its splats. FNV-1a over the attributes' words,
+    those that motion changes last, then a finaliser.
     """
     state = np.full(len(splats), 2166136261, np.uint32)
-    for _, array in splats.arrays():
+    for array in (splats.log_scales, splats.sh0, splats.sh_rest, splats.means, splats.quats, splats.logit_opacities):
         for column in array.reshape(len(splats), array[:1].size if len(splats) else 0).T:
             state = (state ^ np.ascontiguousarray(column, np.float32).view(np.uint32)) * np.uint32(16777619)
     state = (state ^ (state >> np.uint32(15))) * np.uint32(0x2C1B3C6D)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable, recolouring, replacements
+from cags_common.raster.checks import check_camera, check_residual, drawable, movement, recolouring, replacements
 from cags_common.raster.definition import ALPHA_CUT, ALPHA_MAX, JACOBIAN_MARGIN, MAX_DEPTH, MAX_SCALE, content_hash
 from cags_common.raster.harmonics import harmonics
 from cags_common.splats import SH_C0, SH_REST_OF_DEGREE, Splats
@@ -68,6 +68,16 @@ class ReferenceScene:
         columns = {name: array.copy() for name, array in self._splats.arrays()}
         for name, array in new.arrays():
             columns[name][rows] = array
+        self._splats = Splats(**columns)
+
+    def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
+        """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene."""
+        rows, _ = movement(rows, splats, len(self))
+        new = drawable(splats.take(rows))
+        columns = dict(self._splats.arrays())
+        for name in ("means", "quats", "logit_opacities"):
+            columns[name] = columns[name].copy()
+            columns[name][rows] = getattr(new, name)
         self._splats = Splats(**columns)
 
     def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from cags_common.bundle import BundleReader, FrameEntry
 from cags_common.svq import CodebookSet
+from cags_common.tile_kinds import TileKind
 
 Description = dict[str, Any]
 
@@ -18,7 +19,7 @@ def summarise(reader: BundleReader, url: str) -> Description:
     """The bundle in a few numbers. Raises :class:`BundleError`."""
     manifest = reader.manifest
     entries = [reader.frame(index) for index in range(manifest.frames)]
-    splats = sum(tile.splats for tile in entries[0].tiles)
+    splats = _splats(entries[0])
     return {
         "out": url,
         "name": manifest.name,
@@ -35,7 +36,8 @@ def summarise(reader: BundleReader, url: str) -> Description:
         "bytes_tiles": sum(entry.size_bytes for entry in entries),
         "bytes_first_frame": entries[0].size_bytes,
         "bytes_first_frame_base": sum(tile.lod_bytes[0] for tile in entries[0].tiles),
-        "bytes_a_splat": entries[0].size_bytes / max(splats, 1),
+        "bytes_a_splat": sum(_bytes([entries[0]], TileKind.LOOKS)) / max(splats, 1),
+        "bytes_of": {kind.name.lower(): _bytes(entries, kind) for kind in TileKind},
         "bytes_source": sum(files.source.size_bytes for files in manifest.gofs),
         "pruning": asdict(manifest.pruning) if manifest.pruning else None,
     }
@@ -91,6 +93,9 @@ def lines(found: Description) -> Iterator[str]:
     if later:
         sent, size = (float(np.mean([frame[name] for frame in later])) for name in ("splats", "bytes"))
         yield f"later frames: {sent:.0f} splats, {size:.0f} bytes each on average"
+    moving = {name: sizes for name, sizes in found["bytes_of"].items() if name != "looks" and sizes}
+    for name, sizes in moving.items():
+        yield f"{name} tiles: {sum(sizes)} bytes in all, {sizes[0]} of their first levels"
     if found["pruning"]:
         pruned = found["pruning"]
         yield (
@@ -126,13 +131,20 @@ def _layer_lines(layers: list[Description]) -> Iterator[str]:
 
 
 def _splats(entry: FrameEntry) -> int:
-    return sum(tile.splats for tile in entry.tiles)
+    """Splats that come, or come anew."""
+    return sum(tile.splats for tile in entry.tiles if tile.kind == TileKind.LOOKS)
+
+
+def _bytes(entries: list[FrameEntry], kind: TileKind) -> list[int]:
+    """Bytes of each level of all tiles of ``kind``; empty where there are none."""
+    sizes = [tile.lod_bytes for entry in entries for tile in entry.tiles if tile.kind == kind]
+    return [sum(level) for level in zip(*sizes, strict=True)]
 
 
 def _lod_bytes(entries: list[FrameEntry], lods: int) -> list[int]:
-    """Bytes that each level adds in ``entries``."""
-    sizes = np.array([tile.lod_bytes for entry in entries for tile in entry.tiles], np.int64).reshape(-1, lods)
-    return [int(size) for size in sizes.sum(axis=0)]
+    """Bytes that each level of looks and of updates adds in ``entries``."""
+    both = [sizes for kind in (TileKind.LOOKS, TileKind.UPDATE) if (sizes := _bytes(entries, kind))]
+    return [sum(level) for level in zip(*both, strict=True)] if both else [0] * lods
 
 
 def _codebooks(reader: BundleReader) -> list[Description]:

@@ -39,11 +39,9 @@ def _verify_frame(reader: BundleReader, index: int, top: BundlePlayer, base: Bun
     for tile in entry.tiles:
         for lod in range(len(tile.lod_bytes)):
             reader.payload(index, tile.tile, lod)
-        state = top.tile(index, tile.tile)
-        if len(state.ids) != tile.splats:
-            raise BundleError(
-                f"frame {index}, tile {tile.tile}: holds {len(state.ids)} splats, its index {tile.splats}"
-            )
+        state = top.tile(index, tile)
+        if len(state) != tile.splats:
+            raise BundleError(f"frame {index}, tile {tile.tile}: holds {len(state)} splats, its index {tile.splats}")
     held, source = top.frame(index), reader.source(index)
     if not np.array_equal(held.ids, source.ids):
         raise BundleError(f"frame {index}: its tiles and its source frame leave different splats alive")

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.geometry import F32
+from cags_common.geometry import F32, F64
 from cags_common.morton import morton_order
 from cags_common.splats import Splats
-from cags_encoder.formats.files import bytes_of_logits, split_largest
+from cags_encoder.formats.files import bytes_of_logits, directed, logit_of_bytes, smallest_three, split_largest
 from cags_encoder.formats.sog import CODEBOOK, MAX_PALETTE, PALETTE_ROW, QUAT_TAG
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -53,8 +53,34 @@ def sog_bytes(splats: Splats) -> bytes:
     return _zip(meta, images)
 
 
+def quantised_as_sog(splats: Splats) -> Splats:
+    """``splats`` row by row as they come back from a SOG file whose palette holds all of their harmonics."""
+    logs, low, step = _logarithms(splats.means)
+    words = low + np.round((logs - low) / step) * step
+    largest, others = split_largest(splats.quats)
+    bytes_ = np.clip(np.round((others * np.sqrt(2.0) + 1.0) * 127.5), 0, 255)
+    values = {"log_scales": splats.log_scales, "sh0": splats.sh0, "sh_rest": splats.sh_rest}
+    for name, array in values.items():
+        if array.size:
+            book, codes = _codebook(array)
+            values[name] = book[codes]
+    return Splats(
+        means=(np.sign(words) * np.expm1(np.abs(words))).astype(np.float32),
+        quats=directed(smallest_three(largest, (bytes_ / 127.5 - 1.0) * np.sqrt(0.5))),
+        logit_opacities=logit_of_bytes(bytes_of_logits(splats.logit_opacities)),
+        **values,
+    )
+
+
+def _logarithms(means: F32) -> tuple[F64, F64, F64]:
+    """Positions as SOG keeps them, logarithmic on both sides of zero; their lowest, and the step of 16 bits."""
+    logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
+    low, high = logs.min(axis=0), logs.max(axis=0)
+    return logs, low, np.where(high > low, high - low, 1.0) / 65535.0
+
+
 def _codebook(values: F32) -> tuple[F32, NDArray[np.uint8]]:
-    """256 ascending values and the index of the nearest for each of ``values`` [N, 3].
+    """256 ascending values and the index of the nearest for each of ``values``.
 
     Two halves: quantiles, where most values are, and equal steps, so that rare large values are met as well.
     """

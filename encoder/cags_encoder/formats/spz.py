@@ -45,7 +45,7 @@ def parse_spz(data: bytes, source: str, check: Check = Splats.checked) -> Splats
         quats=directed(quats),
         log_scales=part["scale"].astype(np.float32) / np.float32(16.0) - np.float32(10.0),
         logit_opacities=logit_of_bytes(part["alpha"][:, 0]),
-        sh0=(part["colour"].astype(np.float32) / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOUR_SCALE),
+        sh0=_colours(part["colour"]),
         sh_rest=((part["sh"].astype(np.float32) - 128.0) / np.float32(128.0)).reshape(header.count, -1, 3),
     )
     return check(splats, source)
@@ -92,6 +92,10 @@ def _means(raw: NDArray[np.uint8], header: SpzHeader) -> F32:
     return (fixed / (1 << header.fractional_bits)).astype(np.float32)
 
 
+def _colours(raw: NDArray[np.uint8]) -> F32:
+    return (raw.astype(np.float32) / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOUR_SCALE)
+
+
 def _xyz_quats(raw: NDArray[np.uint8]) -> F32:
     xyz = raw / np.float32(127.5) - np.float32(1.0)
     w = np.sqrt(np.maximum(0.0, 1.0 - np.sum(np.square(xyz), axis=1, keepdims=True)))
@@ -109,8 +113,7 @@ def _smallest_three(raw: NDArray[np.uint8]) -> F32:
 
 def spz_bytes(splats: Splats) -> bytes:
     """An ``.spz`` file (version 3) of ``splats``, row by row, with as many fractional bits as the positions leave."""
-    reach = max(float(np.abs(splats.means).max()), 1e-6)
-    bits = int(np.clip(np.floor(np.log2((2**23 - 1) / reach)), 0, 24))
+    bits = _fractional_bits(splats)
     head = HEADER.pack(MAGIC, 3, len(splats), splats.sh_degree, bits, 0, 0)
     fixed = np.clip(np.round(splats.means.astype(np.float64) * (1 << bits)), -(2**23), 2**23 - 1).astype("<i4")
     parts: list[NDArray[Any]] = [
@@ -123,6 +126,30 @@ def spz_bytes(splats: Splats) -> bytes:
     ]
     packer = zlib.compressobj(9, zlib.DEFLATED, GZIP_WBITS)  # without a time stamp: the same splats give the same bytes
     return packer.compress(head + b"".join(part.tobytes() for part in parts)) + packer.flush()
+
+
+def quantised_as_spz(splats: Splats) -> Splats:
+    """``splats`` row by row as they come back from an ``.spz`` file of Niantic's tools.
+
+    Those keep 5 bits of the harmonics of degree 1 and 4 of the others, where :func:`spz_bytes` keeps 8.
+    """
+    scale = float(1 << _fractional_bits(splats))
+    fixed = np.clip(np.round(splats.means.astype(np.float64) * scale), -(2**23), 2**23 - 1)
+    buckets = np.where(np.arange(splats.sh_rest.shape[1]) < 3, 8.0, 16.0)[:, None] / 128.0
+    return Splats(
+        means=(fixed / scale).astype(np.float32),
+        quats=_smallest_three(_pack_smallest_three(splats.quats)[:, None].view(np.uint8)),
+        log_scales=_rounded((splats.log_scales + 10.0) * 16.0).astype(np.float32) / np.float32(16.0) - np.float32(10.0),
+        logit_opacities=logit_of_bytes(bytes_of_logits(splats.logit_opacities)),
+        sh0=_colours(_rounded((splats.sh0 * COLOUR_SCALE + 0.5) * 255.0)),
+        sh_rest=np.clip(np.round(splats.sh_rest / buckets) * buckets, -1.0, 127 / 128).astype(np.float32),
+    )
+
+
+def _fractional_bits(splats: Splats) -> int:
+    """As many as the positions leave of 24."""
+    reach = max(float(np.abs(splats.means).max()), 1e-6)
+    return int(np.clip(np.floor(np.log2((2**23 - 1) / reach)), 0, 24))
 
 
 def _rounded(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:

@@ -15,16 +15,30 @@ def visible_effect(a: Splats, b: Splats) -> F64:
     count as one, weighed by opacity. An order of magnitude, meant for thresholds.
     """
     opacity_a, opacity_b = _opacity(a), _opacity(b)
+    shift, scaling, turn, colour, harmonics = _looks(a, b)
+    parts = shift + scaling + turn + (colour + harmonics)
+    effect: F64 = np.abs(opacity_a - opacity_b) + np.maximum(opacity_a, opacity_b) * parts
+    return effect
+
+
+def attribute_effects(a: Splats, b: Splats) -> dict[str, F64]:
+    """What each attribute by itself adds to :func:`visible_effect` [n]."""
+    opacity_a, opacity_b = _opacity(a), _opacity(b)
+    names = ("position", "scale", "rotation", "colour", "harmonics")
+    parts = {name: np.maximum(opacity_a, opacity_b) * part for name, part in zip(names, _looks(a, b), strict=True)}
+    return {"opacity": np.abs(opacity_a - opacity_b), **parts}
+
+
+def _looks(a: Splats, b: Splats) -> tuple[F64, F64, F64, F64, F64]:
+    """Differences [n] of position, scale, rotation, colour and harmonics, for opaque splats."""
     radius = np.exp(np.clip(b.log_scales.astype(np.float64), -30, 30))
     shift = np.linalg.norm(a.means.astype(np.float64) - b.means, axis=1) / np.maximum(radius.mean(axis=1), 1e-12)
     scaling = np.abs(a.log_scales - b.log_scales).max(axis=1)
     stretch = np.minimum(np.ptp(b.log_scales, axis=1), 1.0)
     turn = 2 * np.arccos(np.clip(np.abs(np.einsum("ij,ij->i", a.quats, b.quats, dtype=np.float64)), 0, 1)) * stretch
     colour = SH_C0 * np.abs(a.sh0 - b.sh0).max(axis=1)
-    if a.sh_rest.shape[1]:
-        colour = colour + 0.5 * np.abs(a.sh_rest - b.sh_rest).max(axis=2).sum(axis=1)
-    effect: F64 = np.abs(opacity_a - opacity_b) + np.maximum(opacity_a, opacity_b) * (shift + scaling + turn + colour)
-    return effect
+    harmonics = 0.5 * np.abs(a.sh_rest - b.sh_rest).max(axis=2).sum(axis=1)
+    return shift, scaling, turn, colour, harmonics
 
 
 def _opacity(splats: Splats) -> F64:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,15 +14,41 @@ from cags_common.splats import Ids, Splats
 def same_rows(a: Splats, b: Splats) -> NDArray[np.bool_]:
     """Whether row i [n] of both has the same bits."""
     pairs = zip(a.arrays(), b.arrays(), strict=True)
-    same: NDArray[np.bool_] = np.logical_and.reduce([_same_bits(mine, other) for (_, mine), (_, other) in pairs])
+    same: NDArray[np.bool_] = np.logical_and.reduce([same_bits(mine, other) for (_, mine), (_, other) in pairs])
     return same
 
 
-def _same_bits(a: F32, b: F32) -> NDArray[np.bool_]:
+def same_bits(a: F32, b: F32) -> NDArray[np.bool_]:
+    """Whether row i [n] of both arrays [n, ...] has the same bits."""
     columns = int(np.prod(a.shape[1:], dtype=int))
     bits = a.reshape(len(a), columns).view(np.uint32), b.reshape(len(b), columns).view(np.uint32)
     same: NDArray[np.bool_] = (bits[0] == bits[1]).all(axis=1)
     return same
+
+
+def identical_rows(before: Splats, after: Splats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows of both frames whose splats are the same, bit by bit; the first of equals with the first."""
+    mine, theirs = _keys(before), _keys(after)
+    by_mine, by_theirs = np.argsort(mine, kind="stable"), np.argsort(theirs, kind="stable")
+    mine, theirs = mine[by_mine], theirs[by_theirs]
+    rank = np.arange(len(theirs)) - np.searchsorted(theirs, theirs)
+    at = np.searchsorted(mine, theirs) + rank
+    paired = (at < len(mine)) & (mine[np.minimum(at, len(mine) - 1)] == theirs)
+    rows, others = by_mine[at[paired]], by_theirs[paired]
+    same = same_rows(before.take(rows), after.take(others))
+    return rows[same], others[same]
+
+
+def _keys(splats: Splats) -> NDArray[np.uint64]:
+    """A 64-bit mix of each splat's bits, but for its harmonics'."""
+    keys = np.zeros(len(splats), np.uint64)
+    for name, array in splats.arrays():
+        if name == "sh_rest":
+            continue
+        for column in array.reshape(len(splats), -1).view(np.uint32).T:
+            keys = (keys ^ column) * np.uint64(0x9E3779B97F4A7C15)
+            keys ^= keys >> np.uint64(29)
+    return keys
 
 
 class SplatTable:
@@ -55,11 +83,13 @@ class SplatTable:
         out[known] = self.alive[ids[known]]
         return out
 
-    def differs(self, ids: Ids, splats: Splats) -> NDArray[np.bool_]:
-        """Whether any bit of row ``ids[i]`` is not that of ``splats[i]``; ids beyond the capacity differ."""
+    def differs(self, ids: Ids, splats: Splats, columns: Sequence[str]) -> NDArray[np.bool_]:
+        """Whether any bit of ``columns`` of row ``ids[i]`` is not that of ``splats[i]``; ids that are beyond do."""
         out = np.ones(len(ids), bool)
         known = ids < self.capacity
-        out[known] = ~same_rows(self.take(ids[known]), splats.take(known))
+        arrays = dict(splats.arrays())
+        same = [same_bits(self._arrays[name][ids[known]], arrays[name][known]) for name in columns]
+        out[known] = ~np.logical_and.reduce(same)
         return out
 
     def _grow(self, capacity: int) -> None:

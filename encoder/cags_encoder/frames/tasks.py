@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import replace
+from typing import TypeAlias
 
 from cags_common.bundle import SourceDelta, TilePayloads
 from cags_common.bundle.source import encode_source
-from cags_common.splats import Ids, Splats
+from cags_common.splats import Splats
+from cags_common.tile_kinds import TileKind
+from cags_common.updates import encode_update
 from cags_encoder.codecs import ClipCodec
 from cags_encoder.executors import Shared
 from cags_encoder.frames.differential import QuantisedDelta
 from cags_encoder.frames.effect import visible_effect
-from cags_encoder.frames.identity import match_rows
+from cags_encoder.frames.looking import Look
+from cags_encoder.frames.moving import UpdateCut
+from cags_encoder.frames.placing import Placed
 from cags_encoder.frames.tiling import CutTile
+from cags_encoder.motion.chunks import TrackSpan, encode_span
 from cags_encoder.scenes import FrameSource
+from cags_encoder.svq_codec import SvqCodec
 
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """One frame as its source gives it, and how it connects to the one before."""
-
-    splats: Splats  # [n]
-    known: Ids | None  # [n] the source's own identities
-    rows: NDArray[np.int64] | None  # [n] row of the frame before, or -1; None for known identities and the first frame
+AnyCut: TypeAlias = CutTile | UpdateCut | TrackSpan
+"""What a frame sends, still to be packed."""
 
 
 def look(source: Shared[FrameSource], index: int) -> Look:
-    """Read frame ``index``; where its source knows no identities, match it with the frame before."""
+    """Read frame ``index``."""
     frames = source.get()
-    splats, known = frames.frame(index), frames.ids(index)
-    unmatched = known is not None or index == 0
-    return Look(splats, known, None if unmatched else match_rows(frames.frame(index - 1), splats))
+    return Look(frames.frame(index), frames.ids(index))
 
 
 def read(source: Shared[FrameSource], index: int) -> Splats:
@@ -50,10 +46,26 @@ def quantise(codec: Shared[ClipCodec], delta: SourceDelta, key: bool) -> Quantis
     return QuantisedDelta(prepared, coded, effect, encode_source(delta))
 
 
-def pack(codec: Shared[ClipCodec], tiles: tuple[CutTile, ...]) -> tuple[TilePayloads, ...]:
+def quantise_looks(codec: Shared[ClipCodec], frame: Placed) -> QuantisedDelta:
+    """Quantise those of a frame's changes that are more than motion; with the opacities that fades begin from."""
+    machine, splats = codec.get(), frame.delta.splats
+    if frame.peaks is not None:
+        splats = replace(splats, logit_opacities=frame.peaks)
+    prepared = machine.prepare(splats.take(frame.looks))
+    return QuantisedDelta(prepared, machine.quantise(prepared), None, encode_source(frame.delta))
+
+
+def pack(codec: Shared[ClipCodec], tiles: tuple[AnyCut, ...]) -> tuple[TilePayloads, ...]:
     """Payloads of a frame's tiles."""
-    machine, out = codec.get(), []
-    for tile in tiles:
-        payloads = machine.encode_tile(tile.ids, tile.coded, id_range=tile.id_range)
-        out.append(TilePayloads(len(tile.ids), int(tile.ids[0]) if tile.id_range else None, tile.bounds, payloads))
-    return tuple(out)
+    return tuple(_packed(codec.get(), tile) for tile in tiles)
+
+
+def _packed(codec: ClipCodec, tile: AnyCut) -> TilePayloads:
+    if isinstance(tile, TrackSpan):
+        return encode_span(tile)
+    if isinstance(tile, UpdateCut):
+        assert isinstance(codec, SvqCodec)
+        payloads = encode_update(tile.ids, tile.changed, tile.coded.codes, codec.quantiser.books, codec.lod_order)
+        return TilePayloads(len(tile.ids), None, tile.bounds, payloads, TileKind.UPDATE)
+    payloads = codec.encode_tile(tile.ids, tile.coded, id_range=tile.id_range)
+    return TilePayloads(len(tile.ids), int(tile.ids[0]) if tile.id_range else None, tile.bounds, payloads)

@@ -35,12 +35,13 @@ class Quantiser:
     """The codebooks of a clip and the way to encode with them."""
 
     def __init__(self, encoders: Mapping[str, AttributeEncoder], *, canonical_axes: bool) -> None:
-        self._encoders, self._canonical = dict(encoders), canonical_axes
+        self._encoders, self.canonical_axes = dict(encoders), canonical_axes
+        """Whether :meth:`prepare` sorts the axes of splats."""
         self.books = CodebookSet({name: encoder.book for name, encoder in encoders.items()})
 
     def prepare(self, splats: Splats) -> Splats:
         """The splats in the form that :meth:`encode` takes and a decoder gives back: drawn, they are the same."""
-        return canonical(splats) if self._canonical else splats
+        return canonical(splats) if self.canonical_axes else splats
 
     def encode(self, prepared: Splats) -> dict[str, U32]:
         """Attribute -> codes [n] of full length."""

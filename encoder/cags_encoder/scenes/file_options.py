@@ -32,6 +32,9 @@ class FileOptions:
         None, "number of frames; beyond its end a sequence plays again", low=1, high=MAX_FRAMES
     )
     fps: float = setting(DEFAULT_FPS, "frames a second", low=1.0, high=240.0)
+    duration: float | None = setting(
+        None, "seconds that the clip of a 4D file lasts; 50 thirtieths if not given", low=0.01, high=3600.0
+    )
     up: str | None = setting(None, "up direction; the format's usual one if not given", choices=tuple(_AXES))
     focus: str | None = setting(None, "X/Y/Z/RADIUS of what viewers walk around; the scene's bulk if not given")
     repair: str = setting(

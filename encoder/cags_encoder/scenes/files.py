@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.errors import SceneError
+from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import Vec3
 from cags_common.splats import Ids, Splats
 from cags_encoder.formats import Format, read_splats
@@ -17,6 +17,7 @@ from cags_encoder.scenes.dynamic3d import Dynamic3dScene
 from cags_encoder.scenes.file_options import FileOptions, up_of
 from cags_encoder.scenes.folders import frame_of_folder, numbered_frames
 from cags_encoder.scenes.source import Focus, FrameSource, focus_of
+from cags_encoder.scenes.timed import TimedScene, is_timed
 
 DEFAULT_STATIC_FRAMES = 60
 """Frames of a scene made of a single file."""
@@ -102,9 +103,13 @@ class FileScene:
 
 
 def open_files(path: Path, options: FileOptions) -> FrameSource:
-    """Open a file or a folder. Raises :class:`SceneError` naming what is wrong."""
+    """Open a file or a folder. Raises :class:`SceneError` naming what is wrong, :class:`ConfigError` for options."""
     if not path.exists():
         raise SceneError(f"{path}: no such file or folder; give one, or 'procedural'")
+    if is_timed(path):
+        return TimedScene(path, options)
+    if options.duration is not None:
+        raise ConfigError(f"{path}: duration = {options.duration} is for 4D files; give frames and fps")
     if path.suffix.lower() == ".npz":
         return Dynamic3dScene(path, options)
     name = (path.parent if path.name == META else path).resolve().name

@@ -2,38 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 from cags_common.errors import ConfigError
+from cags_encoder.scenes.disguised import DisguisedScene, DisguiseOptions
 from cags_encoder.scenes.file_options import FileOptions
 from cags_encoder.scenes.files import open_files
+from cags_encoder.scenes.fourd import FourdOptions, FourdScene
 from cags_encoder.scenes.motion import MotionOptions, MotionScene
 from cags_encoder.scenes.options import parse_options, split_options
 from cags_encoder.scenes.procedural import ProceduralScene, ProceduralSettings
 from cags_encoder.scenes.source import FrameSource
 
 MOTION = "motion:"
+GENERATED = ("procedural", "fourd")
 
 
 def open_scene(spec: str) -> FrameSource:
     """Open the scene that ``spec`` names.
 
     - ``procedural[:size=..,frames=..,seed=..,fps=..]``: the embedded room;
+    - ``fourd[:splats=..,births=..,degree=..,frames=..,..]``: a generated clip as 4D models give them;
     - ``PATH[:frames=..,fps=..,up=..]``: a file, a folder with an unbundled SOG, or a folder of numbered frames;
     - ``motion:PATH[:kind=..,frames=..,share=..,...]``: the first frame of PATH, set in motion.
+
+    Any of them takes ``shuffle=1`` and ``quantise=sog|spz`` as well.
 
     Raises :class:`SceneError` for scenes that cannot be read and :class:`ConfigError` for unknown options and values
     out of range.
     """
     head, options = split_options(spec)
+    if head not in GENERATED and not head.startswith(MOTION) and spec and Path(spec).exists():
+        return open_files(Path(spec), FileOptions())  # an existing path wins over options, whatever characters it holds
+    disguise = {f.name: options.pop(f.name) for f in fields(DisguiseOptions) if f.name in options}
+    scene = _open(spec, head, options)
+    chosen = parse_options(DisguiseOptions, spec, disguise)
+    return scene if chosen == DisguiseOptions() else DisguisedScene(scene, chosen)
+
+
+def _open(spec: str, head: str, options: dict[str, str]) -> FrameSource:
     if head == "procedural":
         return ProceduralScene(parse_options(ProceduralSettings, spec, options))
+    if head == "fourd":
+        return FourdScene(parse_options(FourdOptions, spec, options))
     if head.startswith(MOTION):
         return _open_motion(spec, head.removeprefix(MOTION), options)
     if not head:
         raise ConfigError(f"scene {spec!r} names nothing; give a file, a folder, or 'procedural'")
-    if Path(spec).exists():  # an existing path wins over options, whatever characters it holds
-        return open_files(Path(spec), FileOptions())
     return open_files(Path(head), parse_options(FileOptions, spec, options))
 
 

@@ -178,6 +178,19 @@ class NativeScene:
             raise ValueError(f"rows {int(rows.min())} to {int(rows.max())} of a scene of {self.count}")
         return np.ascontiguousarray(rows, dtype=np.int64)
 
+    def move(self, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int = 1) -> None:
+        """Take position, rotation and opacity at rising ``rows`` [M] from ``splats``, the arrays [N] of the whole scene.
+
+        The others of their columns must be those that the scene holds. Raises :class:`cags_kernels.KernelError` for
+        splats that cannot be drawn, and then nothing is changed.
+        """
+        given, rows = _splats(splats), self._rows(rows, len(rows))
+        if (len(splats[0]), splats[5].shape[1]) != (self.count, self._coefficients):
+            raise ValueError(f"{len(splats[0])} splats of {splats[5].shape[1]} coefficients for a scene of {self.count}")
+        move = self._library.cags_raster_scene_move
+        count = ctypes.c_int64(len(rows))
+        check(move(self._handle, _address(rows), count, ctypes.byref(given), threads), "raster_scene_move")
+
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
         """Render one view over black; depth as ``options.depth`` says."""
         shape = _size(camera.width, camera.height)

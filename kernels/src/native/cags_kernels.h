@@ -64,6 +64,9 @@ CAGS_API void cags_raster_scene_destroy(CagsRasterScene* scene);
 CAGS_API int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, const CagsSplats* splats);
 // Replaces only the base colours (SH of degree 0) sh0 [count, 3] of the splats at `rows`.
 CAGS_API int32_t cags_raster_scene_recolour(CagsRasterScene* scene, const int64_t* rows, int64_t count, const float* sh0);
+// `all` has a splat for each of the scene's, of which those at rising `rows` moved: position, rotation and opacity are taken from there.
+// Nothing is changed where one of them cannot be drawn (CAGS_INVALID).
+CAGS_API int32_t cags_raster_scene_move(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all, int32_t threads);
 CAGS_API int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,
                                     const CagsRasterTargets* targets, CagsRasterStatistics* statistics);
 CAGS_API int32_t cags_raster_back_project(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,

@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cags_client.past import SplatPast
+from cags_client.past import EarlierGroups, SplatPast
+from cags_common.splat_buffer import MOVING_COLUMNS
 from cags_common.splats import Splats
 
 ROWS = 6
@@ -19,38 +20,65 @@ def splats(values: np.ndarray) -> Splats:
     )  # fmt: skip
 
 
-changes = st.lists(st.sets(st.integers(0, ROWS - 1)), min_size=1, max_size=12)
+changes = st.lists(st.tuples(st.sets(st.integers(0, ROWS - 1)), st.booleans()), min_size=1, max_size=12)
 
 
-@settings(max_examples=60)
+@settings(max_examples=100)
 @given(changes, st.integers(0, 8))
-def test_as_of_gives_back_every_state_that_is_remembered(rows_of: list[set[int]], span: int) -> None:
-    past, held, states = SplatPast(), np.zeros(ROWS), []
+def test_as_of_gives_back_every_state_that_is_remembered(rows_of: list[tuple[set[int], bool]], span: int) -> None:
+    """Rows are replaced whole, or only move."""
+    past, held, states = SplatPast(), splats(np.zeros(ROWS)), []
     past.span = span
-    for frame, changed in enumerate(rows_of, start=1):
-        states.append(held.copy())
+    for frame, (changed, moved) in enumerate(rows_of, start=1):
+        states.append(held.take(slice(None)))
         past.advance(frame)
         rows = np.array(sorted(changed), np.int32)
-        past.record(frame, rows, splats(held))
-        held[rows] = frame
-    states.append(held.copy())
+        past.record(frame, rows, held, moved=moved)
+        held = held.take(np.arange(ROWS))
+        for name, column in held.arrays():
+            if not moved or name in MOVING_COLUMNS:
+                column[rows] = frame
+    states.append(held)
     last = len(rows_of)
     for frame in range(last + 1):
         assert past.knows(frame) == (frame >= last - span)
-        if past.knows(frame):
-            then = held.copy()
-            before = past.as_of(frame)
-            assert (before is not None) == past.changed_since(frame) == any(rows_of[frame:])
-            if before is not None:
-                then[before[0]] = before[1].means[:, 0]
-            np.testing.assert_array_equal(then, states[frame])
+        if not past.knows(frame):
+            continue
+        then = past.as_of(frame, held)
+        assert (then is not None) == past.changed_since(frame) == any(changed for changed, _ in rows_of[frame:])
+        earlier = EarlierGroups()
+        earlier.add(last, held, past)
+        for (name, before), (_, whole) in zip(states[frame].arrays(), earlier.as_of(frame).arrays(), strict=True):
+            np.testing.assert_array_equal(whole, before, name)
+        if then is not None:
+            assert not np.intersect1d(then.rows, then.moved).size
+            apart = held.take(np.arange(ROWS))
+            for name in MOVING_COLUMNS:
+                getattr(apart, name)[then.moved] = getattr(then.scene, name)[then.moved]
+            for (name, column), (_, old) in zip(apart.arrays(), then.splats.arrays(), strict=True):
+                column[then.rows] = old
+                np.testing.assert_array_equal(column, getattr(states[frame], name), name)
+
+
+def test_what_only_moves_within_a_frame_is_remembered_as_it_was_before_and_takes_little() -> None:
+    past, held = SplatPast(), splats(np.zeros(ROWS))
+    past.span = 10
+    rows = np.arange(4)
+    for step in range(8):  # on the way to frame 1
+        past.record(1, rows, held, moved=True)
+        held.means[rows] = step + 1
+    assert past._held == 1
+    then = past.as_of(0, held)
+    assert then is not None
+    assert then.moved.tolist() == [0, 1, 2, 3]
+    assert not then.scene.means.any()
 
 
 def test_nothing_is_kept_without_a_span() -> None:
     past = SplatPast()
     past.advance(3)
     past.record(3, np.arange(2, dtype=np.int32), splats(np.zeros(ROWS)))
-    assert past.as_of(0) is None
+    assert past.as_of(0, splats(np.zeros(ROWS))) is None
     assert not past.knows(2)
     assert past.knows(3)
 

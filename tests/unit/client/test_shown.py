@@ -17,7 +17,7 @@ AHEAD, BEHIND = (0.0, 0.0, 5.0), (0.0, 0.0, -5.0)
 
 def held(index: int, owned: int, lod: int, at: tuple[float, float, float] = AHEAD) -> Held:
     tile = OpenTile(SimpleNamespace(), np.array(at, np.float32), 0.1)  # type: ignore[arg-type]
-    return Held(index, (0, index), tile, owned, lod)
+    return Held(index=index, key=(0, index), tile=tile, owned=owned, shown_lod=lod)
 
 
 def shown(*tiles: Held) -> Shown:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cags_client.merged import ABSENT_LOGIT
 from cags_client.tile_store import TileStore
 from cags_common.codecs import SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.motion.apply import ABSENT_LOGIT
 from cags_protocol.messages import HeldTile
 from support.small_store import CAPACITY, base, books, layer, manifest, removed, xs
 
@@ -162,7 +162,7 @@ def test_layers_that_wait_for_their_base_are_bounded(store: TileStore, monkeypat
     for tile in range(1000):
         store.add(0, tile, 1, [layer(4, 1)])
     gof, _ = store.commit(0)
-    assert gof._waiting.bytes <= 100
+    assert gof._tiles._waiting.bytes <= 100
     dropped = store.take_dropped()
     kept = 1000 - len(dropped)
     assert kept > 0, "the newest wait on"
@@ -182,9 +182,9 @@ def replaced_thrice(store: TileStore) -> TileStore:
 
 def test_tiles_without_splats_left_take_no_part(store: TileStore) -> None:
     gof, _ = replaced_thrice(store).commit(3)
-    assert sum(held is not None and held.owned > 0 for held in gof._tiles.values()) == 2
+    assert sum(held is not None and held.owned > 0 for held in gof._tiles._tiles.values()) == 2
     store.add(0, 0, 1, [layer(2, 1)])  # late, for a replaced one
-    assert gof.commit(3)[0].tolist() == []
+    assert gof.commit(3).rows.tolist() == []
 
 
 def test_earlier_frames_are_shown_again_from_what_is_held(store: TileStore) -> None:
@@ -199,7 +199,7 @@ def test_layers_that_come_after_their_tile_was_replaced_count_in_the_replay(stor
     store.add(0, 0, 1, [layer(2, 1)])
     gof, committed = store.commit(0)
     assert len(committed.rows) == CAPACITY
-    assert gof.shown.tiles[1].shown_lod == 1
+    assert gof.shown.tiles[0].shown_lod == 1
     assert gof.splats.sh0[0, 0] == 3  # code 1 with another bit
 
 
@@ -207,14 +207,14 @@ def test_layers_that_come_after_their_tile_was_replaced_count_in_the_replay(stor
 def test_what_is_kept_for_a_replay_is_bounded(
     store: TileStore, bound: str, least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"cags_client.gof_store.{bound}", least)
+    monkeypatch.setattr(f"cags_client.gof_tiles.{bound}", least)
     replaced_thrice(store)
     store.add(0, 0, 1, [layer(2, 1)])
     gof, _ = store.commit(3)
     assert not store.keeps
     assert not store.holds(0)
-    assert sum(held is not None for held in gof._tiles.values()) == 2
-    assert not gof._late
+    assert sum(held is not None for held in gof._tiles._tiles.values()) == 2
+    assert not gof._tiles._late
 
 
 def test_lod_mean_counts_what_is_in_view(store: TileStore) -> None:

@@ -43,7 +43,7 @@ class GrowingTile:
     """A tile whose second level brings a splat with an id that the group does not have."""
 
     def __init__(self) -> None:
-        self.ids, self.lod = np.array([0], np.int32), 0
+        self.ids, self.lod, self.steps = np.array([0], np.int32), 0, None
 
     @property
     def means(self) -> np.ndarray:

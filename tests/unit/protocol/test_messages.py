@@ -107,7 +107,7 @@ def test_records_may_grow():
         ({"type": "poses", "samples": [[0, [0, 0, 0, 0.5, 0, 0, 0]]]}, "unit quaternion"),
         ({"type": "poses", "samples": [[0, [0, 0, float("inf"), 1, 0, 0, 0]]]}, "samples.pose"),
         ({"type": "poses", "samples": [[0, [0, 0, 0]]]}, "seven numbers"),
-        ({"type": "hello", "version": 1, "intrinsics": [0, 1, 1, 1, 0, 0], "pose": [0, 0, 0, 1, 0, 0, 0]}, "width_px"),
+        ({"type": "hello", "version": 2, "intrinsics": [0, 1, 1, 1, 0, 0], "pose": [0, 0, 0, 1, 0, 0, 0]}, "width_px"),
     ],
 )
 def test_wrong_headers_are_refused_by_name(header, says):
@@ -143,7 +143,7 @@ def test_a_header_without_crc_is_refused():
 
 
 def test_a_hello_of_another_version_names_both():
-    with pytest.raises(VersionError, match=r"version = 9 .*speaks 1") as error:
+    with pytest.raises(VersionError, match=r"version = 9 .*speaks 2") as error:
         decode(pack({"type": "hello", "version": 9, "camera": "holographic"}))
     assert error.value.theirs == 9
 

@@ -22,10 +22,10 @@ POSE = Pose((0.25, -1.5, 3.0), (0.5, 0.5, -0.5, 0.5))
 CAMERA = Intrinsics(1600, 1200, 1385.5, 1385.5, 800.0, 600.0)
 
 MESSAGES: list[tuple[str, m.Message, bytes]] = [
-    ("hello", m.Hello(1, CAMERA, POSE), b""),
+    ("hello", m.Hello(2, CAMERA, POSE), b""),
     (
         "hello resuming",
-        m.Hello(1, CAMERA, POSE, 0.1, 30, "token", "cags-client 0.1.0", "s-1", pack_inventory([m.HeldTile(30, 2, 5)])),
+        m.Hello(2, CAMERA, POSE, 0.1, 30, "token", "cags-client 0.1.0", "s-1", pack_inventory([m.HeldTile(30, 2, 5)])),
         b"",
     ),
     ("poses", m.PoseBatch((m.PoseSample(1_000_000, POSE), m.PoseSample(1_027_777, Pose.identity()))), b""),
@@ -41,6 +41,12 @@ MESSAGES: list[tuple[str, m.Message, bytes]] = [
     ("welcome", m.Welcome("s-1", 30.0, 300, True, b'{"name":"room"}'), b""),
     ("blob", m.Blob("codebooks", 262144, 262150), b"\0\1\2\3\4\5"),
     ("tile", m.TileLayers(31, 7, 1, 3, (2, 1), (0xDEADBEEF, 1)), b"\xaa\xbb\xcc"),
+    ("tile of motion", m.TileLayers(31, 8, 0, 2, (2, 1), (0xDEADBEEF, 1)), b"\x01\xbb\xcc"),
+    (
+        "tile of an update, of one attribute alone",
+        m.TileLayers(31, 9, 0, 3, (2, 0, 1), (0xDEADBEEF, 0, 1)),
+        b"\x03\xbb\xcc",
+    ),
     ("reference", m.ReferenceFrame(31, 32, POSE, CAMERA, True), b"\0\0\0\1\x67"),
     (
         "reference, its noise measured",
@@ -49,7 +55,7 @@ MESSAGES: list[tuple[str, m.Message, bytes]] = [
     ),
     ("frame end", m.FrameEnd(31), b"\7\0\0\0"),
     ("notice", m.Notice("slow", "the link carries less than the least quality"), b""),
-    ("refusal", m.Refusal("version", "version", "version = 2 is not spoken here; this server speaks 1"), b""),
+    ("refusal", m.Refusal("version", "version", "version = 1 is not spoken here; this server speaks 2"), b""),
     ("fragment, whole", m.Fragment(1, 1), b"whole"),
     ("fragment, part", m.Fragment(2, 2, 8096, 20000), b"part"),
     ("abandon", m.Abandon((2, 3)), b""),
@@ -76,11 +82,13 @@ LATER: list[tuple[str, m.Message, bytes]] = [
     ),
 ]
 
+HELLO = {"type": "hello", "intrinsics": [1, 1, 1, 1, 0, 0], "pose": [0, 0, 0, 1, 0, 0, 0]}
 TILE = {"type": "tile", "frame": 0, "tile": 0, "from_lod": 0, "to_lod": 1}
 
 REFUSED: list[tuple[str, bytes]] = [
     ("an unknown type", raw({"type": "teleport"})),
-    ("another version", raw({"type": "hello", "version": 2, "view": "lightfield"})),
+    ("another version", raw({"type": "hello", "version": 3, "view": "lightfield"})),
+    ("the version before", raw({**HELLO, "version": 1})),
     ("a missing field", raw({"type": "ping"})),
     ("a float for an integer", raw({"type": "ping", "t_us": 5.0})),
     ("a payload where none belongs", raw({"type": "ping", "t_us": 5}, b"x")),
@@ -100,7 +108,7 @@ def vectors() -> dict[str, object]:
     """Everything a decoder must read or refuse."""
     good = [(name, message, encode(message, payload)) for name, message, payload in MESSAGES] + LATER
     return {
-        "version": 1,
+        "version": 2,
         "read": [
             {
                 "name": name,

@@ -1,4 +1,7 @@
-"""Messages of every version so far are read, or refused, as they were when they were written down."""
+"""Messages of every version so far are read, or refused, as they were when they were written down.
+
+A hello of a version that is not spoken any more is refused by name.
+"""
 
 import dataclasses
 import json
@@ -8,7 +11,8 @@ import pytest
 
 from cags_common.errors import ProtocolError
 from cags_protocol import messages as m
-from cags_protocol.encoding import decode
+from cags_protocol.encoding import VersionError, decode
+from cags_protocol.limits import SUPPORTED_VERSIONS
 
 FILES = sorted(Path(__file__).parent.glob("v*.json"))
 CONTENTS = [json.loads(path.read_text(encoding="utf-8")) for path in FILES]
@@ -16,13 +20,27 @@ READ = [entry for content in CONTENTS for entry in content["read"]]
 REFUSE = [entry for content in CONTENTS for entry in content["refuse"]]
 
 
-@pytest.mark.parametrize("entry", READ, ids=lambda entry: entry["name"])
+SPOKEN = [entry for entry in READ if entry["fields"].get("version", SUPPORTED_VERSIONS[0]) in SUPPORTED_VERSIONS]
+UNSPOKEN = [entry for entry in READ if entry not in SPOKEN]
+
+
+@pytest.mark.parametrize("entry", SPOKEN, ids=lambda entry: entry["name"])
 def test_a_recorded_message_is_read(entry):
     message, payload = decode(bytes.fromhex(entry["data"]))
     fields = json.loads(json.dumps(dataclasses.asdict(message), default=lambda b: b.hex()))
     assert entry["type"] == message.TAG
     assert {name: fields[name] for name in entry["fields"]} == entry["fields"]  # later versions may add fields
     assert bytes(payload).hex() == entry["payload"]
+
+
+@pytest.mark.parametrize("entry", UNSPOKEN, ids=lambda entry: entry["name"])
+def test_a_hello_of_an_earlier_version_is_refused_in_a_line_that_names_both(entry):
+    with pytest.raises(VersionError) as error:
+        decode(bytes.fromhex(entry["data"]))
+    text = str(error.value)
+    assert f"version = {entry['fields']['version']}" in text
+    assert f"speaks {SUPPORTED_VERSIONS[0]}" in text
+    assert "\n" not in text
 
 
 @pytest.mark.parametrize("entry", REFUSE, ids=lambda entry: entry["name"])

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from cags_common.bundle import BundleReader, Manifest
 from cags_common.bundle.reader import MANIFEST_NAME
+from cags_common.codecs import MotionTile
 from cags_common.splats import Splats
+from cags_common.updates import UpdateState
 from cags_encoder.pipeline import encode
 from cags_encoder.scenes import open_scene
 from cags_encoder.settings import EncodeSettings
@@ -58,6 +60,7 @@ class Ladder:
         parts = []
         for payloads, lod in zip(self._payloads, lods, strict=True):
             tile = self._codec.open_tile(payloads[0])
+            assert not isinstance(tile, MotionTile | UpdateState)  # a single frame has looks alone
             for level in range(1, int(lod) + 1):
                 tile.add_layer(level, payloads[level])
             parts.append(tile.dequantise())

@@ -92,6 +92,18 @@ int32_t cags_raster_scene_recolour(CagsRasterScene* scene, const int64_t* rows, 
   return CAGS_OK;
 }
 
+int32_t cags_raster_scene_move(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all, int32_t threads) {
+  if (count < 0 || threads < 1 || !inside(*scene, rows, count)) return CAGS_INVALID;
+  if (all->count != scene->scene.count() || all->sh_rest_count != scene->scene.data().sh_rest) return CAGS_INVALID;
+  threads = std::min(threads, cags::kMaxThreads);
+  bool good = false;
+  const int32_t status = cags::guarded([&] {
+    good = scene->scene.drawable(rows, count, *all, threads);
+    if (good) scene->scene.move(rows, count, *all, threads);
+  });
+  return status == CAGS_OK && !good ? CAGS_INVALID : status;
+}
+
 int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,
                            const CagsRasterTargets* targets, CagsRasterStatistics* statistics) {
   cags::raster::SplatSums sums;

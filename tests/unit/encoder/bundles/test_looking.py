@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import BundlePlayer, BundleReader
+from cags_common.tile_kinds import TileKind
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.cli import main
 from cags_encoder.formats import read_splats
@@ -34,17 +35,19 @@ def test_inspect_says_what_is_there(bundle: Path, capsys: pytest.CaptureFixture[
     found = json.loads(said(capsys, "--inspect", str(bundle), "--json"))
     with BundleReader.open(str(bundle)) as reader:
         manifest, entries = reader.manifest, [reader.frame(k) for k in range(3)]
-    sent = [sum(tile.splats for tile in entry.tiles) for entry in entries]
+    sent = [sum(tile.splats for tile in entry.tiles if tile.kind == TileKind.LOOKS) for entry in entries]
     assert [(f["key"], f["splats"]) for f in found["each_frame"]] == list(zip((True, False, True), sent, strict=True))
-    assert sent[0] == sent[2] == 600 and 80 < sent[1] <= 100
+    assert sent == [600, 0, 600]
     assert [f["bytes"] for f in found["each_frame"]] == [entry.size_bytes for entry in entries]
-    assert sum(level["bytes"] for level in found["levels"]) == sum(sum(t.lod_bytes) for e in entries for t in e.tiles)
+    every = sum(sum(t.lod_bytes) for e in entries for t in e.tiles)
+    assert sum(level["bytes"] for level in found["levels"]) + sum(found["bytes_of"]["motion"]) == every
+    assert found["bytes_of"]["motion"][0] > 0 and not found["bytes_of"]["update"]
     assert found["levels"][0]["adds"] == "base" and len(found["levels"]) == manifest.lods
     assert {book["attribute"] for book in found["codebooks"]} >= {"scale", "sh0", "sh1"}
     if manifest.lod_gains_db:
         assert len(found["quality"]["ladder"]) == manifest.lods
     text = said(capsys, "--inspect", str(bundle))
-    assert "3 frames at 30 fps in 2 groups" in text and "codebook" in text
+    assert "3 frames at 30 fps in 2 groups" in text and "codebook" in text and "motion tiles: " in text
     assert text.count("\n") > manifest.lods
 
 

@@ -1,0 +1,1 @@
+"""``cags-bench motion``: what moving scenes cost, with motion coded apart and without."""

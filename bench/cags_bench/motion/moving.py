@@ -1,0 +1,48 @@
+"""Moving splats without a scene: tiles whose motion has blocks, positions and rotations, ready to be evaluated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cags_common.motion import chunk
+from cags_common.motion.apply import Steps
+from cags_common.motion.chunk import Blocks, ChunkDecoder
+from cags_common.splat_buffer import Slot, SplatBuffer
+from cags_common.splats import Splats
+
+TILE, BLOCK, SPAN = 8_000, 128, 32
+
+
+def moving_buffer(count: int, threads: int, seed: int = 0) -> SplatBuffer:
+    """A buffer of ``count`` splats in tiles of :data:`TILE`, each with one chunk of motion from frame 0 on."""
+    random, buffer = np.random.default_rng(seed), SplatBuffer(count, 0, threads=threads)
+    for number, first in enumerate(range(0, count, TILE)):
+        ids = np.arange(first, min(first + TILE, count), dtype=np.int32)
+        n = len(ids)
+        steps = Steps(np.full(n, 1e-4, np.float32), np.full(n, 1e-3, np.float32))
+        slot = Slot(number, (0, number), steps=steps)
+        buffer.add(slot)
+        buffer.write(slot, 0, ids, _splats(n, random))
+        buffer.set_motion(slot.key, 0, _chunk(n, number, random))
+    buffer.move(0.0)
+    return buffer
+
+
+def _splats(n: int, random: np.random.Generator) -> Splats:
+    quats = random.normal(size=(n, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    values = random.normal(size=(n, 3)), quats, np.full((n, 3), -4.0), np.zeros(n), random.normal(size=(n, 3))
+    return Splats(*(v.astype(np.float32) for v in values), np.zeros((n, 0, 3), np.float32))
+
+
+def _chunk(n: int, number: int, random: np.random.Generator) -> chunk.Chunk:
+    times = np.arange(SPAN + 1)[:, None, None]
+    moves = 40 * np.sin(times / 5 + random.uniform(0, 6, (1, n, 3)))
+    turns = 8 * np.sin(times / 7 + random.uniform(0, 6, (1, n, 4)))
+    count = -(-n // BLOCK)
+    shifts, spins = (random.integers(-500, 500, (SPAN + 1, count, 3)).astype(np.int32) for _ in range(2))
+    payloads = chunk.encode((0, number), moves, turns, starts=True, blocks=Blocks(BLOCK, 1e-3, shifts, spins))
+    decoder = ChunkDecoder(payloads[0])
+    for payload in payloads[1:]:
+        decoder.add_level(payload)
+    return decoder.chunk

@@ -1,0 +1,252 @@
+"""Where the splats of a tile are at a time: a chunk of motion evaluated against the tile's own positions and rotations.
+
+The definition, in numpy; the native kernel gives the same bits for positions and rotations. Every operation is a
+rounded sum, product, quotient or root of doubles, in the order that is written here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isnan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cags_kernels
+from cags_common.geometry import F32, F64
+from cags_common.motion.chunk import TURN_UNIT, Chunk
+from cags_common.motion.knots import FRACTION_BITS, I32
+
+ABSENT_LOGIT = np.float32(-30.0)
+"""Opacity logit of a splat that is not there: drawn opacity 1e-13, which every rasteriser culls."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Units of a tile's residuals, by splat: finest units of the levels, before the fixed point."""
+
+    moves: F32  # [n] metres
+    turns: F32  # [n] of a quaternion's imaginary part: half an angle, radians
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """What motion changes of splats: before it, as a tile's levels decode, or at a time."""
+
+    means: F32  # [n, 3] world, metres
+    quats: F32  # [n, 4] wxyz, unit, w >= 0
+    logit_opacities: F32  # [n] ABSENT_LOGIT for those that are not there
+
+    def take(self, rows: NDArray[Any]) -> Looks:
+        """Those of ``rows``."""
+        return Looks(self.means[rows], self.quats[rows], self.logit_opacities[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingTile:
+    """One tile's part of :func:`move_rows`. A splat belongs to one tile at most."""
+
+    chunk: Chunk
+    time: float
+    """Frames from the chunk's first."""
+    rows: I32  # [n] row of each splat in the arrays by id; -1: not the tile's any more
+    steps: Steps
+
+
+def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
+    """The splats [n] of a tile ``time`` frames after the chunk's first, held at its span's end.
+
+    ``looks`` are the tile's own, as decoded. Between two frames positions follow the line through both, and rotations
+    the normalised one. Raises ``ValueError`` for a time that is not a number.
+    """
+    moment = moment_of(chunk, time)
+    with np.errstate(over="ignore", under="ignore"):
+        at, turned = _rigid(chunk, moment, looks)
+        if chunk.moves is not None:
+            unit = steps.moves.astype(np.float64) / (1 << FRACTION_BITS)
+            at = at + _between(chunk.moves, moment) * unit[:, None]
+        if chunk.turns is not None:
+            unit = steps.turns.astype(np.float64) / (1 << FRACTION_BITS)
+            turn = _between(chunk.turns, moment) * unit[:, None]
+            turn[:, 0] += 1.0
+            turned = product(_unit(turn), looks.quats.astype(np.float64) if turned is None else turned)
+        rotated = looks.quats if turned is None else _canonical(turned)
+        return Looks(at.astype(np.float32), rotated, opacities(chunk, moment.time, looks.logit_opacities))
+
+
+def move_rows(
+    tiles: Sequence[MovingTile], looks: Looks, into: Looks, threads: int = 1, *, native: bool | None = None
+) -> None:
+    """Evaluate the splats of ``tiles``: from rows of ``looks`` to the same rows of ``into``, other arrays by id.
+
+    Arrays by id are C-contiguous float32 [capacity, ...]; no row is in two tiles. ``native`` None takes the kernel
+    where there is one, on ``threads``. Raises ``ValueError`` for rows that the arrays do not have and for a time that
+    is not a number, and then nothing is written.
+    """
+    for tile in tiles:
+        _check_tile(tile, len(looks.means))
+    if cags_kernels.native_available() if native is None else native:
+        _move_natively(tiles, looks, into, threads)
+        return
+    for tile in tiles:
+        mine = np.flatnonzero(tile.rows >= 0)
+        rows, moved = tile.rows[mine], evaluate(tile.chunk, tile.time, looks.take(np.maximum(tile.rows, 0)), tile.steps)
+        into.means[rows] = moved.means[mine]
+        into.quats[rows] = moved.quats[mine]
+        into.logit_opacities[rows] = moved.logit_opacities[mine]
+
+
+def _move_natively(tiles: Sequence[MovingTile], looks: Looks, into: Looks, threads: int) -> None:
+    """By the kernel, but for the opacities of tiles with fades: logarithms differ from processor to processor."""
+    from cags_kernels import motion
+
+    given, out = ((a.means, a.quats, a.logit_opacities) for a in (looks, into))
+    motion.move_rows([_kernel_tile(tile) for tile in tiles], given, out, threads)
+    for tile in tiles:
+        if tile.chunk.fades is not None:
+            logits = looks.logit_opacities[np.maximum(tile.rows, 0)]
+            mine, faded_ = tile.rows >= 0, opacities(tile.chunk, moment_of(tile.chunk, tile.time).time, logits)
+            into.logit_opacities[tile.rows[mine]] = faded_[mine]
+
+
+def _kernel_tile(tile: MovingTile) -> Any:
+    from cags_kernels import motion
+
+    chunk, moment = tile.chunk, moment_of(tile.chunk, tile.time)
+    blocks = chunk.blocks
+    return motion.TileMotion(
+        *(chunk.splats, chunk.span, moment.time, moment.sample, moment.share, tile.rows, chunk.moves, chunk.turns),
+        *(tile.steps.moves, tile.steps.turns),
+        None if blocks is None else (blocks.size, float(np.float32(blocks.unit)), blocks.shifts, blocks.turns),
+        chunk.lives,
+        chunk.fades is not None,
+    )
+
+
+def _check_tile(tile: MovingTile, capacity: int) -> None:
+    if len(tile.rows) != tile.chunk.splats:
+        raise ValueError(f"motion: a tile of {tile.chunk.splats} splats has {len(tile.rows)} rows")
+    if int(tile.rows.max(initial=-1)) >= capacity or int(tile.rows.min(initial=0)) < -1:
+        raise ValueError(f"motion: rows {tile.rows.min()} to {tile.rows.max()} of arrays of {capacity}")
+    moment_of(tile.chunk, tile.time)
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A time within a chunk's span: ``share`` of the way from ``sample`` to the next."""
+
+    time: float
+    sample: int
+    share: float
+
+
+def moment_of(chunk: Chunk, time: float) -> Moment:
+    """``time`` frames from the chunk's first, held within its span. Raises ``ValueError`` for not a number."""
+    if isnan(time):
+        raise ValueError("motion: the time is not a number")
+    time = min(max(time, 0.0), float(chunk.span))
+    sample = min(int(time), chunk.span - 1)
+    return Moment(time, sample, time - sample)
+
+
+def _between(samples: I32, moment: Moment) -> F64:
+    first: F64 = samples[moment.sample].astype(np.float64)
+    if moment.share == 0.0:
+        return first
+    after: F64 = samples[moment.sample + 1].astype(np.float64)
+    return first + (after - first) * moment.share
+
+
+def _rigid(chunk: Chunk, moment: Moment, looks: Looks) -> tuple[F64, F64 | None]:
+    """Positions and rotations, not unit, as the blocks carry them; no rotations: they are as they were."""
+    blocks, wide = chunk.blocks, looks.means.astype(np.float64)
+    if blocks is None:
+        return wide, None
+    of = np.arange(len(wide)) // blocks.size
+    turns = _unit_of_gibbs(_between(blocks.turns, moment) * TURN_UNIT)
+    shifts = _between(blocks.shifts, moment) * float(np.float32(blocks.unit))
+    return rotate(turns[of], wide) + shifts[of], product(turns[of], looks.quats.astype(np.float64))
+
+
+def _unit_of_gibbs(gibbs: F64) -> F64:
+    """Unit quaternions [n, 4] of Gibbs vectors [n, 3]."""
+    return _unit(np.concatenate([np.ones((len(gibbs), 1)), gibbs], axis=1))
+
+
+def _unit(quats: F64) -> F64:
+    """Quaternions [n, 4] of length one; those without a direction become the identity."""
+    w, x, y, z = quats.T
+    norms = np.sqrt(((w * w + x * x) + y * y) + z * z)
+    lost = ~(norms > 1e-12) | ~np.isfinite(norms)
+    out = quats / np.where(lost, 1.0, norms)[:, None]
+    out[lost] = (1.0, 0.0, 0.0, 0.0)
+    return out
+
+
+def _canonical(quats: F64) -> F32:
+    wide = _unit(quats)
+    return np.ascontiguousarray(np.where(wide[:, :1] < 0, -wide, wide), dtype=np.float32)
+
+
+def product(a: F64, b: F64) -> F64:
+    """Quaternion products [n, 4] of ``a`` after ``b``: sums from left to right."""
+    w1, x1, y1, z1 = a.T
+    w2, x2, y2, z2 = b.T
+    return np.stack(
+        [
+            ((w1 * w2 - x1 * x2) - y1 * y2) - z1 * z2,
+            ((w1 * x2 + x1 * w2) + y1 * z2) - z1 * y2,
+            ((w1 * y2 - x1 * z2) + y1 * w2) + z1 * x2,
+            ((w1 * z2 + x1 * y2) - y1 * x2) + z1 * w2,
+        ],
+        axis=1,
+    )
+
+
+def rotate(quats: F64, points: F64) -> F64:
+    """``points`` [n, 3] turned by unit ``quats`` [n, 4]: p + 2 (w (v x p) + v x (v x p))."""
+    w, x, y, z = quats.T
+    px, py, pz = points.T
+    cx, cy, cz = y * pz - z * py, z * px - x * pz, x * py - y * px
+    return np.stack(
+        [
+            px + 2.0 * (w * cx + (y * cz - z * cy)),
+            py + 2.0 * (w * cy + (z * cx - x * cz)),
+            pz + 2.0 * (w * cz + (x * cy - y * cx)),
+        ],
+        axis=1,
+    )
+
+
+def opacities(chunk: Chunk, time: float, logits: F32) -> F32:
+    """Opacity logits [n] at a time within the span: after fades, and of those that are there."""
+    out = logits
+    if chunk.fades is not None:
+        out = faded(chunk.fades, time, logits)
+    if chunk.lives is not None:
+        out = np.where(alive(chunk, time), out, ABSENT_LOGIT).astype(np.float32)
+    return out
+
+
+def alive(chunk: Chunk, time: float) -> NDArray[np.bool_]:
+    """Whether each splat [n] is there: before the last frame of its life has passed."""
+    if chunk.lives is None:
+        return np.ones(chunk.splats, bool)
+    there: NDArray[np.bool_] = (chunk.lives.astype(np.float64) > time) | (chunk.lives == chunk.span + 1)
+    return there
+
+
+def faded(fades: F32, time: float, logits: F32) -> F32:
+    """Opacity logits [n] after fades [n, 2]: opacities times a Gaussian of the time."""
+    rows = np.flatnonzero(np.isfinite(fades[:, 1]))
+    if not len(rows):
+        return logits
+    away = (np.float64(time) - fades[rows, 0]) / fades[rows, 1]
+    with np.errstate(over="ignore", under="ignore"):
+        opacity = np.exp(-0.5 * away * away) / (1.0 + np.exp(-logits[rows].astype(np.float64)))
+    inside = np.clip(opacity, 1e-9, 1 - 1e-7)
+    out = logits.copy()
+    out[rows] = np.log(inside / (1.0 - inside)).astype(np.float32)
+    return out

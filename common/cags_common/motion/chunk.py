@@ -1,0 +1,314 @@
+"""A chunk of motion, both ways: what the splats of one tile of looks do from one frame to a later one.
+
+Everything is said against the tile's own positions and rotations, which a client has from the tile's first level on: a
+chunk needs no other chunk, and nothing drifts. Level 0 says who ends when, who fades how, how blocks of splats move as
+rigid bodies, and coarse residuals; each further level refines the residuals by four. Layout: ``docs/bundle.md``.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.errors import DecodeError
+from cags_common.geometry import F32, F64
+from cags_common.motion.knots import I32, knots
+from cags_common.motion.symbols import CENTRE, LIFE, WIDTH, SymbolReader, SymbolWriter
+from cags_common.packing import squeeze, unsqueeze
+
+VERSION = 1
+LEVELS = 3
+REFINEMENT = 4
+"""A level's unit is so many times the next one's."""
+
+MAX_SPAN = 64
+MAX_SPLATS = 65_536
+MAX_SAMPLES = 1 << 20
+"""Splats times samples of the span: what a payload of a few bytes may claim takes 28 MiB."""
+
+MAX_BLOCK = 4_096
+MAX_UNIT = 1e30
+MAX_UNITS = (1 << 25) - (1 << 10)
+"""Residuals, finest units: fixed point fits 32 bits."""
+
+STARTS, TURNS, LIVES, FADES, MOVES = 1, 2, 4, 8, 16
+DEADZONE = 0.1
+
+FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
+"""Standard deviations of a fade, frames; index 0 of the payload stands for none."""
+
+FADE_STEP = 4
+"""Centres of fades are in this part of their width."""
+
+_HEAD = struct.Struct("<BBBBIIIHxxfIII")
+"""Version, flags, span, levels, looks' frame and tile, splats, block, metres a unit of the blocks' shifts, bytes of the
+blocks, of the escapes' and of the symbols.
+"""
+TURN_UNIT = 1 / 4096
+"""Unit of the blocks' rotations: Gibbs vectors, tangents of half the angle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Rigid motion of runs of ``size`` splats, in the tile's order, at each sample of the span."""
+
+    size: int
+    unit: float
+    """Metres a unit of ``shifts``."""
+    shifts: I32  # [span + 1, blocks, 3]
+    turns: I32  # [span + 1, blocks, 3] Gibbs vectors in TURN_UNIT
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """What a payload of level 0 says; residuals of further levels are added to ``moves`` and ``turns``."""
+
+    looks: tuple[int, int]
+    """Media frame and tile of the looks that move."""
+    span: int
+    splats: int
+    lives: NDArray[np.uint8] | None
+    """[n] frames from the first for which a splat is there; ``span`` + 1: beyond the span. None: all of them are."""
+    fades: F32 | None
+    """[n, 2] centre and standard deviation of each splat's fade, frames from the first; infinite: none."""
+    blocks: Blocks | None
+    moves: I32 | None  # [span + 1, n, 3] fixed point, finest units
+    turns: I32 | None  # [span + 1, n, 4]
+    starts: bool
+    """Whether the samples of the first frame are coded; else they are zero."""
+
+
+def encode(
+    looks: tuple[int, int],
+    moves: F64 | None,
+    turns: F64 | None,
+    *,
+    starts: bool,
+    lives: NDArray[np.uint8] | None = None,
+    fades: NDArray[np.int64] | None = None,
+    blocks: Blocks | None = None,
+    native: bool | None = None,
+) -> tuple[bytes, ...]:
+    """The payload of each level. ``moves`` [span + 1, n, 3] and ``turns`` [span + 1, n, 4] are in finest units, those
+    of ``turns`` against (1, 0, 0, 0); ``fades`` [n, 2] are an index of :data:`FADE_WIDTHS` plus one (0: none) and the
+    centre in ``FADE_STEP`` parts of the width, from the middle of the life.
+
+    ``native`` None takes the kernel where there is one, to the same bytes. Raises ``ValueError`` for arrays that do not
+    fit each other, are beyond the format's bounds or not finite.
+    """
+    left = {name: part.copy() for name, part in (("moves", moves), ("turns", turns)) if part is not None}
+    span, splats = _bounds(left)
+    _check_sides(span, splats, lives, fades, blocks)
+    order = knots(span, start=starts)
+    flags = STARTS * starts | MOVES * (moves is not None) | TURNS * (turns is not None)
+    flags |= LIVES * (lives is not None) | FADES * (fades is not None)
+    payloads = []
+    for level in range(LEVELS):
+        writer = SymbolWriter(native=native)
+        if level == 0:
+            _write_sides(writer, lives, fades)
+        for name, part in left.items():
+            deadzone = DEADZONE if level == 0 else 0.0
+            writer.tree(order, part, REFINEMENT ** (LEVELS - 1 - level), deadzone, turn=name == "turns")
+        escapes, symbols = writer.to_bytes()
+        sizes = len(escapes), len(symbols)
+        if level == 0:
+            rigid = _blocks_bytes(blocks)
+            size, metres = (blocks.size, blocks.unit) if blocks else (0, 0.0)
+            head = _HEAD.pack(VERSION, flags, span, LEVELS, *looks, splats, size, metres, len(rigid), *sizes) + rigid
+        else:
+            head = struct.pack("<I", len(escapes))
+        payloads.append(head + escapes + symbols)
+    return tuple(payloads)
+
+
+def _bounds(given: dict[str, F64]) -> tuple[int, int]:
+    """Span and splats. Raises ``ValueError``."""
+    shapes = {part.shape[:2] for part in given.values()}
+    if len(shapes) != 1:
+        raise ValueError(
+            f"motion: positions and rotations have {sorted(shapes)} samples; one kind for both is expected"
+        )
+    samples, splats = shapes.pop()
+    if not 1 <= samples - 1 <= MAX_SPAN or splats > MAX_SPLATS or samples * splats > MAX_SAMPLES:
+        raise ValueError(
+            f"motion: {samples} samples of {splats} splats; beyond {MAX_SPAN + 1}, {MAX_SPLATS} or together"
+        )
+    for name, part in given.items():
+        if part.shape[2] != (4 if name == "turns" else 3):
+            raise ValueError(f"motion: {name} have {part.shape[2]} parts")
+        if part.size and not (part.max() <= MAX_UNITS and part.min() >= -MAX_UNITS):
+            raise ValueError(f"motion: {name} are not finite or beyond {MAX_UNITS} units; begin a new splat instead")
+    return samples - 1, splats
+
+
+def _check_sides(
+    span: int, splats: int, lives: NDArray[np.uint8] | None, fades: NDArray[np.int64] | None, blocks: Blocks | None
+) -> None:
+    if lives is not None and (len(lives) != splats or int(lives.max(initial=0)) > span + 1):
+        raise ValueError(f"motion: {len(lives)} lives of up to {lives.max(initial=0)} frames for {splats} splats")
+    if fades is not None:
+        widths, centres = fades[:, 0], fades[:, 1]
+        legal = (
+            len(fades) == splats and int(widths.min(initial=0)) >= 0 and int(widths.max(initial=0)) <= len(FADE_WIDTHS)
+        )
+        if not legal or int(np.abs(centres).max(initial=0)) >= 1 << 31:
+            raise ValueError(f"motion: {len(fades)} fades for {splats} splats, or widths or centres beyond bounds")
+    if blocks is not None:
+        shape = (span + 1, -(-splats // blocks.size) if blocks.size > 0 else 0, 3)
+        if not 1 <= blocks.size <= MAX_BLOCK or blocks.shifts.shape != shape or blocks.turns.shape != shape:
+            raise ValueError(
+                f"motion: blocks of {blocks.size} splats with {blocks.shifts.shape} shifts, {shape} expected"
+            )
+        if not 0.0 <= blocks.unit <= MAX_UNIT:
+            raise ValueError(f"motion: blocks in units of {blocks.unit} metres, 0 to {MAX_UNIT} expected")
+
+
+def _write_sides(writer: SymbolWriter, lives: NDArray[np.uint8] | None, fades: NDArray[np.int64] | None) -> None:
+    if lives is not None:
+        writer.plain(LIFE, lives)
+    if fades is not None:
+        writer.plain(WIDTH, fades[:, 0].astype(np.uint8))
+        fading = fades[fades[:, 0] > 0, 1]
+        writer.signed(np.full(len(fading), CENTRE, np.uint8), fading)
+
+
+class ChunkDecoder:
+    """A chunk as far as it has come. Not thread-safe."""
+
+    def __init__(self, payload: bytes | memoryview, *, native: bool | None = None) -> None:
+        """Decode level 0; ``native`` None takes the kernel where there is one. Raises :class:`DecodeError`."""
+        head, rigid, escapes, symbols = _sections(payload)
+        self._native = native
+        self.chunk, self.levels = _opened(head, rigid, SymbolReader(escapes, symbols, native=native)), 1
+
+    @property
+    def looks(self) -> tuple[int, int]:
+        """Media frame and tile of the looks that move."""
+        return self.chunk.looks
+
+    def add_level(self, payload: bytes | memoryview) -> None:
+        """Take the next level. Raises :class:`DecodeError`, and then nothing is changed."""
+        view = memoryview(payload)
+        if self.levels >= LEVELS or len(view) < 4:
+            raise DecodeError(f"motion: level {self.levels} of {LEVELS} is too much or cut short")
+        escapes = 4 + struct.unpack_from("<I", view)[0]
+        if escapes > len(view):
+            raise DecodeError("motion: a level's escapes are cut short")
+        reader = SymbolReader(view[4:escapes], view[escapes:], native=self._native)
+        chunk = self.chunk
+        moves, turns = _read_trees(reader, chunk, self.levels, (chunk.moves is not None, chunk.turns is not None))
+        reader.finish()
+        for have, more in ((chunk.moves, moves), (chunk.turns, turns)):
+            if have is not None and more is not None:
+                np.add(have, more, out=have)
+        self.levels += 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    flags: int
+    span: int
+    looks: tuple[int, int]
+    splats: int
+    block: int
+    unit: float
+
+    def has(self, flag: int) -> bool:
+        return bool(self.flags & flag)
+
+
+def read_looks(payload: bytes | memoryview) -> tuple[int, int]:
+    """Media frame and tile of the looks that a payload of level 0 moves. Raises :class:`DecodeError`."""
+    return _sections(payload)[0].looks
+
+
+def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryview, memoryview]:
+    view = memoryview(payload)
+    if len(view) < _HEAD.size:
+        raise DecodeError(f"motion: {len(view)} bytes are too few for a chunk")
+    version, flags, span, levels, frame, tile, splats, block, unit, *sizes = _HEAD.unpack_from(view)
+    if version != VERSION or levels != LEVELS or flags & ~(STARTS | TURNS | LIVES | FADES | MOVES):
+        raise DecodeError(f"motion: version {version}, {levels} levels, flags {flags}; this program reads {VERSION}")
+    small = splats <= MAX_SPLATS and splats * (span + 1) <= MAX_SAMPLES
+    bounds = 1 <= span <= MAX_SPAN and small and block <= MAX_BLOCK and 0.0 <= unit <= MAX_UNIT
+    if not bounds or sum(sizes) != len(view) - _HEAD.size:
+        raise DecodeError(f"motion: claims a span of {span}, {splats} splats, {sum(sizes)} bytes; beyond bounds")
+    rigid, escapes = _HEAD.size + sizes[0], _HEAD.size + sizes[0] + sizes[1]
+    head = _Head(flags, span, (frame, tile), splats, block, unit)
+    return head, view[_HEAD.size : rigid], view[rigid:escapes], view[escapes:]
+
+
+def _opened(head: _Head, rigid: memoryview, reader: SymbolReader) -> Chunk:
+    n = head.splats
+    lives = reader.plain(LIFE, n) if head.has(LIVES) else None
+    if lives is not None and int(lives.max(initial=0)) > head.span + 1:
+        raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
+    fades = _read_fades(reader, head, lives) if head.has(FADES) else None
+    blank = Chunk(head.looks, head.span, n, lives, fades, _read_blocks(head, rigid), None, None, head.has(STARTS))
+    moves, turns = _read_trees(reader, blank, 0, (head.has(MOVES), head.has(TURNS)))
+    reader.finish()
+    return replace(blank, moves=moves, turns=turns)
+
+
+def _read_trees(
+    reader: SymbolReader, chunk: Chunk, level: int, has: tuple[bool, bool]
+) -> tuple[I32 | None, I32 | None]:
+    """What ``level`` adds to the positions and rotations of ``chunk``, where it ``has`` them."""
+    order, unit = knots(chunk.span, start=chunk.starts), np.int32(REFINEMENT ** (LEVELS - 1 - level))
+    trees: list[I32 | None] = [None, None]
+    for i, parts in enumerate((3, 4)):
+        if has[i]:
+            tree = reader.tree(order, (chunk.span + 1, chunk.splats, parts), turn=parts == 4)
+            trees[i] = tree if unit == 1 else np.multiply(tree, unit, out=tree)
+    return trees[0], trees[1]
+
+
+def _read_fades(reader: SymbolReader, head: _Head, lives: NDArray[np.uint8] | None) -> F32:
+    widths = reader.plain(WIDTH, head.splats)
+    if int(widths.max(initial=0)) > len(FADE_WIDTHS):
+        raise DecodeError(f"motion: a fade's width has index {int(widths.max())}, at most {len(FADE_WIDTHS)}")
+    fading = np.flatnonzero(widths)
+    out = np.full((head.splats, 2), np.inf, np.float32)
+    out[:, 0] = 0.0
+    centres = reader.signed(np.full(len(fading), CENTRE, np.uint8))
+    width = FADE_WIDTHS[widths[fading].astype(np.int64) - 1]
+    out[fading, 0] = middle_of_life(head.span, lives, fading) + centres * width / FADE_STEP
+    out[fading, 1] = width
+    return out
+
+
+def middle_of_life(span: int, lives: NDArray[np.uint8] | None, rows: NDArray[np.intp]) -> F64:
+    """Frames [m] from a chunk's first to the middle of the lives of ``rows`` [m] within it."""
+    if lives is None:
+        return np.full(len(rows), span / 2)
+    middle: F64 = (lives[rows].astype(np.float64) - 1) / 2
+    return middle
+
+
+def _blocks_bytes(blocks: Blocks | None) -> bytes:
+    """Differences from sample to sample, as byte planes."""
+    if blocks is None:
+        return b""
+    both = np.concatenate([blocks.shifts, blocks.turns], axis=2)
+    steps = np.diff(both, axis=0, prepend=np.zeros((1, *both.shape[1:]), np.int32))
+    columns = np.ascontiguousarray(steps.transpose(2, 1, 0)).astype("<i4")
+    folded = ((columns << 1) ^ (columns >> 31)).astype("<u4")
+    return squeeze(np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 4).T).tobytes())
+
+
+def _read_blocks(head: _Head, rigid: memoryview) -> Blocks | None:
+    if not head.block:
+        if len(rigid):
+            raise DecodeError("motion: has blocks of no size")
+        return None
+    count = -(-head.splats // head.block)
+    shape = (6, count, head.span + 1)
+    raw = np.frombuffer(unsqueeze(rigid, 4 * 6 * count * (head.span + 1), "motion: blocks"), np.uint8)
+    folded = np.ascontiguousarray(raw.reshape(4, -1).T).view("<u4")[:, 0]
+    steps = ((folded >> 1) ^ (np.uint32(0) - (folded & 1))).view(np.int32).reshape(shape).transpose(2, 1, 0)
+    both = np.cumsum(steps, axis=0, dtype=np.int32)
+    return Blocks(head.block, head.unit, np.ascontiguousarray(both[:, :, :3]), np.ascontiguousarray(both[:, :, 3:]))

@@ -1,0 +1,105 @@
+"""Splats that carry their own motion and lifetime, as 4D models keep them: one set for a whole clip.
+
+A splat's position is a polynomial in the time since its own centre, its rotation changes at a constant rate, and its
+opacity rises and falls as a Gaussian of time (SpaceTime Gaussians, Li et al., CVPR 2024, equations 7 to 9).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.errors import SceneError
+from cags_common.geometry import F32, F64
+from cags_common.splats import Splats
+from cags_encoder.formats.files import directed, quietly
+from cags_encoder.formats.repair import DropBroken
+
+FAINTEST = 1.0 / 255.0
+"""Drawn opacity below which a splat is absent from a frame: no rasteriser of the field draws it."""
+
+MAX_LOGIT = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class TimedSplats:
+    """N splats over time; one unit of time throughout."""
+
+    splats: Splats  # [N] at their centres, opacity at its peak
+    centres: F64  # [N] when each is most opaque
+    widths: F64  # [N] positive: opacity falls to 1/e of its peak this long before and after the centre
+    motion: F32  # [N, order, 3] coefficients of the powers 1.. of the time since the centre
+    omega: F32  # [N, 4] change of the rotation's wxyz in a unit of time, before it is made unit
+
+    def __len__(self) -> int:
+        return len(self.splats)
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.int32]) -> TimedSplats:
+        """Those at ``rows``."""
+        parts = (self.centres[rows], self.widths[rows], self.motion[rows], self.omega[rows])
+        return TimedSplats(self.splats.take(rows), *parts)
+
+    def alive(self, time: float) -> NDArray[np.intp]:
+        """The rows [n] that can be seen at ``time``, ascending."""
+        return np.flatnonzero(self._log_opacities(time) >= np.log(FAINTEST))
+
+    def brightest(self, time: float) -> NDArray[np.intp]:
+        """The one row [1] that is most opaque at ``time``: what stands in for a moment at which nothing is seen."""
+        return np.array([np.argmax(self._log_opacities(time))])
+
+    @quietly
+    def at(self, time: float, rows: NDArray[np.intp], source: str) -> Splats:
+        """``rows`` as they are at ``time``. Raises :class:`SceneError` naming ``source`` where one cannot be drawn."""
+        since = time - self.centres[rows]
+        means = self.splats.means[rows].astype(np.float64)
+        for power in range(self.motion.shape[1]):
+            means += self.motion[rows, power] * (since ** (power + 1))[:, None]
+        quats = self.splats.quats[rows] + self.omega[rows] * since[:, None].astype(np.float32)
+        opacity = np.exp(self._log_opacities(time)[rows])
+        logits = np.log(opacity) - np.log1p(-np.minimum(opacity, 1 - 1e-9))
+        return replace(
+            self.splats.take(rows),
+            means=means.astype(np.float32),
+            quats=directed(quats),
+            logit_opacities=np.clip(logits, -MAX_LOGIT, MAX_LOGIT).astype(np.float32),
+        ).checked(source)
+
+    def _log_opacities(self, time: float) -> F64:
+        logits = np.clip(self.splats.logit_opacities.astype(np.float64), -30.0, 30.0)
+        with np.errstate(over="ignore"):
+            faded: F64 = -np.log1p(np.exp(-logits)) - np.square((time - self.centres) / self.widths)
+        return faded
+
+
+@quietly
+def checked_times(timed: TimedSplats, source: str, drop: DropBroken | None) -> TimedSplats:
+    """``timed`` as read from ``source``, all values finite and widths positive.
+
+    Raises :class:`SceneError` naming the first splat that is not, unless ``drop`` leaves such splats out.
+    """
+    columns: dict[str, NDArray[np.floating[Any]]] = {
+        "motion": timed.motion,
+        "omega": timed.omega,
+        "centre in time": timed.centres,
+    }
+    good = np.ones(len(timed), bool)
+    for name, values in columns.items():
+        finite = np.isfinite(values.reshape(len(timed), -1)).all(axis=1)
+        if drop is None and not finite.all():
+            raise SceneError(_broken(source, name, int(np.argmin(finite))))
+        good &= finite
+    lasting = np.isfinite(timed.widths) & (timed.widths > 0)
+    if drop is None:
+        if not lasting.all():
+            raise SceneError(_broken(source, "width in time", int(np.argmin(lasting))))
+        return replace(timed, splats=timed.splats.checked(source))
+    means = np.where((good & lasting)[:, None], timed.splats.means, np.float32(np.nan))
+    splats = drop(replace(timed.splats, means=means), source)
+    return replace(timed.take(drop.kept), splats=splats)
+
+
+def _broken(source: str, name: str, row: int) -> str:
+    return f"{source}: {name} of splat {row} cannot be used; repair the file, or give the scene's option repair=drop"

@@ -1,0 +1,305 @@
+"""Frames of splats that keep their looks: what comes new, which attributes change, and how everything moves.
+
+A splat's looks are sent when it comes. Later frames send attributes by themselves where drawing the decoder's copy
+differs visibly from the truth, and chunks of motion: a tile's chunk says for some frames where its splats are, how they
+turn and fade, and when they end, always against the decoder's copy of the looks, so that nothing drifts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.bundle.manifest import MotionSteps
+from cags_common.geometry import F32, F64, Vec3
+from cags_common.morton import morton_order, tile_ranges
+from cags_common.motion.apply import Steps
+from cags_common.splats import SH_C0, Ids, Splats
+from cags_common.svq import CodebookSet
+from cags_common.tiles import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
+from cags_encoder.frames.differential import QuantisedDelta
+from cags_encoder.frames.placing import Placed
+from cags_encoder.frames.rows import SplatTable
+from cags_encoder.frames.tiling import CutTile, corners, cut_tiles
+from cags_encoder.motion.chunks import ROUND, TrackSpan
+from cags_encoder.motion.fades import fit_fades
+from cags_encoder.motion.trails import Trails, Window
+from cags_encoder.svq_codec import SvqCodec, SvqSplats
+
+PHASES = 4
+"""The first chunks of a key frame's tiles are of so many lengths, so that later ones do not all begin at one frame."""
+
+SHARE = 0.25
+"""Part of the change threshold by which a single attribute may be wrong: it stays so for long, and others are, too."""
+
+STILL = 1.0
+"""Splats that stay within so many finest units of where they are held need no chunk."""
+
+
+@dataclass(frozen=True, eq=False)
+class UpdateCut:
+    """One tile of changed attributes, still to be packed."""
+
+    ids: Ids  # [n] ascending
+    changed: Mapping[str, NDArray[np.bool_]]  # attribute -> [n]
+    coded: SvqSplats  # [n]
+    bounds: tuple[Vec3, Vec3]
+
+
+@dataclass(eq=False)
+class _Track:
+    """A tile of looks, for as long as anything of it is there."""
+
+    key: tuple[int, int]
+    ids: Ids  # [n]
+    anchors: F32  # [n, 3] decoded
+    quats: F32  # [n, 4] the source's, when the looks came
+    steps: Steps
+    round: NDArray[np.bool_]
+    next: int
+    """Frame at which the next chunk may begin."""
+    first_span: int
+    end: Window | None = None
+    """How the last chunk leaves the splats (one frame); None before any chunk."""
+
+
+class MovingGroups:
+    """Chooses what each frame sends, group after group."""
+
+    def __init__(self, codec: SvqCodec, steps: MotionSteps, trails: Trails, span: int, threshold: float) -> None:
+        self._codec, self._trails, self._span, self._threshold = codec, trails, span, threshold
+        self._steps = Steps(np.array(steps.moves, np.float32), np.array(steps.turns, np.float32))
+        self._books: CodebookSet = codec.quantiser.books
+        self._tracks: list[_Track] = []
+        self._held: SplatTable | None = None
+        self._axes = np.zeros((0, 3), np.int64)  # [capacity] order of a splat's axes in its looks
+        self._fading = np.zeros(0, bool)  # [capacity] told by a fade now
+        self._owner = np.zeros((0, 2), np.int64)  # [capacity] key of the looks that a splat has
+
+    def send(self, frame: Placed, quantised: QuantisedDelta) -> tuple[CutTile | UpdateCut | TrackSpan, ...]:
+        """What ``frame`` sends; ``quantised`` [k] are those of its changes that look different."""
+        if frame.key:
+            self._tracks, self._held = [], None
+        rows = np.flatnonzero(frame.looks)
+        ids, births = frame.delta.ids[rows], frame.births[rows]
+        self._room(frame.capacity)
+        coded = _svq(quantised)
+        fresh = self._codec.decode(coded)
+        changed = self._changed(ids, births, quantised.prepared, fresh, frame.delta.splats.take(rows))
+        whole = births | changed.pop("whole")
+        looks = self._looks(frame, ids[whole], quantised, np.flatnonzero(whole))
+        self._mark_gone(frame.delta.removed)
+        chunks = self._chunks(frame.index)
+        changed["opacity"] = self._brighter(ids, frame.delta.splats.take(rows), fresh)
+        for name in ("scale", "sh0", "sh_rest"):
+            changed[name] &= ~whole
+        updates = self._updates(ids, changed, quantised, fresh)
+        return (*looks, *chunks, *updates)
+
+    def _room(self, capacity: int) -> None:
+        more = capacity - len(self._fading)
+        if more > 0:
+            self._axes = np.concatenate([self._axes, np.tile(np.arange(3), (more, 1))])
+            self._fading = np.concatenate([self._fading, np.zeros(more, bool)])
+            self._owner = np.concatenate([self._owner, np.full((more, 2), -1)])
+
+    def _mark_gone(self, removed: Ids) -> None:
+        if self._held is not None:
+            self._held.alive[removed] = False
+
+    # --------------------------------------------------------------------------------------------------------- looks
+
+    def _looks(self, frame: Placed, ids: Ids, quantised: QuantisedDelta, rows: NDArray[np.intp]) -> list[CutTile]:
+        """Tiles of splats that come, or come anew."""
+        if not len(ids):
+            return []
+        coded = _svq(quantised).take(rows)
+        largest = KEY_TILE_SPLATS if frame.key else DELTA_TILE_SPLATS
+        tiles = cut_tiles(ids, quantised.prepared.take(rows).means, coded, largest=largest, id_range=frame.key)
+        source = frame.delta.splats.take(np.searchsorted(frame.delta.ids, ids))
+        for number, tile in enumerate(tiles):
+            assert isinstance(tile.coded, SvqSplats)
+            shown = self._codec.shown(tile.coded)
+            self._hold(tile.ids, shown)
+            mine = source.take(np.searchsorted(ids, tile.ids))
+            if self._codec.quantiser.canonical_axes:
+                self._axes[tile.ids] = np.argsort(-mine.log_scales, axis=1, kind="stable")
+            self._fading[tile.ids], self._owner[tile.ids] = False, (frame.index, number)
+            self._tracks.append(self._track((frame.index, number), tile, shown, mine))
+            if frame.key:
+                self._tracks[-1].first_span = -(-self._span * (1 + number % PHASES) // PHASES)
+        return list(tiles)
+
+    def _hold(self, ids: Ids, shown: Splats) -> None:
+        if self._held is None:
+            self._held = SplatTable(shown.take(slice(0, 0)))
+        self._held.put(ids, shown)
+
+    def _track(self, key: tuple[int, int], tile: CutTile, shown: Splats, source: Splats) -> _Track:
+        coded = tile.coded
+        assert isinstance(coded, SvqSplats)
+        base = self._books["scale"].layer(coded.codes["scale"], 0)
+        is_round = np.ptp(source.log_scales, axis=1) < np.log(ROUND)
+        steps = Steps(self._steps.moves[base], self._steps.turns[base])
+        return _Track(key, tile.ids, shown.means, source.quats, steps, is_round, key[0], self._span)
+
+    # ------------------------------------------------------------------------------------------------------- updates
+
+    def _changed(
+        self, ids: Ids, births: NDArray[np.bool_], true: Splats, fresh: Splats, source: Splats
+    ) -> dict[str, NDArray[np.bool_]]:
+        """Attribute -> which splats [k] must be told of anew; ``whole``: those whose looks as a whole must be."""
+        names = ("scale", "sh0", "sh_rest")
+        out = {name: np.zeros(len(ids), bool) for name in (*names, "whole")}
+        old = np.flatnonzero(~births)
+        if self._held is None or not len(old):
+            return out
+        held, now, new = self._held.take(ids[old]), true.take(old), fresh.take(old)
+        axes = self._axes[ids[old]]
+        scales = np.take_along_axis(source.log_scales[old], axes, axis=1)
+        same_axes = np.abs(scales - now.log_scales).max(axis=1, initial=0.0) < 1e-6
+        weight = np.maximum(_drawn(held.logit_opacities), _drawn(now.logit_opacities))
+        wrong = _effects(held, now, scales, weight)
+        noise = _effects(new, now, now.log_scales, weight)
+        for name in names:
+            out[name][old] = wrong[name] > noise[name] + SHARE * self._threshold
+        out["whole"][old] = out["scale"][old] & ~same_axes
+        return out
+
+    def _brighter(self, ids: Ids, true: Splats, fresh: Splats) -> NDArray[np.bool_]:
+        """Which splats [k] are drawn with another opacity than is held, and told by no fade."""
+        if self._held is None or not len(ids):
+            return np.zeros(len(ids), bool)
+        alpha = _drawn(true.logit_opacities)
+        wrong = np.abs(_drawn(self._held.take(ids).logit_opacities) - alpha)
+        noise = np.abs(_drawn(fresh.logit_opacities) - alpha)
+        return (wrong > noise + SHARE * self._threshold) & ~self._fading[ids]
+
+    def _updates(
+        self, ids: Ids, changed: dict[str, NDArray[np.bool_]], quantised: QuantisedDelta, fresh: Splats
+    ) -> list[UpdateCut]:
+        rows = np.flatnonzero(np.logical_or.reduce(list(changed.values())))
+        if not len(rows) or self._held is None:
+            return []
+        self._take_over(ids, changed, rows, fresh)
+        means = quantised.prepared.means
+        order = rows[morton_order(means[rows])]
+        tiles = []
+        for first, end in tile_ranges(len(order), DELTA_TILE_SPLATS):
+            run = np.sort(order[first:end])
+            masks = {book.attribute: self._mask(book.attribute, changed)[run] for book in self._books}
+            tiles.append(UpdateCut(ids[run], masks, _svq(quantised).take(run), corners(means[run])))
+        return tiles
+
+    @staticmethod
+    def _mask(attribute: str, changed: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        if attribute.startswith("rotation"):
+            return np.zeros(len(changed["scale"]), bool)
+        name = {"alpha": "opacity", "sh1": "sh_rest", "sh2": "sh_rest", "sh3": "sh_rest"}.get(attribute, attribute)
+        return changed[name]
+
+    def _take_over(
+        self, ids: Ids, changed: dict[str, NDArray[np.bool_]], rows: NDArray[np.intp], fresh: Splats
+    ) -> None:
+        assert self._held is not None
+        held = {name: array.copy() for name, array in self._held.take(ids[rows]).arrays()}
+        new = dict(fresh.take(rows).arrays())
+        columns = {"scale": "log_scales", "opacity": "logit_opacities", "sh0": "sh0", "sh_rest": "sh_rest"}
+        for name, column in columns.items():
+            mask = changed[name][rows]
+            held[column][mask] = new[column][mask]
+        self._held.put(ids[rows], Splats(**held))
+
+    # -------------------------------------------------------------------------------------------------------- motion
+
+    def _chunks(self, frame: int) -> list[TrackSpan]:
+        """Chunks that begin at ``frame``."""
+        spans: list[TrackSpan] = []
+        for track in self._tracks:
+            if track.next == frame:
+                span = self._span_of(track, frame)
+                spans += [span] if span is not None else []
+        self._tracks = [track for track in self._tracks if track.next > frame]
+        return spans
+
+    def _span_of(self, track: _Track, frame: int) -> TrackSpan | None:
+        """The chunk of a tile from ``frame`` on, where it needs one; the track's ``next`` moves on, or ends."""
+        starts = frame > track.key[0]
+        length = min(self._span if starts else track.first_span, self._trails.last(frame) - frame)
+        window = self._trails.window(track.ids, frame, frame + length)
+        mine = (self._owner[track.ids] == track.key).all(axis=1)
+        window.present[:, ~mine] = False
+        if length < 1 or not window.present[0].any():
+            track.next = -1
+            return None
+        track.next = frame + length
+        logits = self._held.take(track.ids).logit_opacities if self._held is not None else np.zeros(0, np.float32)
+        fades = self._fades(track, window, _drawn(logits))
+        lives = self._lives(window)
+        if fades is None and lives is None and self._is_still(track, window):
+            return None
+        track.end = window.last()
+        return TrackSpan(
+            *(track.key, window.means, window.quats, window.present, track.anchors, track.quats),
+            *(track.steps, track.round, starts, lives, fades),
+        )
+
+    def _is_still(self, track: _Track, window: Window) -> bool:
+        """Whether a client that has no chunk of these frames shows them well enough."""
+        if track.end is not None:
+            if not np.array_equal(track.end.present[0], window.present[0]):
+                return False
+            means, quats = track.end.means[0], track.end.quats[0]
+        else:
+            means, quats = track.anchors, track.quats
+        alive = window.present[0]
+        away = np.abs(window.means[:, alive] - means[alive]).max(axis=2, initial=0.0)
+        if (away > STILL * track.steps.moves[alive]).any():
+            return False
+        closeness = np.abs((window.quats[:, alive].astype(np.float64) * quats[alive]).sum(axis=2))
+        turned = np.sqrt(np.maximum(1.0 - np.square(closeness), 0.0))
+        return not (turned > STILL * np.where(track.round, np.inf, track.steps.turns)[alive]).any()
+
+    def _lives(self, window: Window) -> NDArray[np.uint8] | None:
+        """Frames for which each splat [n] is there; one more than there are where it lives on."""
+        if window.present.all():
+            return None
+        lives: NDArray[np.uint8] = window.present.sum(axis=0).astype(np.uint8)
+        return lives
+
+    def _fades(self, track: _Track, window: Window, held: F64) -> NDArray[np.int64] | None:
+        """Fades of the splats [n] against the opacities ``held`` [n]; None where nothing fades."""
+        opacities = window.opacities.astype(np.float64)
+        middles = (window.present.sum(axis=0) - 1) / 2
+        fades, fits = fit_fades(opacities, window.present, held, middles)
+        fades[~fits] = 0
+        mine = window.present[0]
+        self._fading[track.ids[mine]] = fades[mine, 0] > 0
+        return fades if fades.any() else None
+
+
+def _svq(quantised: QuantisedDelta) -> SvqSplats:
+    assert isinstance(quantised.coded, SvqSplats)
+    return quantised.coded
+
+
+def _drawn(logits: F32) -> F64:
+    """Opacities [n] of logits, 0 to 1."""
+    opacities: F64 = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(np.float64), -60, 60)))
+    return opacities
+
+
+def _effects(shown: Splats, true: Splats, scales: F32, weight: F64) -> dict[str, F64]:
+    """Visible effect [n] (0..1 of a pixel's colour) of each attribute of ``shown`` instead of the ``true`` one.
+
+    ``scales`` are the true log scales in the order of the axes that are shown; ``weight`` [n] are drawn opacities.
+    """
+    rest = np.abs(shown.sh_rest - true.sh_rest).max(axis=2, initial=0.0).sum(axis=1)
+    return {
+        "scale": weight * np.abs(shown.log_scales - scales).max(axis=1),
+        "sh0": weight * SH_C0 * np.abs(shown.sh0 - true.sh0).max(axis=1),
+        "sh_rest": weight * 0.5 * rest,
+    }

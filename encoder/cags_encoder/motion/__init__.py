@@ -1,0 +1,1 @@
+"""Motion of splats, the encoder's side: trails over frames, rigid blocks, fades, and chunks of all that."""

@@ -1,0 +1,132 @@
+"""Where every splat of a group is, a few frames ahead of the frame that is being written."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32
+from cags_common.splats import Ids
+from cags_encoder.frames.placing import Placed
+from cags_encoder.motion.fades import fit_fades, peaks
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """All ids at one frame."""
+
+    means: F32  # [capacity, 3]
+    quats: F32  # [capacity, 4]
+    opacities: F32  # [capacity] drawn, 0 to 1
+    alive: NDArray[np.bool_]  # [capacity]
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Some splats [n] over some frames."""
+
+    means: F32  # [frames, n, 3]
+    quats: F32  # [frames, n, 4]
+    opacities: F32  # [frames, n]
+    present: NDArray[np.bool_]  # [frames, n] alive, and never gone before
+
+    def last(self) -> Window:
+        """The last frame alone."""
+        return Window(self.means[-1:], self.quats[-1:], self.opacities[-1:], self.present[-1:])
+
+
+class Trails:
+    """Follows the frames of one group after another, ``span`` frames ahead."""
+
+    def __init__(self, span: int) -> None:
+        self._span = span
+        self._moments: dict[int, _Moment] = {}
+        self._newest: _Moment | None = None
+        self._ends: dict[int, int] = {}  # first frame of a group -> its last
+        self._group = 0
+
+    def follow(self, placed: Iterable[Placed]) -> Iterator[Placed]:
+        """The same frames, each once the ``span`` frames after it, or the last of its group, are known.
+
+        New splats that fade come with their largest opacity, which motion then takes down.
+        """
+        waiting: deque[Placed] = deque()
+        for frame in placed:
+            if frame.key and waiting:
+                yield from self._last(waiting)
+            if frame.key:
+                self._group, self._newest = frame.index, None
+            self._add(frame)
+            waiting.append(frame)
+            if frame.index - waiting[0].index >= self._span:
+                yield self._ready(waiting.popleft(), frame.index)
+        yield from self._last(waiting)
+
+    def forget(self, frame: int) -> None:
+        """Nothing before ``frame`` will be asked for."""
+        for old in [at for at in self._moments if at < frame]:
+            del self._moments[old]
+
+    def last(self, frame: int) -> int:
+        """The last frame of the group of ``frame``, as far as is known: at least ``span`` frames ahead."""
+        group = max(first for first in self._ends if first <= frame)
+        return self._ends[group]
+
+    def window(self, ids: Ids, first: int, last: int) -> Window:
+        """``ids`` [n], which exist at frame ``first``, from there to ``last``."""
+        moments = [self._moments[at] for at in range(first, last + 1)]
+        alive = np.stack([moment.alive[ids] for moment in moments])
+        return Window(
+            np.stack([moment.means[ids] for moment in moments]),
+            np.stack([moment.quats[ids] for moment in moments]),
+            np.stack([moment.opacities[ids] for moment in moments]),
+            np.logical_and.accumulate(alive, axis=0),
+        )
+
+    def _last(self, waiting: deque[Placed]) -> Iterator[Placed]:
+        last = waiting[-1].index if waiting else 0
+        while waiting:
+            yield self._ready(waiting.popleft(), last)
+
+    def _add(self, frame: Placed) -> None:
+        delta, before = frame.delta, self._newest
+        moment = _grown(before, frame.capacity)
+        moment.alive[delta.removed] = False
+        ids, splats = delta.ids, delta.splats
+        moment.means[ids], moment.quats[ids] = splats.means, splats.quats
+        logits = np.clip(splats.logit_opacities.astype(np.float64), -30, 30)
+        moment.opacities[ids], moment.alive[ids] = 1.0 / (1.0 + np.exp(-logits)), True
+        self._newest = self._moments[frame.index] = moment
+        self._ends[self._group] = frame.index
+
+    def _ready(self, frame: Placed, known: int) -> Placed:
+        rows = np.flatnonzero(frame.births)
+        if not len(rows):
+            return frame
+        window = self.window(frame.delta.ids[rows], frame.index, min(frame.index + self._span, known))
+        opacities = window.opacities.astype(np.float64)
+        peak = peaks(opacities, window.present)
+        middles = (window.present.sum(axis=0) - 1) / 2
+        fades, fits = fit_fades(opacities, window.present, peak, middles)
+        raised = rows[(fades[:, 0] > 0) & fits]
+        logits = frame.delta.splats.logit_opacities.copy()
+        top = peak[(fades[:, 0] > 0) & fits]
+        logits[raised] = np.log(top / (1.0 - top))
+        return replace(frame, peaks=logits)
+
+
+def _grown(before: _Moment | None, capacity: int) -> _Moment:
+    """A copy of ``before`` with room for ``capacity`` ids."""
+    shapes: list[tuple[int, ...]] = [(capacity, 3), (capacity, 4), (capacity,)]
+    means, quats, opacities = (np.zeros(shape, np.float32) for shape in shapes)
+    alive = np.zeros(capacity, bool)
+    quats[:, 0] = 1.0
+    if before is not None:
+        known = len(before.alive)
+        means[:known], quats[:known], opacities[:known] = before.means, before.quats, before.opacities
+        alive[:known] = before.alive
+    return _Moment(means, quats, opacities, alive)

@@ -1,0 +1,258 @@
+"""The C interface of motion: symbols to bytes and back, trees of residuals, tiles at a time. The GIL is released."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_kernels.library import check, library
+
+F32: TypeAlias = NDArray[np.float32]
+F64: TypeAlias = NDArray[np.float64]
+I32: TypeAlias = NDArray[np.int32]
+U8: TypeAlias = NDArray[np.uint8]
+
+MAX_TABLES = 64
+_CLASSES = (9, 1513)
+_Pointer, _int32, _int64, _double = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_double
+
+_DAMAGE = {
+    16: "end too early",
+    17: "a table is asked for that they lack",
+    18: "the data does not end where its symbols do",
+    19: "header or tables are damaged",
+    20: "large residuals are missing",
+}
+
+
+class DamagedError(ValueError):
+    """Data that is not what an encoder wrote; the message says why, for a sentence that begins with what it is of."""
+
+
+class _Tree(ctypes.Structure):
+    _fields_ = [
+        *((name, _int32) for name in ("span", "splats", "parts", "turn", "knots", "first_table", "first_real_table")),
+        *((name, _Pointer) for name in ("order", "classes")),
+    ]
+
+
+class _Tile(ctypes.Structure):
+    _fields_ = [
+        *((name, _int32) for name in ("splats", "span", "sample", "block", "fades", "reserved")),
+        *((name, _double) for name in ("time", "share", "block_unit")),
+        *((name, _Pointer) for name in ("rows", "moves", "turns", "move_steps", "turn_steps")),
+        *((name, _Pointer) for name in ("block_shifts", "block_turns", "lives")),
+    ]
+
+
+class _Arrays(ctypes.Structure):
+    _fields_ = [
+        ("capacity", _int64),
+        *((name, _Pointer) for name in ("means", "quats", "logits", "into_means", "into_quats", "into_logits")),
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """How the residuals of one level are laid out and coded; see ``cags_common.motion``."""
+
+    span: int
+    splats: int
+    turn: bool
+    order: I32  # [knots, 5] kind, at, left, right, parent
+    classes: U8  # [9, 1513]
+    first_table: int
+    first_real_table: int
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the samples: [span + 1, splats, parts]."""
+        return self.span + 1, self.splats, 4 if self.turn else 3
+
+    @property
+    def symbols(self) -> int:
+        """How many of them say a tree."""
+        return len(self.order) * self.shape[1] * self.shape[2]
+
+    def structure(self) -> _Tree:
+        """What the library takes; valid while ``self`` lives."""
+        if self.classes.shape != _CLASSES or self.order.shape[1:] != (5,):
+            raise ValueError(f"classes of shape {self.classes.shape}, knots of {self.order.shape}")
+        numbers = (self.span, self.splats, self.shape[2], int(self.turn), len(self.order))
+        return _Tree(
+            *numbers,
+            self.first_table,
+            self.first_real_table,
+            _address(_typed(self.order, np.int32)),
+            _address(_typed(self.classes, np.uint8)),
+        )
+
+
+def count_symbols(tables: U8, symbols: U8) -> NDArray[np.int64]:
+    """How often each table codes each symbol, [64, 256]. Raises ``KernelError`` for a table beyond."""
+    counts = np.empty((MAX_TABLES, 256), np.int64)
+    tables, symbols = _typed(tables, np.uint8), _typed(symbols, np.uint8)
+    arrays = (_address(array) for array in (tables, symbols, counts))
+    check(library().cags_symbols_count(_int64(_same_length(tables, symbols)), *arrays), "symbols_count")
+    return counts
+
+
+def encode_symbols(
+    tables: U8, symbols: U8, runs: NDArray[np.int64], lanes: int, shares: tuple[NDArray[np.uint32], NDArray[np.uint32]]
+) -> tuple[NDArray[np.uint32], NDArray[np.uint16]]:
+    """States [lanes] and words of the ``symbols``; ``shares``: frequencies and their sums before, [tables, 256]."""
+    tables, symbols, runs = _typed(tables, np.uint8), _typed(symbols, np.uint8), _typed(runs, np.int64)
+    frequencies, firsts = (_typed(array, np.uint32) for array in shares)
+    count, used = _same_length(tables, symbols), 256 * (1 + int(tables.max(initial=0)))
+    if frequencies.size < used or firsts.size < used:
+        raise ValueError(f"shares of {frequencies.size} symbols, {used} expected")
+    states, words, written = np.empty(lanes, np.uint32), np.empty(count, np.uint16), _int64()
+    status = library().cags_symbols_encode(
+        *(_int64(count), _address(tables), _address(symbols), _int64(len(runs)), _address(runs), _int32(lanes)),
+        *(_address(array) for array in (frequencies, firsts, states, words)),
+        ctypes.byref(written),
+    )
+    check(status, "symbols_encode")
+    return states, words[count - written.value :]
+
+
+class SymbolDecoder:
+    """Reads symbols. Raises :class:`DamagedError`. Not thread-safe."""
+
+    def __init__(self, data: bytes | memoryview) -> None:
+        self._data = np.frombuffer(data, np.uint8)
+        call = library().cags_symbols_decoder_bytes
+        call.restype = _int64
+        self._state = np.empty(call() // 8, np.int64)
+        status = library().cags_symbols_open(_address(self._data), _int64(self._data.size), _address(self._state))
+        _check_data(status, "symbols_open")
+
+    def take(self, tables: U8) -> U8:
+        """The next symbols [n], by the table of each."""
+        tables = _typed(tables, np.uint8)
+        symbols = np.empty(len(tables), np.uint8)
+        call = library().cags_symbols_take
+        status = call(_address(self._state), _int64(len(tables)), _address(tables), _address(symbols))
+        _check_data(status, "symbols_take")
+        return symbols
+
+    def tree(self, tree: Tree, escapes: NDArray[Any], at: int) -> tuple[I32, int]:
+        """Samples [span + 1, splats, parts], and the next of the ``escapes`` [n] after those from ``at`` on."""
+        escapes, given = _typed(escapes, np.int32), tree.structure()
+        samples, escape = np.empty(tree.shape, np.int32), _int64(at)
+        status = library().cags_motion_decode_tree(
+            *(ctypes.byref(given), _address(self._state), _address(escapes), _int64(len(escapes))),
+            *(ctypes.byref(escape), _address(samples)),
+        )
+        _check_data(status, "motion_decode_tree")
+        return samples, escape.value
+
+    def finish(self) -> None:
+        """Check that everything was read."""
+        _check_data(library().cags_symbols_finish(_address(self._state)), "symbols_finish")
+
+
+def encode_tree(tree: Tree, left: F64, unit: int, deadzone: float) -> tuple[U8, U8, I32]:
+    """Tables and symbols [n] and large residuals of what is ``left`` [span + 1, splats, parts], from which it is taken.
+
+    Every value of ``left`` is within 2**26.
+    """
+    if left.shape != tree.shape or left.dtype != np.float64 or not left.flags.c_contiguous:
+        raise ValueError(f"residuals of shape {left.shape} and {left.dtype}, expected {tree.shape} and float64")
+    tables, symbols = (np.empty(tree.symbols, np.uint8) for _ in range(2))
+    escapes, written, given = np.empty(tree.symbols, np.int32), _int64(), tree.structure()
+    status = library().cags_motion_encode_tree(
+        *(ctypes.byref(given), _address(left), _int32(unit), _double(deadzone)),
+        *(_address(array) for array in (tables, symbols, escapes)),
+        ctypes.byref(written),
+    )
+    check(status, "motion_encode_tree")
+    return tables, symbols, escapes[: written.value].copy()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TileMotion:
+    """One tile at a time; arrays are C-contiguous, None leaves that part of the motion out."""
+
+    splats: int
+    span: int
+    time: float
+    """Frames from the first of the span, which it is within."""
+    sample: int
+    share: float
+    """Of the way from ``sample`` to the next."""
+    rows: I32  # [splats] of the arrays by id; -1: left out
+    moves: I32 | None  # [span + 1, splats, 3]
+    turns: I32 | None  # [span + 1, splats, 4]
+    move_steps: F32  # [splats]
+    turn_steps: F32  # [splats]
+    blocks: tuple[int, float, I32, I32] | None
+    """Splats a block, metres a unit, shifts and turns [span + 1, blocks, 3]."""
+    lives: U8 | None  # [splats]
+    fades: bool
+    """Whether the opacities are left alone."""
+
+    def structure(self) -> _Tile:
+        """What the library takes; valid while ``self`` lives. Raises ``ValueError`` for arrays that do not fit."""
+        n, samples = self.splats, self.span + 1
+        size, metres, shifts, turns = self.blocks or (0, 0.0, None, None)
+        blocks = (samples, -(-n // size) if size > 0 else 0, 3)
+        return _Tile(
+            *(n, self.span, self.sample, size, int(self.fades), 0, self.time, self.share, metres),
+            _fitting(self.rows, np.int32, (n,)),
+            _fitting(self.moves, np.int32, (samples, n, 3)),
+            _fitting(self.turns, np.int32, (samples, n, 4)),
+            _fitting(self.move_steps, np.float32, (n,)),
+            _fitting(self.turn_steps, np.float32, (n,)),
+            *(_fitting(array, np.int32, blocks) for array in (shifts, turns)),
+            _fitting(self.lives, np.uint8, (n,)),
+        )
+
+
+def move_rows(
+    tiles: Sequence[TileMotion], looks: tuple[F32, F32, F32], into: tuple[F32, F32, F32], threads: int
+) -> None:
+    """Evaluate ``tiles`` from rows of ``looks`` to the same rows of ``into``: means, quaternions, opacity logits by id.
+
+    Raises ``ValueError`` for arrays that do not fit and ``KernelError`` for rows beyond them; nothing is written then.
+    """
+    capacity = len(looks[0])
+    shapes = ((capacity, 3), (capacity, 4), (capacity,))
+    pointers = [_fitting(a, np.float32, s) for arrays in (looks, into) for a, s in zip(arrays, shapes, strict=True)]
+    given = (_Tile * len(tiles))(*(tile.structure() for tile in tiles))
+    arrays = _Arrays(capacity, *pointers)
+    status = library().cags_motion_rows(given, _int32(len(tiles)), ctypes.byref(arrays), _int32(threads))
+    check(status, "motion_rows")
+
+
+def _check_data(status: int, call: str) -> None:
+    if status in _DAMAGE:
+        raise DamagedError(_DAMAGE[status])
+    check(status, call)
+
+
+def _same_length(tables: U8, symbols: U8) -> int:
+    if tables.shape != symbols.shape or tables.ndim != 1:
+        raise ValueError(f"{tables.shape} tables for {symbols.shape} symbols")
+    return len(symbols)
+
+
+def _typed(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
+    if array.dtype != dtype or not array.flags.c_contiguous:
+        raise ValueError(f"array of {array.dtype}, expected {np.dtype(dtype)} in one piece")
+    return array
+
+
+def _fitting(array: NDArray[Any] | None, dtype: type[np.generic], shape: tuple[int, ...]) -> ctypes.c_void_p:
+    if array is not None and _typed(array, dtype).shape != shape:
+        raise ValueError(f"array of shape {array.shape}, expected {shape}")
+    return _address(array)
+
+
+def _address(array: NDArray[Any] | None) -> ctypes.c_void_p:
+    return _Pointer(None if array is None else array.ctypes.data)

@@ -1,0 +1,164 @@
+#include "motion/symbols.h"
+
+#include <algorithm>
+
+namespace cags::motion {
+
+// Where the table ends; null for one that is damaged.
+const uint8_t* SymbolDecoder::read_table(const uint8_t* data, const uint8_t* end, int table) {
+  if (data == end) return nullptr;
+  const int used = *data++ + 1;
+  uint32_t first = 0;
+  std::fill_n(entries[table], kSymbols, Entry{0, 0});
+  for (int symbol = 0; symbol < used; symbol++) {
+    if (data == end) return nullptr;
+    uint32_t frequency = *data++;
+    if (frequency >= 128) {
+      if (data == end) return nullptr;
+      frequency = (frequency & 127) << 8 | *data++;
+    }
+    if (frequency > kTotal - first) return nullptr;
+    entries[table][symbol] = {static_cast<uint16_t>(frequency), static_cast<uint16_t>(first)};
+    std::memset(symbols[table] + first, symbol, frequency);
+    first += frequency;
+  }
+  return first == kTotal ? data : nullptr;
+}
+
+int32_t SymbolDecoder::open(const uint8_t* data, int64_t bytes) {
+  constexpr int kHead = 6;
+  if (bytes < kHead) return CAGS_SYMBOLS_DAMAGED;
+  const uint8_t* const end = data + bytes;
+  lanes = data[0], tables = data[1], at = 0;
+  uint32_t claimed;
+  std::memcpy(&claimed, data + 2, sizeof claimed);
+  count = claimed;
+  if (lanes < 1 || lanes > kMaxLanes || tables < 1 || tables > kMaxTables) return CAGS_SYMBOLS_DAMAGED;
+  data += kHead;
+  for (int table = 0; table < tables; table++) {
+    data = read_table(data, end, table);
+    if (!data) return CAGS_SYMBOLS_DAMAGED;
+  }
+  if (end - data != 4 * int64_t{lanes} + 2 * count) return CAGS_SYMBOLS_DAMAGED;
+  std::memcpy(states, data, 4 * size_t(lanes));
+  words = data + 4 * lanes;
+  return CAGS_OK;
+}
+
+bool SymbolDecoder::take(int64_t taken, const uint8_t* __restrict which, uint8_t* __restrict out) {
+  for (int64_t row = 0; row < taken; row += lanes) {
+    const int width = static_cast<int>(std::min<int64_t>(lanes, taken - row));
+    if (count - at < width) return take_last(taken - row, which + row, out + row);
+    int64_t next = at;
+    for (int lane = 0; lane < width; lane++) {
+      uint32_t state = states[lane];
+      out[row + lane] = step(state, which[row + lane]);
+      const uint32_t low = state < kLow;  // no branch: it could not be foretold
+      states[lane] = state << (low << 4) | (word(next) & (0 - low));
+      next += low;
+    }
+    at = next;
+  }
+  return true;
+}
+
+// The same where each word has to be asked for.
+bool SymbolDecoder::take_last(int64_t taken, const uint8_t* which, uint8_t* out) {
+  int lane = 0;
+  for (int64_t i = 0; i < taken; i++) {
+    out[i] = step(states[lane], which[i]);
+    if (states[lane] < kLow) {
+      if (at == count) return false;
+      states[lane] = states[lane] << 16 | word(at++);
+    }
+    lane = lane + 1 == lanes ? 0 : lane + 1;
+  }
+  return true;
+}
+
+bool SymbolDecoder::finished() const {
+  return at == count && std::all_of(states, states + lanes, [](uint32_t state) { return state == kLow; });
+}
+
+namespace {
+
+struct Coded {
+  double inverse;
+  uint32_t frequency, first;
+};
+
+// Backwards, so that the words come out in the order that they are read in.
+int64_t encode(int64_t count, const uint8_t* tables, const uint8_t* symbols, int64_t runs, const int64_t* run_lengths, int lanes,
+               const Coded* coded, uint32_t* states, uint16_t* words) {
+  std::fill_n(states, lanes, kLow);
+  int64_t end = count, word = count;
+  for (int64_t run = runs - 1; run >= 0; end -= run_lengths[run--]) {
+    const int64_t first = end - run_lengths[run];
+    int lane = static_cast<int>((end - 1 - first) % lanes);
+    for (int64_t i = end - 1; i >= first; i--) {
+      const Coded& c = coded[tables[i] * kSymbols + symbols[i]];
+      uint32_t state = states[lane];
+      const bool full = state >= uint64_t{c.frequency} << (32 - kProbabilityBits);
+      if (full) words[--word] = static_cast<uint16_t>(state), state >>= 16;
+      // The half keeps the product of rounded numbers from falling below a whole quotient.
+      const uint32_t quotient = static_cast<uint32_t>(static_cast<int64_t>((state + 0.5) * c.inverse));
+      states[lane] = (quotient << kProbabilityBits) + (state - quotient * c.frequency) + c.first;
+      lane = lane == 0 ? lanes - 1 : lane - 1;
+    }
+  }
+  return count - word;
+}
+
+}  // namespace
+}  // namespace cags::motion
+
+using namespace cags::motion;
+
+int32_t cags_symbols_count(int64_t count, const uint8_t* tables, const uint8_t* symbols, int64_t* counts) {
+  std::fill_n(counts, kMaxTables * kSymbols, int64_t{0});
+  for (int64_t i = 0; i < count; i++) {
+    if (tables[i] >= kMaxTables) return CAGS_INVALID;
+    counts[tables[i] * kSymbols + symbols[i]]++;
+  }
+  return CAGS_OK;
+}
+
+int32_t cags_symbols_encode(int64_t count, const uint8_t* tables, const uint8_t* symbols, int64_t runs,
+                            const int64_t* run_lengths, int32_t lanes, const uint32_t* frequencies, const uint32_t* firsts,
+                            uint32_t* states, uint16_t* words, int64_t* word_count) {
+  if (count < 0 || runs < 0 || lanes < 1 || lanes > kMaxLanes) return CAGS_INVALID;
+  int64_t sum = 0;
+  for (int64_t run = 0; run < runs; run++) {
+    if (run_lengths[run] < 0 || run_lengths[run] > count - sum) return CAGS_INVALID;
+    sum += run_lengths[run];
+  }
+  int used = 0;
+  for (int64_t i = 0; i < count; i++) used = std::max<int>(used, tables[i] + 1);
+  if (sum != count || used > kMaxTables) return CAGS_INVALID;
+  static thread_local Coded coded[kMaxTables * kSymbols];
+  for (int i = 0; i < used * kSymbols; i++) {
+    if (frequencies[i] > kTotal || firsts[i] > kTotal) return CAGS_INVALID;
+    coded[i] = {1.0 / std::max(frequencies[i], 1u), std::max(frequencies[i], 1u), firsts[i]};
+  }
+  *word_count = encode(count, tables, symbols, runs, run_lengths, lanes, coded, states, words);
+  return CAGS_OK;
+}
+
+int64_t cags_symbols_decoder_bytes() { return sizeof(SymbolDecoder); }
+
+int32_t cags_symbols_open(const uint8_t* data, int64_t bytes, void* decoder) {
+  return static_cast<SymbolDecoder*>(decoder)->open(data, bytes);
+}
+
+int32_t cags_symbols_take(void* decoder, int64_t count, const uint8_t* tables, uint8_t* symbols) {
+  auto& self = *static_cast<SymbolDecoder*>(decoder);
+  if (count < 0) return CAGS_INVALID;
+  for (int64_t i = 0; i < count; i++) {
+    if (tables[i] >= self.tables) return CAGS_SYMBOLS_TABLE;
+  }
+  return self.take(count, tables, symbols) ? int32_t{CAGS_OK} : int32_t{CAGS_SYMBOLS_END};
+}
+
+int32_t cags_symbols_finish(const void* decoder) {
+  return static_cast<const SymbolDecoder*>(decoder)->finished() ? int32_t{CAGS_OK} : int32_t{CAGS_SYMBOLS_LEFT};
+}

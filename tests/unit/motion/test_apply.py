@@ -1,0 +1,123 @@
+"""Tiles at a time: positions, rotations, lives and fades, and rows that are somebody else's left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cags_common.motion.apply import ABSENT_LOGIT, Looks, MovingTile, Steps, evaluate, move_rows
+from cags_common.motion.chunk import Blocks, Chunk
+
+SPAN, SPLATS = 4, 3
+
+
+def looks_of(count: int = SPLATS) -> Looks:
+    random = np.random.default_rng(1)
+    quats = random.normal(size=(count, 4))
+    quats *= np.sign(quats[:, :1]) / np.linalg.norm(quats, axis=1, keepdims=True)
+    means, logits = random.normal(size=(count, 3)), random.normal(size=count)
+    return Looks(*(np.ascontiguousarray(array, dtype=np.float32) for array in (means, quats, logits)))
+
+
+def still(**parts: object) -> Chunk:
+    return replace(Chunk((0, 0), SPAN, SPLATS, None, None, None, None, None, True), **parts)  # type: ignore[arg-type]
+
+
+STEPS = Steps(np.full(SPLATS, 0.5, np.float32), np.full(SPLATS, 0.25, np.float32))
+
+
+def test_a_chunk_that_says_nothing_changes_nothing() -> None:
+    looks = looks_of()
+    moved = evaluate(still(), 1.5, looks, STEPS)
+    assert np.array_equal(moved.means, looks.means) and np.array_equal(moved.quats, looks.quats)
+    assert np.array_equal(moved.logit_opacities, looks.logit_opacities)
+
+
+def test_positions_follow_the_line_between_frames_and_stay_at_the_end() -> None:
+    moves = np.zeros((SPAN + 1, SPLATS, 3), np.int32)
+    moves[:, :, 0] = 64 * 2 * np.arange(SPAN + 1)[:, None]
+    looks = looks_of()
+    for time, way in ((-1.0, 0.0), (0.0, 0.0), (0.25, 0.25), (2.0, 2.0), (3.75, 3.75), (4.0, 4.0), (99.0, 4.0)):
+        at = evaluate(still(moves=moves), time, looks, STEPS).means
+        assert np.allclose(at[:, 0], looks.means[:, 0] + way, atol=1e-6)
+        assert np.array_equal(at[:, 1:], looks.means[:, 1:])
+
+
+def test_a_rotation_through_half_a_turn_and_beyond_keeps_its_way() -> None:
+    angles = np.linspace(0, 2 * np.pi, SPAN + 1)
+    residual = np.zeros((SPAN + 1, SPLATS, 4))
+    residual[:, :, 0], residual[:, :, 3] = (np.cos(angles / 2) - 1)[:, None], np.sin(angles / 2)[:, None]
+    chunk = still(turns=np.rint(residual * 64 / 0.25).astype(np.int32))
+    looks = replace(looks_of(), quats=np.tile(np.float32([1, 0, 0, 0]), (SPLATS, 1)))
+    for time in range(SPAN + 1):
+        quats = evaluate(chunk, time, looks, STEPS).quats
+        wanted = np.array([np.cos(angles[time] / 2), 0, 0, np.sin(angles[time] / 2)])
+        assert np.allclose(np.abs(quats @ wanted), 1, atol=1e-4)
+        assert (quats[:, 0] >= 0).all() and np.allclose(np.linalg.norm(quats, axis=1), 1, atol=1e-6)
+
+
+def test_blocks_turn_their_splats_about_the_origin_and_shift_them() -> None:
+    shifts, turns = np.zeros((SPAN + 1, 2, 3), np.int32), np.zeros((SPAN + 1, 2, 3), np.int32)
+    turns[:, 0, 2], shifts[:, 1, 1] = 4096, 7  # 90 degrees about z; 7 units along y
+    looks = looks_of()
+    moved = evaluate(still(blocks=Blocks(2, 0.5, shifts, turns)), 0.5, looks, STEPS)
+    x, y, z = looks.means[:2].T
+    assert np.allclose(moved.means[:2], np.stack([-y, x, z], axis=1), atol=1e-6)
+    assert np.allclose(moved.means[2], looks.means[2] + [0, 3.5, 0], atol=1e-6)
+    assert np.allclose(moved.quats[2], looks.quats[2], atol=1e-6)
+
+
+def test_a_life_ends_when_its_last_frame_has_passed_and_none_does_at_the_spans_end() -> None:
+    chunk = still(lives=np.array([0, 1, SPAN + 1], np.uint8))
+    there = [evaluate(chunk, time, looks_of(), STEPS).logit_opacities != ABSENT_LOGIT for time in (0.0, 0.9, 1.0, 4.0)]
+    assert np.array_equal(there, [[0, 1, 1], [0, 1, 1], [0, 0, 1], [0, 0, 1]])
+
+
+def test_a_fade_is_full_at_its_centre_and_a_gaussian_beside_it() -> None:
+    fades = np.array([[2, 1], [2, np.inf], [0, 1]], np.float32)
+    looks = replace(looks_of(), logit_opacities=np.zeros(SPLATS, np.float32))
+    logits = evaluate(still(fades=fades), 2.0, looks, STEPS).logit_opacities.astype(float)
+    assert np.allclose(1 / (1 + np.exp(-logits)), [0.5, 0.5, 0.5 * np.exp(-2)], atol=1e-6)
+
+
+def test_a_fade_of_a_splat_that_nobody_can_see_overflows_nothing() -> None:
+    looks = replace(looks_of(), logit_opacities=np.full(SPLATS, -3e38, np.float32))
+    fades = np.array([[1e12, 0.125]] * SPLATS, np.float32)
+    assert np.isfinite(evaluate(still(fades=fades), 0.0, looks, STEPS).logit_opacities).all()
+
+
+def test_time_must_be_a_number() -> None:
+    with pytest.raises(ValueError, match="not a number"):
+        evaluate(still(), float("nan"), looks_of(), STEPS)
+
+
+def into_of(count: int) -> Looks:
+    return Looks(np.full((count, 3), 9, np.float32), np.full((count, 4), 9, np.float32), np.full(count, 9, np.float32))
+
+
+def test_rows_are_read_and_written_by_id_and_others_left_alone() -> None:
+    random = np.random.default_rng(2)
+    chunk = still(
+        moves=random.integers(-99, 99, (SPAN + 1, SPLATS, 3)).astype(np.int32),
+        turns=random.integers(-99, 99, (SPAN + 1, SPLATS, 4)).astype(np.int32),
+        lives=np.array([5, 1, 5], np.uint8),
+    )
+    looks, into, rows = looks_of(9), into_of(9), np.array([6, -1, 2], np.int32)
+    move_rows([MovingTile(chunk, 2.25, rows, STEPS)], looks, into)
+    wanted = evaluate(chunk, 2.25, looks.take(np.maximum(rows, 0)), STEPS)
+    for name in ("means", "quats", "logit_opacities"):
+        assert np.array_equal(getattr(into, name)[[6, 2]], getattr(wanted, name)[[0, 2]])
+        assert (np.delete(getattr(into, name), [6, 2], axis=0) == 9).all()
+
+
+@pytest.mark.parametrize(
+    ("rows", "time"), [([0, 1, 9], 0.0), ([0, 1, -2], 0.0), ([0, 1], 0.0), ([0, 1, 2], float("nan"))]
+)
+def test_what_does_not_fit_is_refused_and_nothing_written(rows: list[int], time: float) -> None:
+    good = MovingTile(still(), 0.0, np.arange(SPLATS, dtype=np.int32), STEPS)
+    bad, into = MovingTile(still(), time, np.array(rows, np.int32), STEPS), into_of(9)
+    with pytest.raises(ValueError, match="motion"):
+        move_rows([good, bad], looks_of(9), into)
+    assert (into.means == 9).all()

@@ -1,0 +1,150 @@
+"""Chunks of motion: what they say comes back within the unit that they say it in."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import cags_kernels
+from cags_common.errors import DecodeError
+from cags_common.motion import chunk as chunks
+from cags_common.motion.chunk import Blocks, ChunkDecoder, encode
+
+SPAN, SPLATS = 12, 70
+
+
+def wavy(random: np.random.Generator, parts: int, size: float = 40.0) -> np.ndarray:
+    time = np.arange(SPAN + 1)[:, None, None]
+    return size * np.sin(time / 4 + random.uniform(0, 6, (SPLATS, parts))) * random.normal(size=(SPLATS, parts))
+
+
+def blocks_of(random: np.random.Generator, size: int = 16) -> Blocks:
+    shape = (SPAN + 1, -(-SPLATS // size), 3)
+    return Blocks(size, 0.001, *(random.integers(-900, 900, shape).astype(np.int32) for _ in range(2)))
+
+
+def decoded(payloads: tuple[bytes, ...]) -> chunks.Chunk:
+    decoder = ChunkDecoder(payloads[0])
+    for payload in payloads[1:]:
+        decoder.add_level(payload)
+    return decoder.chunk
+
+
+def test_everything_that_a_chunk_can_say_comes_back() -> None:
+    random = np.random.default_rng(3)
+    moves, turns, blocks = wavy(random, 3), wavy(random, 4, 8.0), blocks_of(random)
+    lives = random.integers(0, SPAN + 2, SPLATS).astype(np.uint8)
+    fades = np.stack([random.integers(0, 49, SPLATS), random.integers(-20, 20, SPLATS)], axis=1)
+    payloads = encode((7, 3), moves, turns, starts=True, lives=lives, fades=fades, blocks=blocks)
+    chunk = decoded(payloads)
+    assert chunks.read_looks(payloads[0]) == chunk.looks == (7, 3)
+    assert chunk.lives is not None and np.array_equal(chunk.lives, lives)
+    assert chunk.blocks is not None and chunk.fades is not None and chunk.moves is not None and chunk.turns is not None
+    assert np.array_equal(chunk.blocks.shifts, blocks.shifts) and np.array_equal(chunk.blocks.turns, blocks.turns)
+    for part, wanted in ((chunk.moves, moves), (chunk.turns, turns)):
+        assert np.abs(part / 64 - wanted).max() <= 0.5 + 1 / 64
+    width = chunks.FADE_WIDTHS[np.maximum(fades[:, 0], 1) - 1]
+    assert np.array_equal(np.isfinite(chunk.fades[:, 1]), fades[:, 0] > 0)
+    centre = (lives.astype(float) - 1) / 2 + fades[:, 1] * width / chunks.FADE_STEP
+    fading = fades[:, 0] > 0
+    assert np.allclose(chunk.fades[fading, 0], centre[fading], rtol=1e-6, atol=1e-6)
+
+
+def test_the_first_level_alone_is_within_half_of_its_unit_and_the_dead_zone() -> None:
+    moves = wavy(np.random.default_rng(4), 3)
+    chunk = ChunkDecoder(encode((0, 0), moves, None, starts=True)[0]).chunk
+    assert chunk.moves is not None and chunk.turns is None
+    unit = chunks.REFINEMENT ** (chunks.LEVELS - 1)
+    assert np.abs(chunk.moves / 64 - moves).max() <= unit * (0.5 + chunks.DEADZONE) + unit / 64
+
+
+def test_without_a_start_the_first_sample_is_nothing() -> None:
+    moves = wavy(np.random.default_rng(5), 3)
+    chunk = decoded(encode((0, 0), moves, None, starts=False))
+    assert chunk.moves is not None and not chunk.moves[0].any()
+    assert np.abs(chunk.moves[1:] / 64 - moves[1:]).max() <= 0.5 + 1 / 64
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e6, chunks.MAX_UNITS * 0.999])
+def test_motion_of_any_size(size: float) -> None:
+    moves = np.clip(wavy(np.random.default_rng(6), 3, 1.0), -1, 1) * size
+    chunk = decoded(encode((0, 0), moves, None, starts=True))
+    assert chunk.moves is not None and np.abs(chunk.moves / 64 - moves).max() <= 0.5 + 1 / 64
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e9])
+def test_what_fixed_point_cannot_hold_is_refused(bad: float) -> None:
+    moves = np.zeros((3, 2, 3))
+    moves[1, 1, 2] = bad
+    with pytest.raises(ValueError, match="moves are not finite or beyond"):
+        encode((0, 0), moves, None, starts=True)
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    moves = np.zeros((3, 2, 3))
+    with pytest.raises(ValueError, match="one kind for both"):
+        encode((0, 0), moves, np.zeros((4, 2, 4)), starts=True)
+    with pytest.raises(ValueError, match="one kind for both"):
+        encode((0, 0), None, None, starts=True)
+    with pytest.raises(ValueError, match="lives"):
+        encode((0, 0), moves, None, starts=True, lives=np.array([1, 4], np.uint8))
+    with pytest.raises(ValueError, match="fades"):
+        encode((0, 0), moves, None, starts=True, fades=np.array([[49, 0], [0, 0]]))
+    with pytest.raises(ValueError, match="shifts"):
+        encode((0, 0), moves, None, starts=True, blocks=Blocks(1, 1.0, *[np.zeros((3, 1, 3), np.int32)] * 2))
+    with pytest.raises(ValueError, match="samples of"):
+        encode((0, 0), np.zeros((66, 2, 3)), None, starts=True)
+
+
+@pytest.mark.parametrize("splats", [0, 1, 2, 31, 32, 33])
+def test_a_handful_of_splats_that_end_at_once(splats: int) -> None:
+    payloads = encode(
+        (0, 0), np.ones((2, splats, 3)), np.ones((2, splats, 4)), starts=False, lives=np.zeros(splats, np.uint8)
+    )
+    chunk = decoded(payloads)
+    assert chunk.moves is not None and (chunk.moves[1] == 64).all() and chunk.moves.shape == (2, splats, 3)
+
+
+def claim(span: int, splats: int) -> bytes:
+    """A payload of a few bytes that is consistent but for its size."""
+    payload = bytearray(encode((0, 0), np.zeros((2, 1, 3)), None, starts=True)[0])
+    payload[2], payload[12:16] = span, splats.to_bytes(4, "little")
+    return bytes(payload)
+
+
+@pytest.mark.parametrize(("span", "splats"), [(64, 65_536), (16, 65_536), (65, 1), (0, 1), (1, 65_537), (1, 2**32 - 1)])
+def test_claims_beyond_bounds_are_refused_before_memory_is_taken(span: int, splats: int) -> None:
+    with pytest.raises(DecodeError, match="beyond bounds"):
+        ChunkDecoder(claim(span, splats))
+
+
+def test_levels_come_in_order_and_a_damaged_one_changes_nothing() -> None:
+    payloads = encode((0, 0), wavy(np.random.default_rng(8), 3), None, starts=True)
+    decoder = ChunkDecoder(payloads[0])
+    assert decoder.chunk.moves is not None
+    before = decoder.chunk.moves.copy()
+    for damaged in (payloads[1][:-2], b"", payloads[1][:3], b"\xff" * 40):
+        with pytest.raises(DecodeError):
+            decoder.add_level(damaged)
+        assert np.array_equal(decoder.chunk.moves, before) and decoder.levels == 1
+    for payload in payloads[1:]:
+        decoder.add_level(payload)
+    with pytest.raises(DecodeError, match="too much"):
+        decoder.add_level(payloads[1])
+
+
+@pytest.mark.skipif(not cags_kernels.native_available(), reason="the definition takes a minute over it")
+def test_the_largest_claim_of_a_few_bytes_takes_bounded_memory() -> None:
+    samples, splats = 16, chunks.MAX_SAMPLES // 16
+    still = np.zeros((samples, splats, 1))
+    blocks = Blocks(1, 1.0, *[np.zeros((samples, splats, 3), np.int32)] * 2)
+    payloads = encode((0, 0), still.repeat(3, 2), still.repeat(4, 2), starts=True, blocks=blocks)
+    assert sum(map(len, payloads)) < 100_000
+    tracemalloc.start()
+    try:
+        decoded(payloads)
+        assert tracemalloc.get_traced_memory()[1] < 160 << 20
+    finally:
+        tracemalloc.stop()
