@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hmac
 import math
 import ssl
@@ -60,6 +61,23 @@ def header_allowed(expected: str, header: str | None) -> bool:
     """Whether an ``Authorization: Bearer`` header alone opens: what is asked before there is a Hello."""
     shown = header.removeprefix("Bearer ") if header and header.startswith("Bearer ") else ""
     return not expected or _same(shown, expected)
+
+
+def operator_allowed(expected: str, header: str | None, peer: str) -> bool:
+    """Whether somebody may see who watches: by the token, or from this very machine where there is none.
+
+    A browser asks for a name and a password: any name, and the token.
+    """
+    if not expected:
+        return is_loopback(peer)
+    if header_allowed(expected, header):
+        return True
+    kind, _, shown = (header or "").partition(" ")
+    try:
+        password = base64.b64decode(shown.encode(errors="surrogateescape"), validate=True).decode().partition(":")[2]
+    except ValueError:
+        return False
+    return kind.lower() == "basic" and _same(password, expected)
 
 
 def _same(shown: str, expected: str) -> bool:

@@ -27,6 +27,7 @@ from cags_server.admission import (
     MAX_HANDSHAKES,
     header_allowed,
     host_refusal,
+    operator_allowed,
     origin_allowed,
     tls_context,
     token_allowed,
@@ -44,6 +45,7 @@ from cags_server.render_pool import RenderPool
 from cags_server.render_slots import RenderSlots
 from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
+from cags_server.status import SessionBook, page
 from cags_server.turns import Turns
 from cags_server.waiting import Waiting
 
@@ -68,17 +70,19 @@ class App:
         self._executor = RenderPool(settings.workers, self._served)
         self._executor.submit(library.warm)
         self._ended = Totals()
-        self._memory = FreedMemory()
+        self._memory, self._book = FreedMemory(), SessionBook()
         self._draining = False
         self._empty = asyncio.Event()
         self._empty.set()
 
     def web_app(self) -> web.Application:
-        """Routes: health, readiness, metrics, the bundle's public manifest, and the stream."""
+        """Routes: health, readiness, metrics, the operator's page, the bundle's public manifest, and the stream."""
         app = web.Application(middlewares=([] if self._door is None else [self._door.middleware()]) + [self._guard()])
         app.router.add_get("/healthz", self._health)
         app.router.add_get("/readyz", self._ready)
         app.router.add_get("/metrics", self._metrics)
+        app.router.add_get("/status", self._status)
+        app.router.add_get("/status.json", self._status)
         app.router.add_get("/bundle", self._bundle)
         app.router.add_get("/stream", self._stream)
         return app
@@ -122,7 +126,33 @@ class App:
         status = 503 if self._draining else 200
         return web.json_response({"status": "draining" if self._draining else "ready"}, status=status)
 
+    def _operator(self, request: web.Request) -> web.Response | None:
+        """Why a request for what operators see is turned away; None where it is not."""
+        if operator_allowed(self._settings.token, request.headers.get("Authorization"), request.remote or ""):
+            return None
+        reason = "give the token, as a bearer's or as the password of any name; without --token, ask from this machine"
+        asks = {"WWW-Authenticate": 'Basic realm="cags-server"'} if self._settings.token else {}
+        return web.json_response({"error": reason}, status=401 if self._settings.token else 403, headers=asks)
+
+    async def _status(self, request: web.Request) -> web.Response:
+        refusal = self._operator(request)
+        if refusal is not None:
+            return refusal
+        report = {
+            "bundle": self._library.manifest.name,
+            "max_clients": self._settings.max_clients,
+            "draining": self._draining,
+            **self._book.report(self.sessions()),
+        }
+        if request.path.endswith(".json"):
+            return web.json_response(report)
+        security = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"}
+        text = page(report, self._library.manifest.name)
+        return web.Response(text=text, content_type="text/html", charset="utf-8", headers=security)
+
     async def _metrics(self, request: web.Request) -> web.Response:
+        if self._settings.token and (refusal := self._operator(request)) is not None:
+            return refusal
         page = exposition(self._ended, (stats for _, stats in self.sessions()))
         return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 
@@ -193,6 +223,7 @@ class App:
                 return RefusalCode.TOKEN, "token", "the token is missing or wrong; give the server's with --token"
             if self._served() >= settings.max_clients:
                 return RefusalCode.FULL, "", f"{settings.max_clients} clients are here already; try again later"
+            self._book.began(name, peer)
             self._told.write(logging.INFO, (peer, "joined"), "%s: joined from %s", name, peer)
             return None
 
@@ -219,6 +250,7 @@ class App:
             self._empty.set()
         ending = connection.ending
         why = f"{ending.code}: {ending.reason}" if ending else "lost"
+        self._book.ended(name, connection.stats, ending)
         if not let_in:
             self._told.write(logging.INFO, (peer, "turned away"), "%s: not let in, from %s (%s)", name, peer, why)
             return

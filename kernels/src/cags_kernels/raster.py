@@ -186,7 +186,9 @@ class NativeScene:
         """
         given, rows = _splats(splats), self._rows(rows, len(rows))
         if (len(splats[0]), splats[5].shape[1]) != (self.count, self._coefficients):
-            raise ValueError(f"{len(splats[0])} splats of {splats[5].shape[1]} coefficients for a scene of {self.count}")
+            raise ValueError(
+                f"{len(splats[0])} splats of {splats[5].shape[1]} coefficients for a scene of {self.count}"
+            )
         move = self._library.cags_raster_scene_move
         count = ctypes.c_int64(len(rows))
         check(move(self._handle, _address(rows), count, ctypes.byref(given), threads), "raster_scene_move")
