@@ -66,7 +66,7 @@ async def play(
     ``url`` may name several servers, separated by commas: the first that answers is used, and a dropped connection is
     taken up by the same or the next one.
     """
-    dial = Dial(url, settings.token)
+    dial = Dial(url, settings.token, settings.ca)
     transport = await dial.first()
     adapting = ThreadPoolExecutor(1, "adapt")
     player = Player(

@@ -73,6 +73,7 @@ class ClientSettings:
     pose_rate: float = setting(60.0, "poses sent a second", low=1, high=1000)
     drop_late: bool = setting(True, "skip frames that would be shown after the next one is due")
     token: str = setting("", "token of a server that asks for one")
+    ca: str = setting("", "PEM file of the authority that the server's certificate is from; the system's when empty")
 
     def __post_init__(self) -> None:
         check_settings(self)

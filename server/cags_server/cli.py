@@ -59,8 +59,9 @@ def _serve(argv: Sequence[str]) -> None:
         writable_folder(Path(folder))
 
     def ready(host: str, port: int, app: App) -> None:
-        line = json.dumps({"ready": True, "host": host, "port": port})
-        address = f"ws://{host_port(host, port)}/stream"
+        scheme = "wss" if settings.tls_cert else "ws"
+        line = json.dumps({"ready": True, "host": host, "port": port, "scheme": scheme})
+        address = f"{scheme}://{host_port(host, port)}/stream"
         print(line if arguments.json else f"serving {settings.bundle} on {address}", flush=True)
         if watched(headless=arguments.headless or arguments.json):
             shown.enter_context(live_table(lambda: sessions_table(address, app.sessions())))

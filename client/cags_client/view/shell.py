@@ -160,7 +160,7 @@ async def watch_live(
     view = LiveView(view_settings, walk)
     on_ready(await view.start())
     try:
-        dial = Dial(url, settings.token)
+        dial = Dial(url, settings.token, settings.ca)
         transport = await dial.first()
         live = LiveSettings(settings)
         live.depth_shown = True  # the page can show it at any time

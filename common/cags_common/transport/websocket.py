@@ -133,11 +133,13 @@ async def connect(
     tls: ssl.SSLContext | None = None,
 ) -> ClientWebSocket:
     """Connect to ``url`` (``ws://`` or ``wss://``). Raises :class:`NetworkError`, which names the URL."""
+    import ssl
+
     from websockets.asyncio.client import connect as websocket_connect
     from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
     from websockets.typing import Subprotocol
 
-    extra: dict[str, Any] = {} if tls is None else {"ssl": tls}
+    extra: dict[str, Any] = {"ssl": tls} if tls is not None and url.startswith("wss:") else {}
     try:
         ws = await websocket_connect(
             url,
@@ -158,13 +160,29 @@ async def connect(
     except InvalidStatus as error:
         raise NetworkError(f"{url}: refused with HTTP {error.response.status_code}{_body(error)}") from error
     except (InvalidHandshake, EOFError) as error:
-        raise NetworkError(f"{url}: does not speak WebSocket there ({error}); is it a cags-server?") from error
+        other = "is it a cags-server?"
+        if url.startswith("ws://"):
+            other += " If it has a certificate, write wss://"
+        raise NetworkError(f"{url}: does not speak WebSocket there ({error}); {other}") from error
+    except ssl.SSLError as error:
+        raise NetworkError(f"{url}: {tls_fault(error)}") from error
     except TimeoutError as error:
         raise NetworkError(f"{url}: no answer within {timeout_s:g} s; is the server running and reachable?") from error
     except OSError as error:
         raise NetworkError(f"{url}: cannot connect ({_os_reason(error)}); is the server running there?") from error
     tune_socket(ws.transport.get_extra_info("socket"))
     return ClientWebSocket(ws, url)
+
+
+def tls_fault(error: ssl.SSLError) -> str:
+    """Why TLS did not come about, and what would help."""
+    import ssl
+
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate is not trusted ({error.verify_message}); give its authority's PEM file with --ca"
+    if error.reason in ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "HTTP_REQUEST"):
+        return "does not speak TLS there; without a certificate at the server, write ws://"
+    return f"TLS failed ({error.reason or error})"
 
 
 def _os_reason(error: OSError) -> str:
