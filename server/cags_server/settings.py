@@ -69,7 +69,10 @@ class ServeSettings(ServerSettings):
     port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65_535)
     workers: int = setting(2, "references rendered at the same time", low=1, high=256)
     max_clients: int = setting(32, "clients served at once; more are refused", low=1, high=100_000)
-    token: str = setting("", "bearer token that clients must show; none is asked for when empty")
+    token: str = setting(
+        "",
+        "token that clients must show; several, comma separated, while one replaces another; empty: anybody may watch",
+    )
     tls_cert: str = setting("", "PEM file of the certificate; with it the server speaks HTTPS and WSS")
     tls_key: str = setting("", "PEM file of the certificate's private key")
     origins: str = setting("", "web origins whose pages may connect, comma separated, or *; this host's own always may")
@@ -88,5 +91,7 @@ class ServeSettings(ServerSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.token and not all(part.strip() for part in self.token.split(",")):
+            raise ConfigError("token has an empty part, which would let everybody in; separate tokens by one comma")
         if not self.bundle:
             raise ConfigError("bundle is not given; name one with --bundle FOLDER_OR_URL")

@@ -13,6 +13,7 @@ from cags_server.metrics import Totals, exposition
 from cags_server.quota import MESSAGE_S, ClientQuota, Quotas, ReadingShare, TokenBucket
 from cags_server.records import StreamStats
 from cags_server.session_log import write_session
+from cags_server.settings import ServeSettings
 from support.server_scene import hello
 
 
@@ -42,6 +43,12 @@ def test_tokens() -> None:
     assert token_allowed("s", hello(), "Bearer s")
     assert not token_allowed("s", hello(), None)
     assert not token_allowed("s", hello(token="S"), "Basic s")
+    assert token_allowed("old, new", hello(token="old"), None)
+    assert token_allowed("old, new", hello(), "Bearer new")
+    assert not token_allowed("old, new", hello(token="old, new"), None)
+    assert not token_allowed("old, new", hello(token=""), None)
+    with pytest.raises(ConfigError, match="token has an empty part"):
+        ServeSettings(bundle="x", token="old,")
     assert not token_allowed("s", hello(), "Bearer \udcff")  # a byte that is not UTF-8, as aiohttp hands it on
 
 
