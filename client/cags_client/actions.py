@@ -73,10 +73,12 @@ class Present:
     pose: Pose
     pipeline: ClientPipeline
     traffic: Traffic
+    share: float = 0.0
+    """Media frames after ``frame``, where it is a picture between two of them."""
 
     def run(self) -> PresentedFrame:
         """Draw it."""
-        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose))
+        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose), self.share)
 
 
 @dataclass(frozen=True, slots=True)

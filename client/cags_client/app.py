@@ -12,7 +12,7 @@ import signal
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cags_client.actions import Decode, Present
@@ -20,10 +20,10 @@ from cags_client.dial import Dial
 from cags_client.interrupts import interrupts
 from cags_client.line import Line
 from cags_client.player import Player
-from cags_client.present.base import FrameSink
+from cags_client.present.base import FrameSink, LiveSink
 from cags_client.presented import PresentedFrame
 from cags_client.report import frame_stats
-from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.settings import AUTO, OFF, ClientSettings, LiveSettings
 from cags_client.viewpoint import PoseSource
 from cags_common.errors import CagsError, NetworkError
 from cags_common.transport import Transport
@@ -66,6 +66,7 @@ async def play(
     ``url`` may name several servers, separated by commas: the first that answers is used, and a dropped connection is
     taken up by the same or the next one.
     """
+    settings = looked_at(settings, sinks)
     dial = Dial(url, settings.token, settings.ca)
     transport = await dial.first()
     adapting = ThreadPoolExecutor(1, "adapt")
@@ -90,6 +91,13 @@ async def play(
     if shell.player.error is not None:
         raise shell.player.error
     return Playback(shell.player, shell.records, shell.ended_by)
+
+
+def looked_at(settings: ClientSettings, sinks: Sequence[FrameSink]) -> ClientSettings:
+    """``settings`` without pictures between media frames, unless they are asked for or somebody looks."""
+    if settings.interpolate == AUTO and not any(isinstance(sink, LiveSink) for sink in sinks):
+        return replace(settings, interpolate=OFF)
+    return settings
 
 
 class Shell:
@@ -226,19 +234,32 @@ class Shell:
     async def _present(self, action: Present) -> None:
         presented = await asyncio.get_running_loop().run_in_executor(self._drawer, action.run)
         shown_us = now_us()
+        if action.share:
+            await self._show(lambda: self._show_between(presented))
+            self.player.done(action, presented, now_us())
+            return
         record = frame_stats(presented, action, shown_us)
         self.records.append(record)
         if self._on_frame is not None:
             self._on_frame(record)
-        await self._backlog.acquire()
-        self._start(self._sink(presented, record))
+        await self._show(lambda: self._show_frame(presented, record))
         self.player.done(action, presented, now_us())
 
-    async def _sink(self, presented: PresentedFrame, record: dict[str, Any]) -> None:
-        def show() -> None:
-            for sink in self._sinks:
-                sink.show(presented, record)
+    def _show_frame(self, presented: PresentedFrame, record: dict[str, Any]) -> None:
+        for sink in self._sinks:
+            sink.show(presented, record)
 
+    def _show_between(self, presented: PresentedFrame) -> None:
+        for sink in self._sinks:
+            if isinstance(sink, LiveSink):
+                sink.show_between(presented)
+
+    async def _show(self, show: Callable[[], None]) -> None:
+        """Let the sinks take a picture, beside the display path; wait where they are too far behind."""
+        await self._backlog.acquire()
+        self._start(self._sink(show))
+
+    async def _sink(self, show: Callable[[], None]) -> None:
         try:
             await asyncio.get_running_loop().run_in_executor(self._writer, show)
         finally:

@@ -84,6 +84,8 @@ class GofStore:
         self._shown: list[Held] = []
         self._coarse: dict[Key, HeldMotion | HeldUpdate] = {}  # shown below its highest level
         self._shown_frame = -1
+        self.whole = False
+        """Whether the end of the frame on display had come when it was committed."""
         self._rewound = False
         self._ends: dict[int, Ids] = {}  # not yet shown
         self._ended: dict[int, Ids] = {}
@@ -136,7 +138,7 @@ class GofStore:
             self.past.restart(frame)
         self._shown_frame = frame
         self.past.advance(frame)
-        horizon, ends, whole = self._due(frame)
+        horizon, ends, self.whole = self._due(frame)
         self._tiles.stage_unless_decoding(horizon)
         updates = self._tiles.due(horizon)
         touched = np.zeros(self.capacity, dtype=bool)
@@ -150,7 +152,7 @@ class GofStore:
         self._forget_past(frame, changed=bool(updates or ends))
         only = np.zeros(self.capacity, dtype=bool)
         only[moved] = True
-        return Changes(np.nonzero(touched)[0], np.nonzero(only & ~touched)[0], whole)
+        return Changes(np.nonzero(touched)[0], np.nonzero(only & ~touched)[0], self.whole)
 
     def move(self, time: float) -> NDArray[np.intp]:
         """Show the splats on display where they are at ``time``, after the frame that was committed; the rows [K] that

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TypeAlias
 
-from cags_client.motions import AnyHeld, HeldMotion, HeldUpdate, Motions, Staged, reopened, staged_from
+from cags_client.motions import AnyHeld, HeldMotion, HeldUpdate, Motions, Staged, looks_of, named, reopened, staged_from
 from cags_client.opening import Arrival, Opened, TileOpener
 from cags_client.shown import Held
 from cags_client.waiting import Key, WaitingLayers
@@ -19,7 +19,6 @@ from cags_common.codecs import MotionTile
 from cags_common.errors import DecodeError
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.motion.chunk import VERSION as MOTION_VERSION
-from cags_common.motion.chunk import read_looks
 from cags_common.splats import Ids
 from cags_common.updates import UpdateState
 from cags_protocol.messages import HeldTile
@@ -76,7 +75,7 @@ class GofTiles:
         errors = []
         with self._decoding:
             ahead = self._open_ahead(arrivals)
-            for at in sorted(range(len(arrivals)), key=lambda at: _looks_of(self._first(arrivals[at])) is not None):
+            for at in sorted(range(len(arrivals)), key=lambda at: looks_of(self._first(arrivals[at])) is not None):
                 arrival = arrivals[at]
                 try:
                     self._add(arrival.key, list(enumerate(arrival.payloads, arrival.from_lod)), ahead.get(at))
@@ -115,7 +114,7 @@ class GofTiles:
         for at, arrival in enumerate(arrivals):
             if not arrival.payloads or not self._opens(arrival.from_lod) or arrival.key in self._tiles:
                 continue
-            looks = _looks_of(self._first(arrival))
+            looks = looks_of(self._first(arrival))
             if looks is None or looks in self._tiles or looks in coming:
                 first.setdefault(arrival.key, at)
         places = list(first.values())
@@ -154,18 +153,22 @@ class GofTiles:
         if isinstance(held, HeldUpdate):
             return held.state.add_layer(lod, payload)
         state = held.state
-        changed = state is not None and state.add_layer(lod, payload)
+        try:
+            changed = state is not None and state.add_layer(lod, payload)
+        except DecodeError:  # of this level, or of one that had to wait for it
+            self._drop_levels(held)
+            raise
         if 0 < lod < MOTION_LEVELS:
             self._keep_motion(held, lod, payload)
         return changed
 
     def _waits(self, key: Key, payload: memoryview) -> bool:
         """Whether LoD 0 of ``key`` moves looks that have not come. Raises :class:`DecodeError`."""
-        looks = _looks_of(self._first(Arrival(*key, 0, [payload])))
+        looks = looks_of(self._first(Arrival(*key, 0, [payload])))
         if looks is None or looks in self._tiles:
             return False
         if not self._frames.start <= looks[0] <= key[0]:
-            raise DecodeError(f"{_named(key)}: moves {_named(looks)}, which is not of its group of frames up to it")
+            raise DecodeError(f"{named(key)}: moves {named(looks)}, which is not of its group of frames up to it")
         self._motions.wait(key, looks)
         return True
 
@@ -179,13 +182,13 @@ class GofTiles:
         if isinstance(tile, DecodeError):
             raise tile
         if len(self._tiles) >= MAX_TILES_PER_GOF:
-            raise DecodeError(f"{_named(key)}: the group already has {MAX_TILES_PER_GOF} tiles")
+            raise DecodeError(f"{named(key)}: the group already has {MAX_TILES_PER_GOF} tiles")
         if isinstance(tile, MotionTile):
             return self._take_motion(key, payload, tile)
         if isinstance(tile, UpdateState):
-            self.check_ids(tile.ids, _named(key))
+            self.check_ids(tile.ids, named(key))
             return self._take_update(HeldUpdate(key, tile))
-        self.check_ids(tile.state.ids, _named(key))
+        self.check_ids(tile.state.ids, named(key))
         held = Held(index=-1, key=key, steps=tile.state.steps, tile=tile)
         with self._lock:
             self._tiles[key] = held
@@ -207,10 +210,10 @@ class GofTiles:
             self._tiles[key] = None
             return None
         if not self._in_motion or not isinstance(looks, Held) or looks.key[0] > key[0]:
-            raise DecodeError(f"{_named(key)}: moves {_named(tile.looks)}, which holds no splats that move by then")
+            raise DecodeError(f"{named(key)}: moves {named(tile.looks)}, which holds no splats that move by then")
         if len(tile) != len(looks.tile.state):
-            had = f"{_named(tile.looks)}, which has {len(looks.tile.state)}"
-            raise DecodeError(f"{_named(key)}: moves {len(tile)} splats of {had}")
+            had = f"{named(tile.looks)}, which has {len(looks.tile.state)}"
+            raise DecodeError(f"{named(key)}: moves {len(tile)} splats of {had}")
         held = HeldMotion(key, tile.looks, tile, {})
         with self._lock:
             self._tiles[key] = held
@@ -244,6 +247,13 @@ class GofTiles:
                 held.payloads[level] = bytes(payload)
                 self._motion_bytes += len(payload)
                 self._bound_kept()
+
+    def _drop_levels(self, held: HeldMotion) -> None:
+        """Of a tile of motion only what is decoded counts as held."""
+        with self._lock:
+            decoded = held.state.lod if held.state is not None else 0
+            for level in [level for level in held.payloads if level > decoded]:
+                self._motion_bytes -= len(held.payloads.pop(level))
 
     def _bound_kept(self) -> None:
         besides = self._updated_splats + self._motion_bytes // KEPT_SPLAT_BYTES
@@ -297,7 +307,7 @@ class GofTiles:
             held = self._touched.pop(key)
             try:
                 if isinstance(held, Held):
-                    self.check_ids(held.tile.state.ids, _named(key))
+                    self.check_ids(held.tile.state.ids, named(key))
                 touched[key] = held
             except DecodeError as error:
                 self._errors.append(error)
@@ -387,17 +397,3 @@ class GofTiles:
         for held in [h for h in self._tiles.values() if h is not None]:
             if held.replaced if isinstance(held, Held) else isinstance(held, HeldMotion) and held.state is None:
                 self._give_up(held)
-
-
-def _named(key: Key) -> str:
-    return f"tile {key[1]} of frame {key[0]}"
-
-
-def _looks_of(payload: memoryview | None) -> Key | None:
-    """The looks that LoD 0 of a tile of motion moves; None where there is none, or it cannot be read."""
-    if payload is None:
-        return None
-    try:
-        return read_looks(payload)
-    except DecodeError:
-        return None

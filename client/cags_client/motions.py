@@ -7,6 +7,7 @@ that it moves waits undecoded, for it can be checked against nothing.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -18,7 +19,7 @@ from cags_client.waiting import Key
 from cags_common.codecs import MotionTile
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
-from cags_common.motion.chunk import LEVELS, Chunk
+from cags_common.motion.chunk import LEVELS, Chunk, read_looks
 from cags_common.splats import Ids, Splats
 from cags_common.updates import UpdateState
 
@@ -46,11 +47,12 @@ class HeldMotion:
         return sum(map(len, self.payloads.values()))
 
     def opened(self) -> MotionTile:
-        """Decoded anew from the payloads. Raises :class:`DecodeError`."""
+        """Decoded anew from the payloads, but for levels that are damaged. Raises :class:`DecodeError`."""
         state = MotionTile(self.payloads[0])
         for level, payload in sorted(self.payloads.items()):
             if level:
-                state.add_layer(level, payload)
+                with suppress(DecodeError):
+                    state.add_layer(level, payload)
         return state
 
 
@@ -106,6 +108,21 @@ def reopened(held: HeldMotion) -> MotionTile | DecodeError:
         return held.opened()
     except DecodeError as error:
         return error
+
+
+def named(key: Key) -> str:
+    """The tile in an error."""
+    return f"tile {key[1]} of frame {key[0]}"
+
+
+def looks_of(payload: memoryview | None) -> Key | None:
+    """The looks that LoD 0 of a tile of motion moves; None where there is none, or it cannot be read."""
+    if payload is None:
+        return None
+    try:
+        return read_looks(payload)
+    except DecodeError:
+        return None
 
 
 class Motions:

@@ -166,18 +166,18 @@ class ClientPipeline:
         """The display's camera at ``pose``, with the scene's near plane."""
         return Camera(self.settings.intrinsics, pose, self.info.near)
 
-    def present(self, frame: int, camera: Camera) -> PresentedFrame:
-        """Draw media frame ``frame`` from ``camera``."""
+    def present(self, frame: int, camera: Camera, share: float = 0.0) -> PresentedFrame:
+        """Draw media frame ``frame`` from ``camera``; with ``share``, after that, what moves so many frames later."""
         started_s = self._clock()
         watch = Stopwatch(self._clock)
         if self._restorer_wanted != self.live.restore:
             self._restorer_wanted = self.live.restore
             self._restorer = self._made_restorer()
         with watch("update"):
-            store, committed = self._store.commit(frame, self.settings.reference_age if self._compares else 0)
+            store, committed = self._committed(frame, share)
             scene = self._updated(store, committed)
         reference = self._reference(frame, store)
-        situation = self._situation(store, committed, (frame, camera), reference)
+        situation = self._situation(store, committed, (frame + share, camera), reference)
         plan = plan_frame(situation, self.settings.effects)
         half = self._resolutions.chosen(self.live.resolution) == HALF
         seen_by = halved(camera) if half else camera
@@ -208,11 +208,16 @@ class ClientPipeline:
             buffer_ms=self._store.ahead(frame) * 1e3 / self.info.fps,
             stages_ms=watch.stages_ms,
             effects=plan,
+            share=share,
             tier=tier,
         )
 
+    def _committed(self, frame: int, share: float) -> tuple[GofStore, Committed]:
+        moved = self._store.move(frame, share) if share else None
+        return moved or self._store.commit(frame, self.settings.reference_age if self._compares else 0)
+
     def _situation(
-        self, store: GofStore, committed: Committed, view: tuple[int, Camera], reference: ReferencePicture | None
+        self, store: GofStore, committed: Committed, view: tuple[float, Camera], reference: ReferencePicture | None
     ) -> Situation:
         frame, camera = view
         there = reference.camera.pose.position if reference is not None else None

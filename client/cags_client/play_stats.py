@@ -10,7 +10,9 @@ class PlayStats:
     """Counts over a whole play."""
 
     frames: int = 0
-    """Frames presented."""
+    """Media frames presented."""
+    interpolated: int = 0
+    """Pictures presented between them."""
     missed: int = 0
     """Presented without all of their data."""
     dropped: int = 0

@@ -19,9 +19,11 @@ import random
 from collections.abc import Callable
 from concurrent.futures import Executor
 
-from cags_client.actions import Decode, DecodeResult, Present, Restarted
+from cags_client.actions import Decode, DecodeResult, Present, Restarted, Traffic
 from cags_client.arrivals import MAX_UNDECODED_BYTES, Arrivals
+from cags_client.between import Between, Moment
 from cags_client.cadence import Cadence
+from cags_client.endings import FATAL_ENDS, FATAL_REFUSALS, affordable, refused
 from cags_client.pipeline import ClientPipeline
 from cags_client.play_stats import PlayStats
 from cags_client.presented import PresentedFrame
@@ -31,13 +33,12 @@ from cags_client.viewpoint import PoseSource, Viewpoint
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
-from cags_common.splats import SH_REST_OF_DEGREE
 from cags_protocol import events as ev
 from cags_protocol.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
 from cags_protocol.client import ClientSession, ClientSessionSettings
 from cags_protocol.inventory import pack_inventory
 from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Control, Hello, Refusal, RefusalCode, Welcome
+from cags_protocol.messages import Control, Hello, Welcome
 from cags_protocol.session import SessionTimers
 
 KEYFRAME_RETRY_US = 250_000
@@ -45,12 +46,6 @@ KEYFRAME_RETRY_US = 250_000
 
 RESUMING = ClientSessionSettings(SessionTimers(handshake_us=3_000_000))
 """A server that takes over must answer soon, for there may be another."""
-
-FATAL_REFUSALS = frozenset(RefusalCode) - {RefusalCode.FULL, RefusalCode.TIMEOUT, RefusalCode.INTERNAL}
-"""Refusals that another attempt would only meet again; any other code may be gone a moment later."""
-
-FATAL_ENDS = frozenset({"malformed", "unexpected"})
-"""Ends of a session by a breach of the protocol: the same would follow again."""
 
 
 class Player:
@@ -95,6 +90,7 @@ class Player:
         self._arrivals = Arrivals()
         self._presenting, self._next_frame = False, settings.start_frame
         self._cadence = Cadence(settings.start_frame)
+        self._between = Between(settings.interpolate, settings.display_rate)
         self._due_us: int | None = None
         self._end_frame = settings.start_frame + 1
         self._asked_idr_us: int | None = None
@@ -128,7 +124,7 @@ class Player:
             return None
         times = [self._session.next_timer_us(), self._viewpoint.next_us, self._reconnect.next_timer_us()]
         if not self._presenting:
-            times.append(self._due_us)
+            times += [self._due_us, self._between.next_us()]
         return min((t for t in times if t is not None), default=None)
 
     def handle_timer(self, now_us: int) -> None:
@@ -184,20 +180,19 @@ class Player:
         if self.finished or self.pipeline is None:
             return None
         if self._arrivals.ready:
-            return self._decode(self.pipeline)
+            return Decode(self._arrivals.take(), self.pipeline)
         if self._due_us is not None and now_us >= self._due_us and not self._presenting:
             return self._present(now_us)
+        if not self._presenting and (moment := self._between.take(now_us)) is not None:
+            return self._present_between(moment, now_us)
         return None
 
     def done(self, action: Decode | Present, result: DecodeResult | PresentedFrame, now_us: int) -> None:
         """Report a finished action and what its ``run`` returned."""
         if isinstance(action, Present):
             assert isinstance(result, PresentedFrame)
-            self._presenting = False
-            self._cadence.drawn(now_us)
-            self.stats.frames += 1
-            self.stats.missed += result.missed
-            if self._next_frame >= self._end_frame:
+            self._presented(action, result, now_us)
+            if not action.share and self._next_frame >= self._end_frame:
                 self._finish(now_us)
             return
         assert isinstance(result, DecodeResult)
@@ -210,6 +205,17 @@ class Player:
             self._play(now_us)
 
     # ---------------------------------------------------------------------------------------------------------- details
+
+    def _presented(self, action: Present, result: PresentedFrame, now_us: int) -> None:
+        """Count a picture; those between media frames apart."""
+        self._presenting = False
+        self._between.drawn(now_us)
+        if action.share:
+            self.stats.interpolated += 1
+            return
+        self._cadence.drawn(now_us)
+        self.stats.frames += 1
+        self.stats.missed += result.missed
 
     def _pump(self, now_us: int) -> None:
         while (event := self._session.next_event()) is not None:
@@ -237,7 +243,7 @@ class Player:
             case ev.NoticeReceived(notice):
                 self.stats.notices.append(f"{notice.code}: {notice.message}")
             case ev.Refused(refusal):
-                self._why_away = _refused(refusal)
+                self._why_away = refused(refusal)
                 if refusal.code in FATAL_REFUSALS:
                     self._fail(self._why_away)
             case ev.Closed(code, reason):
@@ -269,7 +275,7 @@ class Player:
         self._welcome = welcome
         if self.pipeline is None:
             try:
-                self.info = _affordable(Manifest.from_json(welcome.info), self.settings)
+                self.info = affordable(Manifest.from_json(welcome.info), self.settings)
             except (BundleError, NetworkError) as error:
                 self._fail(error)
                 return
@@ -354,9 +360,6 @@ class Player:
         assert self.stats.started_us is not None
         return self.stats.started_us + round((frame - self.settings.start_frame) * 1e6 / self.info.fps)
 
-    def _decode(self, pipeline: ClientPipeline) -> Decode:
-        return Decode(self._arrivals.take(), pipeline)
-
     def _present(self, now_us: int) -> Present:
         frame = self._cadence.next(self._next_frame, self._end_frame)
         if self.settings.drop_late:
@@ -366,8 +369,20 @@ class Player:
         due_us = self._frame_due_us(frame)
         following = self._cadence.next(frame + 1, self._end_frame)
         self._due_us = self._frame_due_us(following) if following > frame else None
-        assert self.pipeline is not None
+        self._between.cancel()
+        assert self.info is not None and self.pipeline is not None
+        if self.info.motion is not None and following > frame:
+            self._between.begin(due_us, self._frame_due_us(following), following - frame)
+        self._between.drawing(now_us)
         return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._arrivals.traffic())
+
+    def _present_between(self, moment: Moment, now_us: int) -> Present:
+        """A picture of what moves, before the next media frame is due."""
+        assert self.pipeline is not None
+        self._presenting = True
+        self._between.drawing(now_us)
+        frame, pose = self._next_frame - 1, self._viewpoint.pose_at(moment.due_us)
+        return Present(frame, moment.due_us, pose, self.pipeline, Traffic(), moment.share)
 
     def _ask_idr(self, last_seq: int, now_us: int) -> None:
         if self._asked_idr_us is not None and now_us - self._asked_idr_us < KEYFRAME_RETRY_US:
@@ -383,28 +398,3 @@ class Player:
     def _fail(self, error: CagsError) -> None:
         self.finished = True
         self.error = self.error or error
-
-
-def _refused(refusal: Refusal) -> NetworkError:
-    where = f" ({refusal.field})" if refusal.field else ""
-    return NetworkError(f"the server refused{where}: {refusal.message}")
-
-
-COPIES = 4.5
-"""Times that the memory of a group's splats is taken at most: merged and in the renderer, two groups at a border."""
-
-
-def _affordable(info: Manifest, settings: ClientSettings) -> Manifest:
-    """``info``. Raises :class:`NetworkError` where a group of frames takes more memory than the viewer gives."""
-    largest = max(info.capacity, default=0)
-    if largest > settings.max_splats:
-        raise NetworkError(
-            f"the stream has groups of {largest} splats, and this client takes {settings.max_splats}; see --max-splats"
-        )
-    needed_mb = COPIES * largest * 4 * (14 + 3 * SH_REST_OF_DEGREE[info.sh_degree]) / 1e6
-    if needed_mb > settings.max_memory_mb:
-        raise NetworkError(
-            f"the stream has groups of {largest} splats, which take {needed_mb:.0f} MB; this client gives "
-            f"{settings.max_memory_mb:g}; see --max-memory-mb"
-        )
-    return info

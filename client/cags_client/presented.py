@@ -37,6 +37,8 @@ class PresentedFrame:
     """What was done for this frame, and by that what was left out."""
     buffer_ms: float = 0.0
     """Media that has come whole and is not yet due: how long the link may fail unseen."""
+    share: float = 0.0
+    """Media frames after ``frame``, where it is a picture between two of them."""
     tier: str = "none"
     """The restorer in use, whether or not the frame's effects needed it."""
 

@@ -65,6 +65,7 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         "frames": stats.frames,
         "frames_missed": stats.missed,
         "frames_dropped": stats.dropped,
+        "frames_interpolated": stats.interpolated,
         "decode_errors": stats.decode_errors,
         "keyframe_requests": stats.keyframe_requests,
         "reconnects": stats.reconnects,

@@ -14,6 +14,10 @@ from cags_common.splats import MAX_SPLATS
 FULL, HALF, AUTO = RESOLUTIONS = "full", "half", "auto"
 """Pixels that a frame is worked out at (:mod:`cags_client.resolution`)."""
 
+OFF, ON = "off", "on"
+INTERPOLATIONS = OFF, ON, AUTO
+"""When pictures are drawn between media frames (:mod:`cags_client.between`)."""
+
 
 @dataclass(frozen=True)
 class ClientSettings:
@@ -71,6 +75,13 @@ class ClientSettings:
         10.0, "seconds to try to take a dropped connection up again; 0: it ends the play", low=0.0, high=86_400
     )
     pose_rate: float = setting(60.0, "poses sent a second", low=1, high=1000)
+    interpolate: str = setting(
+        AUTO,
+        "draw what moves between media frames too, at --display-rate: off, on, or auto: on a live display, where there "
+        "is time",
+        choices=INTERPOLATIONS,
+    )
+    display_rate: float = setting(60.0, "pictures a second that the display shows, for --interpolate", low=1, high=1000)
     drop_late: bool = setting(True, "skip frames that would be shown after the next one is due")
     token: str = setting("", "token of a server that asks for one")
     ca: str = setting("", "PEM file of the authority that the server's certificate is from; the system's when empty")

@@ -104,6 +104,16 @@ class TileStore:
                 del self._gofs[old]
         return store, Committed(gof, changes.rows, changes.moved, fresh, not changes.whole)
 
+    def move(self, frame: int, share: float) -> tuple[GofStore, Committed] | None:
+        """Show the splats on display where they are ``share`` frames after ``frame``, the last that was committed; None
+        where another is.
+        """
+        store = self._shown
+        if store is None or store.shown_frame != frame:
+            return None
+        gof = self._manifest.gof_of(frame)
+        return store, Committed(gof, np.zeros(0, np.intp), store.move(frame + share), False, not store.whole)
+
     @property
     def on_display(self) -> GofStore | None:
         """The group of frames on display; None before any."""

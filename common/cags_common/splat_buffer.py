@@ -75,10 +75,19 @@ class _Motion:
     """First frame of the chunk that is shown, and the time; None: splats are as their looks say."""
     dirty: bool = True
     """Whether looks, an update or motion came since :attr:`shown`."""
+    _tile: MovingTile | None = None
 
     def start(self, time: float) -> int | None:
         """First frame of the chunk to show at ``time``."""
         return max((first for first in self.chunks if first <= time), default=None)
+
+    def tile_at(self, start: int, time: float, rows: I32, steps: Steps) -> MovingTile:
+        """The splats of ``rows`` at ``time``; made anew only where something else than the time has changed."""
+        chunk, tile = self.chunks[start], self._tile
+        if tile is None or tile.chunk is not chunk or tile.rows is not rows or tile.steps is not steps:
+            tile = self._tile = MovingTile(chunk, time - start, rows, steps)
+        tile.time = time - start
+        return tile
 
     def settled(self, start: int, time: float) -> bool:
         """Whether the chunk from ``start`` is shown as it is at ``time`` already."""
@@ -308,7 +317,7 @@ class SplatBuffer:
                 continue
             if slot.rows is None:
                 slot.rows = np.where(self.owner[slot.ids] == slot.index, slot.ids, -1).astype(np.int32)
-            tiles.append(MovingTile(motion.chunks[start], time - start, slot.rows, slot.steps))
+            tiles.append(motion.tile_at(start, time, slot.rows, slot.steps))
             slot.ended = time >= motion.ends[start] and _ends_all(motion.chunks[start])
             motion.shown, motion.dirty = (start, time), False
         if not tiles:

@@ -39,7 +39,8 @@ def _parser() -> argparse.ArgumentParser:
         "scene",
         metavar="SCENE",
         nargs="?",
-        help="file, folder of numbered files, procedural[:size=..,..] or fourd[:splats=..,..]",
+        help="file, folder of numbered files, motion:PATH, procedural[:size=..,..] or fourd[:splats=..,..]; each takes "
+        "shuffle=1 and quantise=sog|spz, too",
     )
     parser.add_argument("out", metavar="OUT", nargs="?", help="folder or fsspec URL; an older bundle there is replaced")
     parser.add_argument("--json", action="store_true", help="print one JSON object about the bundle to stdout")

@@ -130,7 +130,7 @@ class _Encoding:
         clip = ClipEncoder(self._source, self._settings, codec, writer, self._workers)
         motion = self._motion(codec)
         clip.run(self._count, self._journal, lambda done: self._tell("encode", done, self._count), motion)
-        return writer.commit(replace(self._manifest(codec, clip), motion=motion))
+        return writer.commit(replace(self._manifest(codec, clip), motion=motion, tracks=clip.placer.tracks()))
 
     def _motion(self, codec: ClipCodec) -> MotionSteps | None:
         """Units of motion, where splats may move by themselves: not in a clip of one frame."""

@@ -46,8 +46,7 @@ class Joining:
     def end(self, now_us: int) -> list[ev.Outgoing]:
         """The end of the first frame while the link is still busy with it, so that the play can begin."""
         ends = self._opening.end(now_us) if self._opening else []
-        reader = self._library.reader
-        return [ev.Outgoing(end, reader.removed_payload(end.frame), BLOB_PRIORITY) for end in ends]
+        return [ev.Outgoing(end, self._library.removed_payload(end.frame), BLOB_PRIORITY) for end in ends]
 
     def _codebooks(self) -> list[ev.Outgoing]:
         """None for a client that resumes: it could not hold a tile without them."""

@@ -1,12 +1,9 @@
-"""The scene being served: what every client shares. Frames loaded for rendering, and which tile owns which splat."""
+"""The scene being served: what every client shares. frames for rendering, and which tile brings what."""
 
 from __future__ import annotations
 
 import hashlib
 import threading
-from bisect import bisect_right
-from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,26 +12,16 @@ from cags_common.bundle import BundleReader, FrameEntry, Manifest
 from cags_common.geometry import F32
 from cags_common.raster.base import Rasteriser
 from cags_common.recent import Recent
+from cags_server.ownership import Owners, advanced
 from cags_server.scenes import SourceScenes
+from cags_server.tile_map import TileMap
+from cags_server.visible import LONGEST_STAY, Moment, Stays, VisibleTile, tiles_of
 
-LOOK_AHEAD, LONGEST_STAY = 8, 60
-"""Frames looked ahead for what the media will replace, and the longest stay that detail is credited with."""
+LOOK_AHEAD = 8
+"""Frames looked ahead for what the media will replace."""
 
 OWNER_BYTES, OWNER_FRAMES = 64 << 20, 2 * LOOK_AHEAD
 """Bound on the owner tables in memory, and so many frames' in any case."""
-
-
-@dataclass(frozen=True, slots=True)
-class VisibleTile:
-    """A tile and how many of its splats are seen from a pose."""
-
-    frame: int
-    tile: int
-    count: int
-    weight: float
-    """Pixels of the reference that its splats make up."""
-    frames_left: float
-    """Frames until the media replaces those splats, about."""
 
 
 class SceneLibrary:
@@ -45,9 +32,9 @@ class SceneLibrary:
         self.scenes = SourceScenes(reader, rasteriser)
         self.weights = reader.weights()
         """Of a restorer, trained for this content; clients are offered them."""
-        self._owners = Recent[tuple[int, int], NDArray[np.int32]](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
-        self._stays = Recent[int, NDArray[np.uint8]](OWNER_BYTES)  # by frame
-        self._numbers: dict[int, tuple[int, ...]] = {}
+        self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
+        self._stays = Recent[int, Stays](OWNER_BYTES)  # by frame
+        self._maps: dict[int, TileMap] = {}  # by group
         self._ids = Recent[tuple[int, int], NDArray[np.intp]](OWNER_BYTES)  # by (frame, tile)
         self._lock = threading.Lock()
         self.digest = hashlib.sha256(reader.manifest.to_json()).hexdigest()[:12]
@@ -86,13 +73,21 @@ class SceneLibrary:
     def fetch(self, frame: int) -> None:
         """Read what :meth:`at_hand` asks for."""
         self.reader.removed_ids(frame)
-        self._frames_left(frame)
+        self._stays_at(frame)
+
+    def removed_payload(self, frame: int) -> bytes:
+        """What the end of ``frame`` says: the ids that go; none where splats end by the lives in their motion."""
+        return b"" if self.manifest.motion is not None else self.reader.removed_payload(frame)
 
     def owners(self, frame: int) -> NDArray[np.int32]:
-        """[capacity] for each splat id the tile that holds its newest version at ``frame``; -1 where none does.
+        """[capacity] for each splat id the tile that holds its newest looks at ``frame``; -1 where none does.
 
-        Tiles are numbered through the group of frames; :meth:`tile_of` turns numbers into tiles.
+        Tiles are numbered through the group of frames (:meth:`tile_map`).
         """
+        return self.owned(frame).looks
+
+    def owned(self, frame: int) -> Owners:
+        """Which tiles hold the newest looks and updates of each splat at ``frame``."""
         gof = self.manifest.gof_of(frame)
         with self._lock:
             found = self._owners.get((gof, frame))
@@ -107,49 +102,46 @@ class SceneLibrary:
         return traced
 
     def visible_tiles(self, frame: int, contribution: F32, least: float) -> tuple[VisibleTile, ...]:
-        """Tiles that own a splat whose ``contribution`` [capacity] exceeds ``least``, most visible first."""
-        owners = self.owners(frame)
-        splats = np.nonzero((contribution > least) & (owners >= 0))[0]
-        held = owners[splats]
-        every = np.bincount(held)
-        numbers = np.nonzero(every)[0]
-        counts = every[numbers]
-        weights = np.bincount(held, weights=contribution[splats])[numbers]
-        left = np.bincount(held, weights=self._frames_left(frame)[splats])[numbers] / counts
-        rows = zip(numbers.tolist(), counts.tolist(), weights.tolist(), left.tolist(), strict=True)
-        tiles = [VisibleTile(*self.tile_of(frame, number), *rest) for number, *rest in rows]
-        return tuple(sorted(tiles, key=lambda t: (-t.count, t.frame, t.tile)))
+        """Tiles that bring something of a splat whose ``contribution`` [capacity] exceeds ``least``.
 
-    def _frames_left(self, frame: int) -> NDArray[np.uint8]:
-        """[capacity] frames until each splat is replaced, from its owners in the next ``LOOK_AHEAD`` frames.
-
-        A splat that stays that long is taken to stay to the end of its group (at most ``LONGEST_STAY``).
+        The most visible first: its looks, the motion that it follows and will follow soon, the updates in force.
         """
+        moment = Moment(frame, self.tile_map(frame), self.owned(frame), self._stays_at(frame))
+        return tiles_of(moment, contribution, least)
+
+    def _stays_at(self, frame: int) -> Stays:
+        """For how long what is there at ``frame`` stays, from the owners in the next ``LOOK_AHEAD`` frames."""
         with self._lock:
             known = self._stays.get(frame)
         if known is not None:
             return known
-        last, owners = self.manifest.gof_frames(self.manifest.gof_of(frame))[-1], self.owners(frame)
-        left = np.full(len(owners), min(last - frame + 1, LONGEST_STAY), np.uint8)
+        last, now = self.manifest.gof_frames(self.manifest.gof_of(frame))[-1], self.owned(frame)
+        most = min(last - frame + 1, LONGEST_STAY)
+        left = np.full(len(now.looks), most, np.uint8)
+        updates = None if now.updates is None else np.full(now.updates.shape, most, np.uint8)
         for at in range(min(frame + LOOK_AHEAD, last), frame, -1):
-            left[self.owners(at) != owners] = at - frame
+            then = self.owned(at)
+            if then.looks is not now.looks:
+                left[then.looks != now.looks] = at - frame
+            if updates is not None and then.updates is not None and then.updates is not now.updates:
+                updates[then.updates != now.updates] = at - frame
+        _extrapolate(left, now.looks, most)
+        stays = Stays(left, updates, last)
         with self._lock:
-            self._stays.put(frame, left, left.nbytes)
-        return left
+            self._stays.put(frame, stays, stays.nbytes)
+        return stays
+
+    def tile_map(self, frame: int) -> TileMap:
+        """The tiles of the group of ``frame`` by number."""
+        gof = self.manifest.gof_of(frame)
+        known = self._maps.get(gof)
+        if known is None:
+            known = self._maps[gof] = TileMap([self.entry(at) for at in self.manifest.gof_frames(gof)])
+        return known
 
     def tile_of(self, frame: int, number: int) -> tuple[int, int]:
         """(media frame, tile) of a tile number within the group of ``frame``."""
-        firsts = self._first_numbers(self.manifest.gof_of(frame))
-        at = bisect_right(firsts, number) - 1
-        return self.gof_start(frame) + at, number - firsts[at]
-
-    def _first_numbers(self, gof: int) -> tuple[int, ...]:
-        """The number of the first tile of each frame of a group."""
-        known = self._numbers.get(gof)
-        if known is None:
-            sizes = [len(self.entry(frame).tiles) for frame in self.manifest.gof_frames(gof)]
-            known = self._numbers[gof] = tuple(accumulate(sizes[:-1], initial=0))
-        return known
+        return self.tile_map(frame).key(number)
 
     def tile_ids(self, frame: int, tile: int) -> NDArray[np.intp]:
         """[n] ids of a tile's splats, for indexing."""
@@ -161,22 +153,28 @@ class SceneLibrary:
                 self._ids.put((frame, tile), found, found.nbytes)
         return found
 
-    def owning_tiles(self, frame: int) -> list[tuple[int, int]]:
-        """Every (media frame, tile) that still owns a splat at ``frame``."""
-        owners = self.owners(frame)
-        return [self.tile_of(frame, int(n)) for n in np.unique(owners[owners >= 0])]
-
-    def _trace_owners(self, gof: int, frame: int, known: tuple[int, NDArray[np.int32]] | None) -> NDArray[np.int32]:
+    def _trace_owners(self, gof: int, frame: int, known: tuple[int, Owners] | None) -> Owners:
         """Follow removals and tiles from the frame of ``known``, or from the group's start, to ``frame``."""
-        start = self.manifest.gof_starts[gof]
+        tiles = self.tile_map(frame)
         if known is None:
-            owners, first = np.full(self.manifest.capacity[gof], -1, np.int32), start
+            owners, first = Owners.none(self.manifest.capacity[gof], updates=tiles.has_updates), tiles.start
         else:
-            owners, first = known[1].copy(), known[0] + 1
-        number = self._first_numbers(gof)[first - start]
+            owners, first = known[1], known[0] + 1
         for at in range(first, frame + 1):
-            owners[self.reader.removed_ids(at)] = -1
-            for tile in self.entry(at).tiles:
-                owners[self.reader.tile_ids(at, tile.tile)] = number
-                number += 1
+            owners = advanced(owners, self.reader, tiles, at)
         return owners
+
+
+def _extrapolate(left: NDArray[np.uint8], owners: NDArray[np.int32], most: int) -> None:
+    """Splats that outlive the frames looked ahead go on to go at the rate at which those of their tile went in these.
+
+    Without any that went they stay for ``most`` frames, to the end of their group.
+    """
+    if most <= LOOK_AHEAD:
+        return
+    there = np.flatnonzero(owners >= 0)
+    staying = there[left[there] == most]
+    every = np.bincount(owners[there], minlength=1)
+    gone = 1.0 - np.bincount(owners[staying], minlength=len(every)) / np.maximum(every, 1)
+    mean = np.minimum(LOOK_AHEAD / np.maximum(gone, LOOK_AHEAD / most), most)
+    left[staying] = mean[owners[staying]]

@@ -2,7 +2,8 @@
 
 What is sent is chosen by what is seen of the true scene. A splat that leaves the picture between two frames is seen
 no more, so its change would never be sent, and the client would go on drawing it at its old place: a ghost. Until the
-newest version of a splat is on its way, the splat therefore counts for as much as when it was last seen.
+newest version of a splat, and the motion that it follows, are on their way, the splat therefore counts for as much as
+when it was last seen.
 """
 
 from __future__ import annotations
@@ -40,6 +41,10 @@ class Lingering:
         seen = self.added_to(contribution, frame)
         ids = np.flatnonzero(seen > self._visible_px)
         numbers, where = np.unique(self._library.owners(frame)[ids], return_inverse=True)
-        stale = np.array([n >= 0 and not inventory.depth(*self._library.tile_of(frame, int(n))) for n in numbers], bool)
+        tiles = self._library.tile_map(frame)
+        chunks = tiles.chunk_at(numbers, frame)
+        lacks = [n >= 0 and not inventory.depth(*tiles.key(n)) for n in numbers.tolist()]
+        stands = [n >= 0 and not inventory.depth(*tiles.key(n)) for n in chunks.tolist()]
+        stale = (np.array(lacks, bool) | np.array(stands, bool)) & (numbers >= 0)
         ids = ids[stale[where]] if len(ids) else ids
         self._gof, self._ids, self._values = self._library.manifest.gof_of(frame), ids, seen[ids]

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cags_common.geometry import F32, Camera
+from cags_common.geometry import F32, F64, Camera
 from cags_protocol.messages import FrameEnd, TileLayers
 from cags_server.library import SceneLibrary
-
-Key = tuple[int, int]
+from cags_server.tile_map import Key, Numbers, TileMap
 
 VIEW_SLACK = 1.2
 """How far outside the picture, in half widths, a tile still counts as in view: the viewer moves, splats have extent."""
@@ -55,14 +53,27 @@ class Opening:
 
 
 def opening_tiles(library: SceneLibrary, frame: int, camera: Camera) -> tuple[list[Key], list[Key]]:
-    """(media frame, tile) of all tiles alive at ``frame``: those in view of ``camera``, nearest first, and the
-    others.
+    """(media frame, tile) of what makes the picture of ``frame``: in view of ``camera``, nearest first, and the others.
+
+    In view are looks, each followed by the motion that it follows now, then the updates in force of their splats. Of
+    the others there are looks alone: their motion may be another when somebody turns to them, which brings it.
     """
-    keys = library.owning_tiles(frame)
-    distances = _distances_in_view(library, keys, camera)
-    in_view = [(distance, key) for distance, key in zip(distances.tolist(), keys, strict=True) if distance < np.inf]
-    hidden = [key for distance, key in zip(distances.tolist(), keys, strict=True) if distance == np.inf]
-    return [key for _, key in sorted(in_view)], hidden
+    tiles, owned = library.tile_map(frame), library.owned(frame)
+    numbers = np.unique(owned.looks[owned.looks >= 0])
+    distances = distances_in_view(_bounds(tiles, numbers, frame), camera)
+    order = np.argsort(distances, kind="stable")
+    near = numbers[order[: np.isfinite(distances).sum()]]
+    in_view = [n for pair in zip(near.tolist(), tiles.chunk_at(near, frame).tolist(), strict=True) for n in pair]
+    if owned.updates is not None:
+        in_view += np.unique(owned.updates[:, np.isin(owned.looks, near)]).tolist()
+    hidden = np.setdiff1d(numbers, near)
+    return [tiles.key(n) for n in in_view if n >= 0], [tiles.key(int(n)) for n in hidden]
+
+
+def _bounds(tiles: TileMap, looks: Numbers, frame: int) -> F64:
+    """[m, 2, 3] bounds of tiles of looks where they are at ``frame``."""
+    chunks = tiles.chunk_at(looks, frame)
+    return np.asarray(tiles.bounds[np.where(chunks >= 0, chunks, looks)])
 
 
 def guessed_contribution(library: SceneLibrary, frame: int, camera: Camera, pixels: int) -> F32:
@@ -72,7 +83,7 @@ def guessed_contribution(library: SceneLibrary, frame: int, camera: Camera, pixe
     """
     owners = library.owners(frame)
     numbers = np.unique(owners[owners >= 0])
-    distances = _distances_in_view(library, [library.tile_of(frame, int(n)) for n in numbers], camera)
+    distances = distances_in_view(_bounds(library.tile_map(frame), numbers, frame), camera)
     shares = 1.0 / np.square(np.maximum(distances, camera.near))  # 0 for what is out of view
     out = np.zeros(len(owners), np.float64)
     held = owners >= 0
@@ -81,12 +92,11 @@ def guessed_contribution(library: SceneLibrary, frame: int, camera: Camera, pixe
     return np.asarray(out * (pixels / total) if total > 0 else out, np.float32)
 
 
-def _distances_in_view(library: SceneLibrary, keys: Sequence[Key], camera: Camera) -> NDArray[np.float64]:
-    """[tiles] distance of the nearest corner of each tile's bounds; inf where no part of it can be in view.
+def distances_in_view(bounds: F64, camera: Camera) -> F64:
+    """[n] distance of the nearest corner of each of ``bounds`` [n, 2, 3]; inf where no part of it can be in view.
 
     Conservative: a tile is out of view only if all corners lie beyond the same side of the (slackened) frustum.
     """
-    bounds = np.array([library.entry(frame).tiles[tile].bounds for frame, tile in keys], np.float64).reshape(-1, 2, 3)
     corners = np.stack([bounds[:, ends, range(3)] for ends in itertools.product((0, 1), repeat=3)], axis=1)
     rotation, translation = camera.world_to_camera
     points = corners @ rotation.T + translation

@@ -9,10 +9,11 @@ from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RenderOptions
 from cags_common.video.h264 import is_idr
 from cags_common.video.noise import CodingNoise
-from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.library import SceneLibrary
 from cags_server.lingering import Lingering
 from cags_server.predict.base import PoseDistribution
 from cags_server.reference_encoder import ReferenceEncoder
+from cags_server.visible import VisibleTile
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from cags_common.geometry import F32, Camera
+from cags_common.tile_kinds import TileKind
+from cags_server.ghosts import ghosts, merged
 from cags_server.inventory import ClientInventory
-from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.library import SceneLibrary
 from cags_server.lingering import Lingering
 from cags_server.opening import guessed_contribution
+from cags_server.tiles import TileSender
+from cags_server.visible import VisibleTile
 
 
 class Sight:
@@ -34,6 +40,27 @@ class Sight:
         """What a render of ``pixels`` pixels from ``camera`` would show, guessed from the tiles' bounds."""
         return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
 
+    def with_ghosts(
+        self, visible: tuple[VisibleTile, ...], frame: int, camera: Camera, tiles: TileSender
+    ) -> tuple[VisibleTile, ...]:
+        """``visible`` at ``frame``, and what ends older versions that the client may show in view of ``camera``."""
+        found: dict[tuple[int, int], VisibleTile] = {}
+        coming = _new_looks(visible, tiles.inventory)
+        while True:  # what ends one version may bring others that have been replaced since
+            shown = tiles.shown_with(frame, coming)
+            more = ghosts(self._library, frame, camera, shown, tiles.inventory)
+            found |= {(tile.frame, tile.tile): tile for tile in more}
+            fresh = _new_looks(more, tiles.inventory) - coming
+            if not fresh:
+                return merged(visible, tuple(found.values()))
+            coming |= fresh
+
     def served(self, frame: int, contribution: F32, inventory: ClientInventory) -> None:
         """After the tiles of ``frame`` were chosen: what was seen, and is neither held nor on its way, lingers."""
         self.lingering.update(contribution, frame, inventory)
+
+
+def _new_looks(tiles: Iterable[VisibleTile], inventory: ClientInventory) -> set[tuple[int, int]]:
+    """(media frame, tile) of looks that the client has nothing of."""
+    keys = {(tile.frame, tile.tile) for tile in tiles if tile.kind == TileKind.LOOKS}
+    return {key for key in keys if not inventory.depth(*key)}

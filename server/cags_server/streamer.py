@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from cags_common.geometry import Camera, Pose
+from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.messages import Control, HeldTile, Hello, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
@@ -17,7 +18,7 @@ from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
 from cags_server.fov import widened
 from cags_server.joining import Joining
-from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.library import SceneLibrary
 from cags_server.pace import MARGIN_US
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
@@ -30,6 +31,7 @@ from cags_server.sight import Sight
 from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
 from cags_server.viewer import Viewer
+from cags_server.visible import VisibleTile
 
 
 class Streamer:
@@ -124,7 +126,7 @@ class Streamer:
                 self._on_settled(outgoing, delivered=False)
             case ev.Evicted(tiles):
                 for held in tiles:
-                    self._tiles.inventory.reduced(held.frame, held.tile, held.lods)
+                    self._tiles.evicted(held)
             case _:
                 pass
 
@@ -300,6 +302,8 @@ class Streamer:
 
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The tiles that the rate policy chooses for a frame, and the frame's end."""
+        camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
+        visible = self._sight.with_ghosts(visible, record.frame, camera, self._tiles)
         decision = self._decide(visible, record, now_us)
         deadline_us = self._viewer.clock.to_server(record.display_us) + int(self._settings.tile_deadline_ms * 1000)
         return self._counted(self._tiles.upgrades(record.frame, decision.upgrades, deadline_us), now_us)
@@ -324,11 +328,13 @@ class Streamer:
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps, allowed_bps = self._estimator.estimate_bps(now_us), self._estimator.allowance_bps(now_us)
         lead_frames = self._schedule.lead_us(self.stats.rtt_us) / self._schedule.timeline.period_us
-        tiles = tuple(self._tiles.view(tile, record.frame, lead_frames) for tile in visible)
+        views = (self._tiles.view(tile, record.frame, lead_frames) for tile in visible)
+        tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
         spare_us = self._viewer.clock.to_server(record.display_us) - now_us - MARGIN_US
-        fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in tiles if not tile.depth]
+        now = (tile for tile in tiles if not tile.depth and tile.frame <= record.frame)
+        fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
         timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
         room_bytes = max(self._budget.room(record.estimate_bps, period_us), timely_bytes)
         record.budget_bytes = min(earned_bytes, room_bytes)

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.geometry import Camera
+from cags_common.packing import encode_ids
+from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, HeldTile, TileLayers
 from cags_server.abr import TileView, Upgrade
 from cags_server.inventory import ClientInventory
-from cags_server.library import SceneLibrary, VisibleTile
+from cags_server.library import SceneLibrary
 from cags_server.opening import opening_tiles
 from cags_server.staleness import Staleness
+from cags_server.tile_map import TileMap
+from cags_server.visible import VisibleTile
 
 BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3
 """Base layers and ends of frames, detail, what is out of view; references go before, in the session's own order."""
+
+Parts: TypeAlias = "tuple[list[ev.Outgoing], list[ev.Outgoing]]"
+"""What comes new, and what makes better what is there."""
 
 
 class TileSender:
@@ -41,10 +52,25 @@ class TileSender:
             self.inventory.hold(held.frame, held.tile, held.lods)
         self._staleness.held((held.frame, held.tile) for held in tiles)
 
+    def evicted(self, held: HeldTile) -> None:
+        """The client keeps so many LoDs of a tile, for want of memory."""
+        self.inventory.reduced(held.frame, held.tile, held.lods)
+        if not held.lods:
+            self._staleness.lost(held.frame, held.tile)
+
+    def shown_with(self, frame: int, more: Iterable[tuple[int, int]]) -> NDArray[np.int32]:
+        """See :meth:`Staleness.shown_with`."""
+        return self._staleness.shown_with(frame, more)
+
     def upgrades(self, frame: int, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
-        """Messages of a frame: new tiles, the frame's end, detail."""
+        """Messages of a frame: new tiles, the frame's end, tiles that begin later, detail."""
         base, detail = (self._layers if self.layered else self._whole_tiles)(upgrades, deadline_us)
-        return [*base, *self.frame_ends(frame), *detail]
+        begins_later = [isinstance(each.message, TileLayers) and each.message.frame > frame for each in base]
+        now, later = (
+            [each for each, is_later in zip(base, begins_later, strict=True) if is_later == kind]
+            for kind in (False, True)
+        )
+        return [*now, *self.frame_ends(frame), *later, *detail]
 
     def beginning(self, frame: int, camera: Camera) -> list[ev.Outgoing]:
         """A picture from nothing, whatever the budget: base layers in view, the frame's end, the other base layers."""
@@ -55,7 +81,7 @@ class TileSender:
         out += self.frame_ends(frame)
         return out + [self._tile(key, (0, 1), HIDDEN_PRIORITY) for key in lacking[1]]
 
-    def _layers(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
+    def _layers(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> Parts:
         """Base layers, which go ahead of everybody's detail, and the detail."""
         fresh = [u for u in upgrades if u.from_lod == 0]
         base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh]
@@ -66,11 +92,9 @@ class TileSender:
         ]
         return base, detail
 
-    def _whole_tiles(
-        self, upgrades: tuple[Upgrade, ...], deadline_us: int
-    ) -> tuple[list[ev.Outgoing], list[ev.Outgoing]]:
+    def _whole_tiles(self, upgrades: tuple[Upgrade, ...], deadline_us: int) -> Parts:
         """New tiles, and tiles that are sent again at a better quality."""
-        parts: tuple[list[ev.Outgoing], list[ev.Outgoing]] = [], []
+        parts: Parts = [], []
         for u in upgrades:
             again = u.from_lod > 0
             priority = ENHANCEMENT_PRIORITY if again and not u.urgent else BASE_PRIORITY
@@ -107,6 +131,8 @@ class TileSender:
         entry = self._library.entry(tile.frame)
         sizes = entry.tiles[tile.tile].lod_bytes
         depth = self.inventory.depth(tile.frame, tile.tile)
+        while 0 < depth < len(sizes) and not sizes[depth]:  # of attributes that an update leaves as they are
+            depth += 1
         above = self.inventory.mask(tile.frame, tile.tile) >> depth  # what is held beyond a gap
         if above:
             sizes = (*sizes[:depth], *(0 if above >> i & 1 else size for i, size in enumerate(sizes[depth:])))
@@ -119,9 +145,19 @@ class TileSender:
             weight=tile.weight,
             frames_left=tile.frames_left,
             passing=tile.frames_left <= lead_frames,
-            replaces=not entry.keyframe,
-            stale_frames=1.0 if depth or entry.keyframe else self._staleness.frames(frame, tile.frame, tile.tile),
+            replaces=0.0 if entry.keyframe or depth else self._staleness.share_shown(tile.frame, tile.tile),
+            stale_frames=1.0 if depth else self._stale_frames(tile, frame, keyframe=entry.keyframe),
+            kind=tile.kind,
+            after=tile.looks if tile.looks and not self.inventory.depth(*tile.looks) else None,
         )
+
+    def _stale_frames(self, tile: VisibleTile, frame: int, *, keyframe: bool) -> float:
+        """For how long what ``tile`` changes will have been out of date at ``frame``; 1 at least."""
+        if tile.kind == TileKind.MOTION:
+            return self._staleness.motion_frames(frame, tile.frame, tile.tile, self.inventory)
+        if tile.kind == TileKind.UPDATE:
+            return float(max(frame - tile.frame, 1))
+        return 1.0 if keyframe else self._staleness.frames(frame, tile.frame, tile.tile)
 
     def settled(self, message: TileLayers, *, delivered: bool) -> None:
         """Layers have arrived, or will not."""
@@ -162,5 +198,22 @@ class TileSender:
         """The ends of every frame up to ``frame`` that has not been ended: skipped ones too, for their removed ids."""
         first = self._library.gof_start(frame) if self.ended is None else self.ended + 1
         self.ended, self._group = frame, self._library.manifest.gof_of(frame)
-        reader = self._library.reader
-        return [ev.Outgoing(FrameEnd(at), reader.removed_payload(at), BASE_PRIORITY) for at in range(first, frame + 1)]
+        return [ev.Outgoing(FrameEnd(at), self._removed(at), BASE_PRIORITY) for at in range(first, frame + 1)]
+
+    def _removed(self, frame: int) -> bytes:
+        """The ids that end at ``frame``; where motion says when splats end, those of motion that the client lacks."""
+        library = self._library
+        if library.manifest.motion is None:
+            return library.removed_payload(frame)
+        ids, tiles = library.reader.removed_ids(frame), library.tile_map(frame)
+        shown = self._staleness.shown_with(frame, [])[ids]
+        older = np.flatnonzero((shown >= 0) & (tiles.frames[shown] < frame)) if len(ids) else np.zeros(0, np.intp)
+        looks = np.unique(shown[older])
+        told = [n for n in looks.tolist() if self._follows(tiles, n, frame)]
+        return encode_ids(ids[older[~np.isin(shown[older], told)]])
+
+    def _follows(self, tiles: TileMap, looks: int, frame: int) -> bool:
+        """Whether the client has the motion of a tile of looks that says what ends at ``frame``."""
+        of = np.array([looks], np.int32)
+        chunks = {int(tiles.chunk_at(of, at)[0]) for at in (frame - 1, frame)} - {-1}
+        return any(self.inventory.depth(*tiles.key(chunk)) for chunk in chunks)

@@ -108,8 +108,9 @@ class AgedPlay:
 
     def _send(self, pipe: ClientPipeline, frame: int, lod: int) -> None:
         for entry in self._reader.frame(frame).tiles:
-            parts = [self._reader.payload(frame, entry.tile, i) for i in range(lod + 1)]
-            message = TileLayers(frame, entry.tile, 0, lod + 1, tuple(map(len, parts)), entry.crcs[: lod + 1])
+            levels = min(lod + 1, len(entry.lod_bytes))
+            parts = [self._reader.payload(frame, entry.tile, i) for i in range(levels)]
+            message = TileLayers(frame, entry.tile, 0, levels, tuple(map(len, parts)), entry.crcs[:levels])
             pipe.on_tiles([(message, memoryview(b"".join(parts)))])
         pipe.on_frame_end(FrameEnd(frame), memoryview(self._reader.removed_payload(frame)))
 

@@ -26,7 +26,7 @@ EXAMPLES = """\
 class AlignBenchSettings(Conditions):
     """What is measured."""
 
-    scene: str = setting("procedural:size=60000", "scene: a file, a folder, motion:PATH or procedural[:..]")
+    scene: str = setting("procedural:size=60000", "scene: a file, a folder, motion:PATH, procedural[:..] or fourd[:..]")
     ages: str = setting(
         "", "instead: a moving scene at the first size with references this many media frames old, such as 1,3,10"
     )

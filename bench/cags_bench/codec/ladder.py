@@ -13,7 +13,7 @@ import numpy as np
 
 from cags_bench.codec.ablation import Variant
 from cags_bench.codec.views import Judge
-from cags_client.opening import TileOpener
+from cags_client.opening import OpenTile, TileOpener
 from cags_common.bundle import Manifest
 from cags_common.codecs import tile_codec
 from cags_common.errors import DecodeError
@@ -117,6 +117,7 @@ def decode(opener: TileOpener, tiles: list[Tile], lod: int, sh_degree: int) -> S
     for opened, payloads in zip(opener.open([memoryview(tile[0]) for tile in tiles]), tiles, strict=True):
         if isinstance(opened, DecodeError):
             raise opened
+        assert isinstance(opened, OpenTile)  # a still has looks alone
         for level in range(1, lod + 1):
             opened.state.add_layer(level, payloads[level])
         states.append(opened.state)

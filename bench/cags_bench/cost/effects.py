@@ -79,8 +79,9 @@ def _outside_ms(pipeline: ClientPipeline, camera: Camera) -> float:
 def _fill(pipeline: ClientPipeline, reader: BundleReader, lods: int) -> None:
     """Hand over the first frame up to LoD ``lods`` - 1."""
     for entry in reader.frame(0).tiles:
-        parts = [reader.payload(0, entry.tile, lod) for lod in range(lods)]
-        message = TileLayers(0, entry.tile, 0, lods, tuple(map(len, parts)), entry.crcs[:lods])
+        levels = min(lods, len(entry.lod_bytes))
+        parts = [reader.payload(0, entry.tile, lod) for lod in range(levels)]
+        message = TileLayers(0, entry.tile, 0, levels, tuple(map(len, parts)), entry.crcs[:levels])
         pipeline.on_tiles([(message, memoryview(b"".join(parts)))])
     pipeline.on_frame_end(FrameEnd(0), memoryview(reader.removed_payload(0)))
 

@@ -32,7 +32,10 @@ def _run(argv: Sequence[str]) -> int:
         EXAMPLES,
     )
     parser.add_argument(
-        "scene", nargs="?", default="procedural", help="file, folder, motion:PATH or procedural[:size=N,...]"
+        "scene",
+        nargs="?",
+        default="procedural",
+        help="file, folder, motion:PATH, procedural[:size=N,...] or fourd[:..]",
     )
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON line instead of a table")
     add_settings(parser, DemoSettings)

@@ -11,8 +11,8 @@ from typing import Any
 from cags_common.settings import add_settings, check_settings, load_settings, setting
 
 SUMMARY = (
-    "Encode moving scenes with motion coded apart and with changed splats sent whole, and compare bytes a frame and PSNR; "
-    "time the evaluation of motion."
+    "Encode moving scenes with motion coded apart and with changed splats sent whole, and compare bytes a frame and "
+    "PSNR; time the evaluation of motion."
 )
 
 EXAMPLES = """\

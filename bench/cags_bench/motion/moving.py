@@ -31,8 +31,9 @@ def moving_buffer(count: int, threads: int, seed: int = 0) -> SplatBuffer:
 def _splats(n: int, random: np.random.Generator) -> Splats:
     quats = random.normal(size=(n, 4))
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    values = random.normal(size=(n, 3)), quats, np.full((n, 3), -4.0), np.zeros(n), random.normal(size=(n, 3))
-    return Splats(*(v.astype(np.float32) for v in values), np.zeros((n, 0, 3), np.float32))
+    means, colours = (random.normal(size=(n, 3)).astype(np.float32) for _ in range(2))
+    sizes, opacities = np.full((n, 3), -4.0, np.float32), np.zeros(n, np.float32)
+    return Splats(means, quats.astype(np.float32), sizes, opacities, colours, np.zeros((n, 0, 3), np.float32))
 
 
 def _chunk(n: int, number: int, random: np.random.Generator) -> chunk.Chunk:

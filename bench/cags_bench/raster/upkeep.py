@@ -34,6 +34,7 @@ def upkeep_line(name: str, splats: Splats, camera: Camera, repetitions: int) -> 
     actions: dict[str, Callable[[], object]] = {
         "load": lambda: create("cpu").load(splats),
         "update": lambda: scene.update(rows, part),
+        "move": lambda: scene.move(rows, splats, 2),
         "contribution": lambda: scene.render(camera, replace(options, contribution=True)),
         "contribution_2_threads": lambda: scene.render(camera, replace(options, contribution=True, threads=2)),
         "no_harmonics": lambda: loaded["flat"].render(camera, options),

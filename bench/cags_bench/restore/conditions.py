@@ -18,7 +18,9 @@ REFERENCES = ("footprint", "plain", "2x", "full")
 class Conditions:
     """Scene, pictures, depths of the ladder, and references."""
 
-    scene: str = setting("procedural:size=60000,seed=3", "scene: a file, a folder, motion:PATH or procedural[:..]")
+    scene: str = setting(
+        "procedural:size=60000,seed=3", "scene: a file, a folder, motion:PATH, procedural[:..] or fourd[:..]"
+    )
     poses: str = setting("synthetic:walking:seed=1", "head motion: a recorded walk's CSV file or synthetic:NAME")
     sizes: str = setting("800x600,1600x1200", "client pictures, comma-separated WIDTHxHEIGHT")
     lods: str = setting("0,0.25,0.5,1", "depths of all tiles as shares of the LoD ladder")

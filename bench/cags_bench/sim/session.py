@@ -15,7 +15,7 @@ from cags_client.player import Player
 from cags_client.presented import PresentedFrame
 from cags_client.report import frame_stats, summary
 from cags_client.score import FlickerScore, score
-from cags_client.settings import ClientSettings
+from cags_client.settings import AUTO, OFF, ClientSettings
 from cags_client.truth import BundleTruth
 from cags_common import raster
 from cags_common.bundle import BundleReader
@@ -166,8 +166,9 @@ class _Simulation:
         return busy
 
     def _client_settings(self) -> ClientSettings:
-        """Virtual time has no late frames, unless drawing takes some of it."""
-        return replace(self.scenario.client, drop_late=self.scenario.draw_us > 0)
+        """Virtual time has no late frames, unless drawing takes some of it, and nobody who looks between them."""
+        between = OFF if self.scenario.client.interpolate == AUTO else self.scenario.client.interpolate
+        return replace(self.scenario.client, drop_late=self.scenario.draw_us > 0, interpolate=between)
 
     def _poses(self) -> Any:
         manifest = self.reader.manifest
@@ -205,7 +206,8 @@ class _Simulation:
         if self._drawing is None or self._drawing[0] > now_us:
             return False
         (_, action, result), self._drawing = self._drawing, None
-        self._record(action, result, now_us)
+        if not action.share:
+            self._record(action, result, now_us)
         self.player.done(action, result, now_us)
         return True
 

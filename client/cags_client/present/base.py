@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 from cags_client.presented import PresentedFrame
 
 FrameStats: TypeAlias = Mapping[str, float | int | bool | None]
 """The frame's line of the report: ``frame``, ``time_us``, ``latency_ms``, ``lod_mean``, bytes, stage times, ..."""
+
+
+@runtime_checkable
+class LiveSink(Protocol):
+    """A sink that somebody looks at while it plays: it takes the pictures between media frames, too."""
+
+    def show_between(self, presented: PresentedFrame) -> None:
+        """Take one picture, as :meth:`FrameSink.show` does."""
+        ...
 
 
 class FrameSink(Protocol):

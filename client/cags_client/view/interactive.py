@@ -108,7 +108,7 @@ class InteractivePlayer(Player):
         if self._awaited is None:
             return super().next_action(now_us)
         if self._arrivals.ready and self.pipeline is not None:
-            return self._decode(self.pipeline)
+            return Decode(self._arrivals.take(), self.pipeline)
         return None
 
     def done(self, action: Decode | Present, result: DecodeResult | PresentedFrame, now_us: int) -> None:
@@ -121,10 +121,9 @@ class InteractivePlayer(Player):
                 self._go_on(now_us)
             return
         assert isinstance(result, PresentedFrame)
-        self._presenting = False
-        self._cadence.drawn(now_us)
-        self.stats.frames += 1
-        self.stats.missed += result.missed
+        self._presented(action, result, now_us)
+        if action.share:
+            return
         if self.playing and self._wanted_frame is None and self._next_frame >= self._end_frame:
             self._at_end(now_us)
 
@@ -159,6 +158,7 @@ class InteractivePlayer(Player):
             return
         self._anchor, self._next_frame, self._due_us = (frame, at_us), frame, at_us
         self._cadence.restart(frame)
+        self._between.cancel()
         keeps = self.pipeline is not None and self.pipeline.keeps(frame)
         self._loop_told = self.loop and keeps and self.info is not None and len(self.info.gof_starts) == 1
         control = Control(action, frame, at_us, self.rate, loop=self._loop_told, keeps=keeps)
@@ -213,6 +213,7 @@ class InteractivePlayer(Player):
         assert self.info is not None
         assert self.pipeline is not None
         self._due_us = now_us + round(1e6 / self.info.fps)
+        self._between.cancel()
         pose = self._viewpoint.pose_at(now_us)
         if pose == self._shown_pose and self._arrivals.quiet:
             return None

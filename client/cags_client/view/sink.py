@@ -23,12 +23,18 @@ class ViewSink:
     def __init__(self, view: LiveView) -> None:
         self._view = view
         self._arrived: deque[tuple[int, int]] = deque()
+        self._figures: dict[str, float | None] = {}
 
     def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
         """Leave the frame for the page; never waits."""
         figures = {name: _number(stats.get(name)) for name in PLOTTED if name in stats}
         figures["goodput_mbps"] = self._goodput_mbps(stats)
+        self._figures = figures
         self._view.show(shown_frame(presented, figures))
+
+    def show_between(self, presented: PresentedFrame) -> None:
+        """Leave a picture between two frames for the page, with the figures of the frame before."""
+        self._view.show(shown_frame(presented, self._figures))
 
     def close(self, *, completed: bool) -> None:
         """The view is stopped by whoever started it."""

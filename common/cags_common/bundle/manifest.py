@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
 
+from cags_common.bundle.tracks import MAX_LIFE_CLASSES, ChangedShares, TrackStatistics
 from cags_common.errors import BundleError
 from cags_common.geometry import DEFAULT_NEAR, Vec3
 from cags_common.lod import MAX_LODS, LodLayer
@@ -103,6 +104,8 @@ class Manifest:
     pruning: Pruning | None = None
     motion: MotionSteps | None = None
     """Units of motion; None where no splat of the bundle moves by itself."""
+    tracks: TrackStatistics | None = None
+    """How splats continue from frame to frame; for people."""
     version: int = VERSION
 
     @property
@@ -125,7 +128,7 @@ class Manifest:
         """UTF-8 JSON; equal manifests give equal bytes."""
         table = {"format": FORMAT, **asdict(self)}
         table["lod_order"] = [[item.attribute, item.layer] for item in self.lod_order]
-        for name in ("pruning", "motion"):
+        for name in ("pruning", "motion", "tracks"):
             if table[name] is None:
                 del table[name]
         if self.weights_crc is None:
@@ -173,6 +176,7 @@ def _checked(fields: _Fields) -> Manifest:
         near=fields.number("near", 1e-9, 1e9),
         pruning=_pruning(fields.inner("pruning")) if fields.has("pruning") else None,
         motion=_motion(fields.inner("motion")) if fields.has("motion") else None,
+        tracks=_tracks(fields.inner("tracks")) if fields.has("tracks") else None,
         weights_crc=fields.integer("weights_crc", 0, 2**32 - 1) if fields.has("weights_crc") else None,
         gofs=fields.many("gofs", lambda f: GofFiles(_file(f.inner("tiles")), _file(f.inner("source"))), MAX_FRAMES),
     )
@@ -213,6 +217,18 @@ def _motion(fields: _Fields) -> MotionSteps:
     if len(moves) != len(turns):
         raise BundleError(f"manifest: motion has {len(moves)} units of moves and {len(turns)} of turns")
     return MotionSteps(moves, turns)
+
+
+def _tracks(fields: _Fields) -> TrackStatistics:
+    most, changed = MAX_FRAMES * MAX_SPLATS, fields.inner("changed")
+    return TrackStatistics(
+        frames=fields.integer("frames", 1, MAX_FRAMES),
+        tracks=fields.integer("tracks", 1, most),
+        linked_share=fields.number("linked_share", 0.0, 1.0),
+        life_mean_frames=fields.number("life_mean_frames", 1.0, MAX_FRAMES),
+        life_histogram=fields.many("life_histogram", lambda f: f.integer("", 0, most), MAX_LIFE_CLASSES),
+        changed=ChangedShares(*(changed.number(name, 0.0, 1.0) for name in ChangedShares.__slots__)),
+    )
 
 
 def _lod_layer(field: _Fields) -> LodLayer:

@@ -44,15 +44,31 @@ class Looks:
         return Looks(self.means[rows], self.quats[rows], self.logit_opacities[rows])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class MovingTile:
-    """One tile's part of :func:`move_rows`. A splat belongs to one tile at most."""
+    """One tile's part of :func:`move_rows`. A splat belongs to one tile at most.
+
+    Only the time may change between calls; what the kernel takes of the rest is made once.
+    """
 
     chunk: Chunk
     time: float
     """Frames from the chunk's first."""
     rows: I32  # [n] row of each splat in the arrays by id; -1: not the tile's any more
     steps: Steps
+    prepared: _Prepared | None = None
+    """For the kernel; None: to be made."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prepared:
+    """A tile as the kernel takes it, and the arrays that it points to."""
+
+    tile: Any
+    native: Any
+
+    def structure(self) -> Any:
+        return self.native
 
 
 def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
@@ -112,10 +128,19 @@ def _move_natively(tiles: Sequence[MovingTile], looks: Looks, into: Looks, threa
 
 
 def _kernel_tile(tile: MovingTile) -> Any:
+    moment = moment_of(tile.chunk, tile.time)
+    if tile.prepared is None:
+        made = _tile_motion(tile, moment)
+        tile.prepared = _Prepared(made, made.structure())
+    native = tile.prepared.native
+    native.time, native.sample, native.share = moment.time, moment.sample, moment.share
+    return tile.prepared
+
+
+def _tile_motion(tile: MovingTile, moment: Moment) -> Any:
     from cags_kernels import motion
 
-    chunk, moment = tile.chunk, moment_of(tile.chunk, tile.time)
-    blocks = chunk.blocks
+    chunk, blocks = tile.chunk, tile.chunk.blocks
     return motion.TileMotion(
         *(chunk.splats, chunk.span, moment.time, moment.sample, moment.share, tile.rows, chunk.moves, chunk.turns),
         *(tile.steps.moves, tile.steps.turns),
@@ -126,6 +151,8 @@ def _kernel_tile(tile: MovingTile) -> Any:
 
 
 def _check_tile(tile: MovingTile, capacity: int) -> None:
+    if tile.prepared is not None:  # looked at before; the kernel checks its rows again
+        return
     if len(tile.rows) != tile.chunk.splats:
         raise ValueError(f"motion: a tile of {tile.chunk.splats} splats has {len(tile.rows)} rows")
     if int(tile.rows.max(initial=-1)) >= capacity or int(tile.rows.min(initial=0)) < -1:

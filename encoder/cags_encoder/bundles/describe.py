@@ -40,6 +40,7 @@ def summarise(reader: BundleReader, url: str) -> Description:
         "bytes_of": {kind.name.lower(): _bytes(entries, kind) for kind in TileKind},
         "bytes_source": sum(files.source.size_bytes for files in manifest.gofs),
         "pruning": asdict(manifest.pruning) if manifest.pruning else None,
+        "tracks": asdict(manifest.tracks) if manifest.tracks else None,
     }
 
 
@@ -96,6 +97,8 @@ def lines(found: Description) -> Iterator[str]:
     moving = {name: sizes for name, sizes in found["bytes_of"].items() if name != "looks" and sizes}
     for name, sizes in moving.items():
         yield f"{name} tiles: {sum(sizes)} bytes in all, {sizes[0]} of their first levels"
+    if found["tracks"]:
+        yield from _track_lines(found["tracks"])
     if found["pruning"]:
         pruned = found["pruning"]
         yield (
@@ -111,6 +114,18 @@ def lines(found: Description) -> Iterator[str]:
     if found["quality"]:
         yield ""
         yield from _layer_lines(found["quality"]["layers"])
+
+
+def _track_lines(tracks: Description) -> Iterator[str]:
+    yield (
+        f"tracks: {tracks['tracks']}, seen in {tracks['life_mean_frames']:.1f} frames on average; "
+        f"{tracks['linked_share']:.1%} of a frame's splats continue"
+    )
+    lives = (f"{1 << k}+: {count}" for k, count in enumerate(tracks["life_histogram"]) if count)
+    yield f"lives in frames: {', '.join(lives)}"
+    if tracks["linked_share"]:
+        changed = (f"{name} {share:.1%}" for name, share in tracks["changed"].items())
+        yield f"what visibly changes from frame to frame: {', '.join(changed)}"
 
 
 def _level_lines(found: Description) -> Iterator[str]:

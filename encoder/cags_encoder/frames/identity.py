@@ -11,15 +11,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.bundle.tracks import TrackStatistics
 from cags_common.errors import SceneError
 from cags_common.splats import Ids, Splats
 from cags_encoder.frames.linking import Looks, Rows, Tracks, alike, link
-from cags_encoder.frames.track_statistics import TrackCounter, TrackStatistics
+from cags_encoder.frames.track_statistics import TrackCounter
 
 MIN_OVERLAP = 0.25
 """Share of rows that must be found again; with fewer a key frame costs no more than the differences."""
 
-MIN_ALIKE = 0.5
+MIN_ALIKE = 0.8
 """Share of the splats of one source identity that must look or lie alike in two frames for it to be believed."""
 
 

@@ -29,8 +29,8 @@ USUAL, STRANGE = 90, 3.0
 STRANGE_LOOKS, STRANGE_PLACE = 2.0, 0.25
 """What is never strange: this difference in looks, this squared distance in units of the spacing."""
 
-CANDIDATES = 6
-"""Nearest splats among which a continuation is sought."""
+FEW, CANDIDATES = 3, 6
+"""Nearest splats among which a continuation is sought: of all splats, and of those that are left."""
 
 REACH = 3.0
 """A continuation lies within this many of a splat's own radii, or of the distances to its neighbours, of its place."""
@@ -84,6 +84,11 @@ class Looks:
     def __len__(self) -> int:
         return len(self.splats)
 
+    @cached_property
+    def order(self) -> Rows:
+        """Rows [n] such that neighbours lie together: looking them up in it takes half the time."""
+        return morton_order(self.splats.means)
+
     @staticmethod
     def of(splats: Splats) -> Looks:
         """Those of ``splats``."""
@@ -126,8 +131,6 @@ class Tracks:
         ages = np.zeros(len(after), np.int64)
         came = rows[found]
         step[found] = after.means[found] - self.looks.means[came]
-        smooth = self.ages[came] >= 1
-        step[found] = np.where(smooth[:, None], 0.5 * (step[found] + self.velocities[came]), step[found])
         ages[found] = self.ages[came] + 1
         return Tracks(after, step, ages)
 
@@ -203,7 +206,7 @@ class _Linking:
         expected = self._tracks.predicted()
         by_row = self._by_row(expected)
         if self._open():
-            self._search(expected)
+            self._search(expected, FEW)
         if self._open():
             self._search_by_flow()
         if self._open() and self._search_by_looks():
@@ -261,35 +264,39 @@ class _Linking:
         likely = own <= ACCEPTED
         if likely.mean() < ROWS_HOLD / 2:
             return False
-        best = self._scores(sample, self._field.near(expected[sample])[1], expected, self._spacing).min(axis=1)
+        best = self._scores(sample, self._field.near(expected[sample], CANDIDATES)[1], expected, self._spacing).min(
+            axis=1
+        )
         return bool(np.mean(own[likely] <= best[likely] + 1e-3) >= ROWS_HOLD)
 
     @cached_property
     def _field(self) -> _Field:
         """All splats of the frame."""
-        return _Field(self._after.means, np.arange(len(self._after)))
+        return _Field(self._after.means, self._after.order)
 
-    @property
-    def _per_neighbour(self) -> float:
-        """Distance to a neighbour as a share of that to the last candidate: splats lie on surfaces. A few are no
-        measure of each other: they are taken for as dense as can be.
+    def _local(self, distances: F64) -> F64:
+        """Distances to neighbours [m, 1] from those to the nearest few [m, k]: splats lie on surfaces.
+
+        Where there are but a few they are no measure of each other: they are taken for as dense as can be.
         """
-        return CANDIDATES**-0.5 if len(self._after) > CANDIDATES else 0.0
+        last: F64 = distances[:, -1:] * distances.shape[1] ** -0.5
+        return last if len(self._after) > CANDIDATES else 0.0 * last
 
     @cached_property
     def _spacing(self) -> float:
         """Typical distance between neighbours of the frame."""
         means = self._after.means[:: max(1, len(self._after) // SAMPLE)]
-        return float(np.median(self._field.near(means)[0][:, -1])) * self._per_neighbour
+        return float(np.median(self._local(self._field.near(means, CANDIDATES)[0])))
 
-    def _search(self, expected: F64) -> None:
+    def _search(self, expected: F64, candidates: int = CANDIDATES) -> None:
         """Link those that are each other's best continuation, and then those of the rest."""
-        before, after = np.flatnonzero(self._free), np.flatnonzero(self.rows < 0)
-        before = before[morton_order(expected[before].astype(np.float32))]
+        before, after = self._before.order, self._after.order
+        before, after = before[self._free[before]], after[self.rows[after] < 0]
         field = self._field if len(after) == len(self._after) else _Field(self._after.means, after)
-        distances, found = field.near(expected[before])
-        spacing = (distances if field is self._field else self._field.near(expected[before])[0])[:, -1:]
-        scores = self._scores(before, found, expected, self._per_neighbour * spacing)
+        distances, found = field.near(expected[before], candidates)
+        if field is not self._field:
+            distances = self._field.near(expected[before], FEW)[0]
+        scores = self._scores(before, found, expected, self._local(distances))
         for _ in range(ROUNDS):
             mine, theirs = _mutual(scores, found, len(self._after))
             if not len(mine):
@@ -352,12 +359,12 @@ class _Field:
     def __init__(self, means: F64, rows: Rows) -> None:
         from scipy.spatial import cKDTree
 
-        self._rows = rows[morton_order(means[rows].astype(np.float32))]  # neighbours lie together in memory
-        self._tree = cKDTree(means[self._rows])
+        self._rows = rows
+        self._tree = cKDTree(means[rows])
 
-    def near(self, places: F64) -> tuple[F64, Rows]:
-        """Distances [m, k] and rows [m, k] of the splats nearest to each of ``places`` [m, 3]."""
-        k = min(CANDIDATES, len(self._rows))
+    def near(self, places: F64, count: int) -> tuple[F64, Rows]:
+        """Distances [m, k] and rows [m, k] of the ``count`` splats nearest to each of ``places`` [m, 3]."""
+        k = min(count, len(self._rows))
         distances, found = self._tree.query(places, k=k, workers=1)
         return distances.reshape(-1, k), self._rows[found.reshape(-1, k)]
 

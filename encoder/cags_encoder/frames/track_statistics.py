@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.bundle.tracks import ChangedShares, TrackStatistics
 from cags_common.geometry import F64
 from cags_common.splats import Splats
 from cags_encoder.frames.effect import attribute_effects
@@ -16,34 +17,10 @@ if TYPE_CHECKING:
     from cags_encoder.scenes import FrameSource
 
 VISIBLE = 0.01
-"""Share of a pixel's colour that a change must make to count."""
+"""Share of a pixel's colour that a change must make to count (:class:`ChangedShares` says so)."""
 
 SAMPLE = 4096
 """Splats of a frame by which changes are judged."""
-
-ATTRIBUTES = ("position", "rotation", "scale", "opacity", "colour", "harmonics")
-
-
-@dataclass(frozen=True)
-class TrackStatistics:
-    """Of one clip. Frames after the first count where shares of a frame are meant."""
-
-    frames: int
-    tracks: int
-    """Splats that ever began."""
-    linked_share: float
-    """Share of a frame's splats that continue one of the frame before, on the mean; 0 in a clip of one frame."""
-    life_mean_frames: float
-    """Frames that a track is seen in, on the mean. Those that the clip's ends cut count as far as they are seen."""
-    life_histogram: dict[int, int]
-    """Tracks by the frames they are seen in: the key ``n`` counts those of n to 2 n - 1 frames, a power of two."""
-    changed_share: dict[str, float]
-    """For each attribute, the share of continued splats in which it visibly changes from frame to frame."""
-
-    def to_json(self) -> dict[str, Any]:
-        """As plain values."""
-        histogram = {str(frames): count for frames, count in self.life_histogram.items()}
-        return asdict(self) | {"life_histogram": histogram}
 
 
 class TrackCounter:
@@ -53,7 +30,7 @@ class TrackCounter:
         self._frames = self._tracks = self._seen = self._linked = self._judged = 0
         self._ages: NDArray[np.int64] = np.zeros(0, np.int64)  # of the last frame's splats: frames seen
         self._ended: NDArray[np.int64] = np.zeros(0, np.int64)  # by the logarithm of the frames seen
-        self._changed = dict.fromkeys(ATTRIBUTES, 0)
+        self._changed = {field.name: 0 for field in fields(ChangedShares)}
 
     def add(self, before: Splats | None, after: Splats, rows: NDArray[np.intp]) -> None:
         """The next frame: ``after`` [n] continues ``rows`` [n] of ``before``, or none (-1)."""
@@ -80,8 +57,8 @@ class TrackCounter:
             tracks=self._tracks,
             linked_share=self._linked / self._seen if self._seen else 0.0,
             life_mean_frames=(self._linked + self._tracks) / max(self._tracks, 1),
-            life_histogram={1 << power: int(count) for power, count in enumerate(ended) if count},
-            changed_share={name: count / max(self._judged, 1) for name, count in self._changed.items()},
+            life_histogram=tuple(ended.tolist()),
+            changed=ChangedShares(**{name: count / max(self._judged, 1) for name, count in self._changed.items()}),
         )
 
     def _judge(self, before: Splats, after: Splats, rows: NDArray[np.intp], found: NDArray[np.intp]) -> None:

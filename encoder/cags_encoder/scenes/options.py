@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 else:
     S = TypeVar("S")
 
+EVERYWHERE = ("shuffle", "quantise")
+"""Options of all scenes, taken out before their own: :class:`cags_encoder.scenes.disguised.DisguiseOptions`."""
+
 _OPTIONS = re.compile(r"\A(?P<head>.*?)(?::(?P<options>\w+=[^,:=]*(?:,\w+=[^,:=]*)*))?\Z", re.DOTALL)
 
 
@@ -41,7 +44,8 @@ def parse_options(cls: type[S], spec: str, options: dict[str, str]) -> S:
     values: dict[str, Any] = {}
     for key, text in options.items():
         if key not in names:
-            raise ConfigError(f"scene {spec!r}: unknown option {key!r}; known: {', '.join(names)}")
+            known = [*names, *(name for name in EVERYWHERE if name not in names)]
+            raise ConfigError(f"scene {spec!r}: unknown option {key!r}; known: {', '.join(known)}")
         values[key] = _convert(spec, key, text, hints[key])
     try:
         return cls(**values)

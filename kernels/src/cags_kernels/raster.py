@@ -179,7 +179,7 @@ class NativeScene:
         return np.ascontiguousarray(rows, dtype=np.int64)
 
     def move(self, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int = 1) -> None:
-        """Take position, rotation and opacity at rising ``rows`` [M] from ``splats``, the arrays [N] of the whole scene.
+        """Take position, rotation and opacity at rising ``rows`` [M] from ``splats``, arrays [N] of the whole scene.
 
         The others of their columns must be those that the scene holds. Raises :class:`cags_kernels.KernelError` for
         splats that cannot be drawn, and then nothing is changed.

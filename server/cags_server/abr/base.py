@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from cags_common.tile_kinds import TileKind
+
 
 @dataclass(frozen=True, slots=True)
 class TileView:
@@ -25,15 +27,26 @@ class TileView:
     """Frames for which those splats will be seen before the media replaces them, about."""
     passing: bool = False
     """Whether the media replaces them so soon that their detail is worth nothing late."""
-    replaces: bool = False
-    """Whether its splats replace older ones, which are shown until it comes."""
+    replaces: float = 0.0
+    """Share of its splats that replace older ones, which are shown until it comes; of looks, only where it is new."""
     stale_frames: float = 1.0
-    """For how long those will have been out of date when the frame is displayed, in the mean; only where it is new."""
+    """For how long what it changes will have been out of date when the frame is displayed, in the mean; only where it
+    is new.
+    """
+    kind: TileKind = TileKind.LOOKS
+    """What it brings."""
+    after: tuple[int, int] | None = None
+    """Looks (media frame, tile) that the client lacks and without which it is worth nothing; None: it lacks none."""
 
     @property
     def max_depth(self) -> int:
         """LoDs that this tile has."""
         return len(self.lod_bytes)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the client has all of it."""
+        return self.depth >= self.max_depth
 
 
 UNBOUNDED_BYTES = 1 << 40

@@ -15,6 +15,7 @@ class Plan:
         self._layered = observation.layered
         self._start = {(tile.frame, tile.tile): tile.depth for tile in observation.tiles}
         self._depth = dict(self._start)
+        self._frame = observation.frame
         self._passing = {(tile.frame, tile.tile): tile.passing for tile in observation.tiles}
         self._order: list[tuple[int, int]] = []
 
@@ -23,16 +24,19 @@ class Plan:
         return self._depth[tile.frame, tile.tile]
 
     def raise_once(self, tile: TileView) -> bool:
-        """Plan one more LoD of ``tile``; False where it has none, or there is no budget or no room for it."""
+        """Plan one more LoD of ``tile``.
+
+        False where it has none, or there is no budget or no room for it, or it lacks the tile that it comes after.
+        """
         key = (tile.frame, tile.tile)
         depth = self._depth[key]
-        if depth >= tile.max_depth:
+        if depth >= tile.max_depth or self.lacks(tile):
             return False
         fresh = depth == self._start[key]
         cost = tile.lod_bytes[depth] + (self._overhead if fresh else 0)
         if not self._layered and not fresh:  # the whole tile at the better quality goes instead
             cost -= tile.lod_bytes[depth - 1]
-        urgent = depth == 0 or tile.passing or (not self._layered and self._start[key] == 0)
+        urgent = self._urgent_now(tile, depth)
         if not self._fits(cost, urgent=urgent):
             return False
         self._spent += cost
@@ -41,6 +45,16 @@ class Plan:
         if fresh:
             self._order.append(key)
         return True
+
+    def lacks(self, tile: TileView) -> bool:
+        """Whether ``tile`` is worth nothing so far, for want of the tile that it comes after."""
+        return tile.after is not None and not self._depth.get(tile.after, 0)
+
+    def _urgent_now(self, tile: TileView, depth: int) -> bool:
+        """Whether what is planned next must arrive before the frame is displayed."""
+        if tile.frame > self._frame:  # it begins later
+            return False
+        return depth == 0 or tile.passing or (not self._layered and self._start[tile.frame, tile.tile] == 0)
 
     def _fits(self, cost: int, *, urgent: bool) -> bool:
         arrives = not urgent or self._urgent + cost <= self._timely

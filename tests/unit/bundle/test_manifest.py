@@ -5,6 +5,7 @@ import pytest
 
 from cags_common.bundle import LodLayer, Manifest
 from cags_common.bundle.manifest import FileEntry, GofFiles
+from cags_common.bundle.tracks import ChangedShares, TrackStatistics
 from cags_common.errors import BundleError
 from cags_common.lod import MAX_LODS
 from cags_protocol.encoding import decode, encode
@@ -23,8 +24,10 @@ MANIFEST = Manifest(
     lod_gains_db=(3.5, -0.1),
     codec="svq",
     quantiser="paper-66",
+    tracks=TrackStatistics(5, 20, 0.8, 2.5, (8, 4), ChangedShares(0.5, 0.0, 0.0, 0.9, 0.1, 0.0)),
     gofs=(GofFiles(FILE, FILE), GofFiles(FILE, FILE)),
 )
+TRACKS = json.loads(MANIFEST.to_json())["tracks"]
 
 
 def changed(**fields: object) -> bytes:
@@ -35,6 +38,12 @@ def test_a_manifest_comes_back_and_its_public_part_says_nothing_of_files() -> No
     assert Manifest.from_json(MANIFEST.to_json()) == MANIFEST
     assert Manifest.from_json(MANIFEST.public_json()) == replace(MANIFEST, gofs=())
     assert b"gof_0000" not in MANIFEST.public_json()
+
+
+def test_what_is_optional_may_be_absent() -> None:
+    bare = replace(MANIFEST, tracks=None)
+    assert b"tracks" not in bare.to_json()
+    assert Manifest.from_json(bare.to_json()) == bare
 
 
 def test_frames_know_their_group() -> None:
@@ -67,6 +76,10 @@ def test_unknown_fields_are_left_alone() -> None:
         ({"lod_order": [["scale", 1]] * 300}, "at most"),
         ({"lod_gains_db": [1.0]}, "lod_gains_db"),
         ({"up": [0, 1]}, "up must be three numbers"),
+        ({"tracks": {"frames": 5}}, "tracks.changed is missing"),
+        ({"tracks": TRACKS | {"linked_share": 1.5}}, r"tracks.linked_share = 1.5"),
+        ({"tracks": TRACKS | {"life_histogram": [1] * 65}}, "tracks.life_histogram has 65 entries"),
+        ({"tracks": TRACKS | {"changed": {}}}, "tracks.changed.position is missing"),
     ],
 )
 def test_what_is_wrong_is_named(fields: dict[str, object], says: str) -> None:

@@ -9,10 +9,13 @@ from dataclasses import replace
 import pytest
 
 from cags_client import line, player
-from cags_client.actions import Decode
-from cags_client.app import Shell, now_us
+from cags_client.actions import Decode, Present, Traffic
+from cags_client.app import Shell, looked_at, now_us
 from cags_client.pipeline import ClientPipeline
 from cags_client.player import Player
+from cags_client.present.base import FrameStats
+from cags_client.presented import PresentedFrame
+from cags_client.report import summary
 from cags_client.settings import ClientSettings
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, NetworkError
@@ -207,3 +210,49 @@ async def test_what_waits_is_written_before_the_end() -> None:
     made.send([b"one", b"two"])
     await made.close()
     assert [await theirs.recv(), await theirs.recv()] == [b"one", b"two"]
+
+
+class File:
+    """A sink of media frames."""
+
+    def __init__(self) -> None:
+        self.shown: list[float] = []
+
+    def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
+        self.shown.append(presented.frame + presented.share)
+
+    def close(self, *, completed: bool) -> None: ...
+
+
+class Page(File):
+    """A sink that somebody looks at."""
+
+    def show_between(self, presented: PresentedFrame) -> None:
+        self.shown.append(presented.frame + presented.share)
+
+
+async def test_pictures_between_frames_go_to_who_looks_and_are_counted_apart() -> None:
+    file, page = File(), Page()
+    ours, _ = memory_pair()
+    made = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us())
+    client = Shell(ours, made, (file, page), None, nowhere)
+    pipe = ClientPipeline(manifest(), books().to_bytes(), ClientSettings(width=16, height=12))
+    made._end_frame, made._next_frame = 9, 5
+    for share in (0.0, 0.5):
+        await client._present(Present(4, now_us(), Pose.identity(), pipe, Traffic(), share))
+    await asyncio.gather(*client._tasks)
+    client.close()
+    assert (file.shown, page.shown) == ([4.0], [4.0, 4.5])
+    assert [record["frame"] for record in client.records] == [4]
+    last = summary(client.records, made.stats)
+    assert (last["frames"], last["frames_interpolated"]) == (1, 1)
+
+
+def test_without_a_live_page_pictures_between_frames_are_drawn_only_when_asked_for() -> None:
+    for mode, sinks, wanted in (
+        ("auto", (File(),), "off"),
+        ("auto", (File(), Page()), "auto"),
+        ("on", (File(),), "on"),
+        ("off", (Page(),), "off"),
+    ):
+        assert looked_at(ClientSettings(interpolate=mode), sinks).interpolate == wanted

@@ -60,8 +60,9 @@ class Stage:
 
     def send(self, frame: int, lods: int = 1) -> None:
         for entry in self.reader.frame(frame).tiles:
-            parts = [self.reader.payload(frame, entry.tile, lod) for lod in range(lods)]
-            message = TileLayers(frame, entry.tile, 0, lods, tuple(map(len, parts)), entry.crcs[:lods])
+            levels = min(lods, len(entry.lod_bytes))
+            parts = [self.reader.payload(frame, entry.tile, lod) for lod in range(levels)]
+            message = TileLayers(frame, entry.tile, 0, levels, tuple(map(len, parts)), entry.crcs[:levels])
             assert self.pipe.on_tiles([(message, memoryview(b"".join(parts)))]) == []
         self.pipe.on_frame_end(FrameEnd(frame), memoryview(self.reader.removed_payload(frame)))
 

@@ -1,6 +1,7 @@
 """From messages to pictures: a small clip, encoded here, decoded and drawn by the pipeline."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ from cags_client.score import averages, score
 from cags_client.settings import ClientSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader
+from cags_common.effects import Effect
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.metrics import psnr
+from cags_common.packing import crc32
 from cags_common.poses import Focus, synthetic_walk
 from cags_common.raster.base import Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.h264 import H264Encoder
@@ -22,6 +25,8 @@ from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from support.small_motion import looks, motion, moving
+from support.small_store import books
 
 SMALL = Intrinsics.of_fov(80, 60, 1.2, 1.0)
 
@@ -41,8 +46,9 @@ def pipeline(reader: BundleReader, **settings: object) -> ClientPipeline:
 
 def send(pipe: ClientPipeline, reader: BundleReader, frame: int, lods: int = 1) -> None:
     for entry in reader.frame(frame).tiles:
-        parts = [reader.payload(frame, entry.tile, lod) for lod in range(lods)]
-        message = TileLayers(frame, entry.tile, 0, lods, tuple(map(len, parts)), entry.crcs[:lods])
+        levels = min(lods, len(entry.lod_bytes))
+        parts = [reader.payload(frame, entry.tile, lod) for lod in range(levels)]
+        message = TileLayers(frame, entry.tile, 0, levels, tuple(map(len, parts)), entry.crcs[:levels])
         assert pipe.on_tiles([(message, memoryview(b"".join(parts)))]) == []
     pipe.on_frame_end(FrameEnd(frame), memoryview(reader.removed_payload(frame)))
 
@@ -166,12 +172,20 @@ def test_own_views_of_a_reference_are_drawn_only_where_the_splats_have_changed(r
     assert counts == [0, 0, 1, 2, 2], "nothing changed; as of now; of the new reference; nothing changed"
 
 
-def test_a_frame_that_did_not_come_shows_the_one_before(reader: BundleReader) -> None:
+def test_a_frame_that_did_not_come_shows_the_looks_of_the_one_before_and_their_motion_goes_on(
+    reader: BundleReader,
+) -> None:
     pipe, pose = pipeline(reader), pose_of(reader)
     send(pipe, reader, 0)
-    first, second = pipe.present(0, pipe.camera(pose)), pipe.present(1, pipe.camera(pose))
-    assert second.missed
-    np.testing.assert_array_equal(first.distorted, second.distorted)
+    pipe.present(0, pipe.camera(pose))
+    assert pipe.on_display is not None
+    splats = pipe.on_display.splats
+    before = splats.take(slice(None))
+    before = replace(before, **{name: column.copy() for name, column in before.arrays()})
+    assert pipe.present(1, pipe.camera(pose)).missed
+    for name in ("log_scales", "sh0", "sh_rest"):
+        np.testing.assert_array_equal(getattr(splats, name), getattr(before, name))
+    assert (splats.means != before.means).any()
     send(pipe, reader, 1)
     assert not pipe.present(1, pipe.camera(pose)).missed
 
@@ -266,3 +280,64 @@ def test_at_half_resolution_a_frame_is_restored_and_everything_looked_at_is_whol
     assert "enlarge" in shown.stages_ms
     assert scores["half"]["psnr_restored_db"] > scores["half"]["psnr_distorted_db"] + 1
     assert abs(scores["half"]["psnr_distorted_db"] - scores["full"]["psnr_distorted_db"]) < 1.5
+
+
+def moving_pipeline(**settings: object) -> ClientPipeline:
+    """A splat that moves by a metre a frame, and one that stands still; all of it has come."""
+    of = moving()
+    made = ClientSettings(**{"width": 160, "height": 120, **settings})  # type: ignore[arg-type]
+    pipe = ClientPipeline(of, books().to_bytes(), made)
+    for tile, payloads in enumerate((looks([0], 5), looks([1], 9), motion((0, 0), 1, [0, 1, 2, 3]))):
+        parts = payloads.payloads
+        message = TileLayers(0, tile, 0, len(parts), tuple(map(len, parts)), tuple(map(crc32, parts)))
+        assert pipe.on_tiles([(message, memoryview(b"".join(parts)))]) == []
+    for frame in range(4):
+        pipe.on_frame_end(FrameEnd(frame), memoryview(b""))
+    return pipe
+
+
+MOVING_VIEW = Pose.looking_at((7, 7, -30), (7, 5, 5))
+
+
+def test_what_moves_is_drawn_between_frames_and_the_next_frame_as_if_it_had_not_been() -> None:
+    pipe, plain = moving_pipeline(), moving_pipeline()
+    camera = pipe.camera(MOVING_VIEW)
+    pipe.present(0, camera)
+    between = pipe.present(0, camera, 0.5)
+    assert (between.frame, between.share) == (0, 0.5)
+    assert pipe.on_display is not None
+    assert pipe.on_display.splats.means[:2, 0].tolist() == [5.5, 9]
+    assert not between.missed
+    whole = plain.present(0, camera)
+    assert not np.array_equal(between.rgb, whole.rgb)
+    np.testing.assert_array_equal(pipe.present(1, camera).rgb, plain.present(1, camera).rgb)
+    np.testing.assert_array_equal(pipe.present(1, camera).rgb, plain.present(1, camera).rgb)  # a frame again
+
+
+def test_between_frames_of_nothing_that_was_shown_the_frame_itself_is() -> None:
+    pipe, plain = moving_pipeline(), moving_pipeline()
+    camera = pipe.camera(MOVING_VIEW)
+    np.testing.assert_array_equal(pipe.present(1, camera, 0.5).rgb, plain.present(1, camera).rgb)
+
+
+def test_a_reference_of_an_earlier_frame_is_compared_with_what_was_where_it_was_then() -> None:
+    """All of it is held: at its own frame a reference is what the client draws, wherever its splats are by now."""
+    pipe = moving_pipeline(restore="affine", effects="always", reference_age=10)
+    camera = pipe.camera(MOVING_VIEW)
+    view = Camera(Intrinsics.of_fov(80, 60, 1.2, 1.0), MOVING_VIEW, pipe.info.near)
+    pipe.present(0, camera)
+    store = pipe.on_display
+    assert store is not None
+    scene = raster.create("cpu").load(store.splats)
+    options = RenderOptions(footprint=Footprint.of(pipe.settings.intrinsics, view.intrinsics))
+    then = scene.render(view, options).rgb
+    picture = H264Encoder(80, 60, 30).encode(np.clip(then, 0, 1), idr=True)
+    assert pipe.on_reference(ReferenceFrame(0, 1, MOVING_VIEW, view.intrinsics, idr=True), memoryview(picture))
+    for frame, share in ((1, 0.0), (2, 0.0), (2, 0.5), (3, 0.0)):
+        shown = pipe.present(frame, camera, share)
+        assert Effect.CARRY in shown.effects
+        assert pipe._views._then is not None
+        np.testing.assert_allclose(pipe._views._then.picture.rgb, then, atol=2e-6)
+        fresh = raster.create("cpu").load(pipe.on_display.splats).render(view, options)  # type: ignore[union-attr]
+        assert pipe._views._now is not None
+        np.testing.assert_array_equal(pipe._views._now.picture.rgb, fresh.rgb)

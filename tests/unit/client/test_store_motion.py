@@ -12,7 +12,7 @@ from cags_common.bundle import TilePayloads
 from cags_common.codecs import MotionTile, SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_common.motion.chunk import Chunk
+from cags_common.motion.chunk import LEVELS, Chunk
 from cags_common.splat_buffer import Slot, SplatBuffer
 from cags_protocol.messages import HeldTile
 from support.small_motion import looks, motion, moving, recoloured
@@ -75,7 +75,7 @@ def test_motion_may_come_before_its_looks_and_its_finer_level_before_the_coarse_
     store: TileStore, early: bool
 ) -> None:
     chunk = motion((0, 0), 2, [0, 1, 3])
-    send(store, 0, 1, chunk, slice(1, 2))
+    send(store, 0, 1, chunk, slice(1, None))
     if early:
         send(store, 0, 1, chunk, slice(0, 1))
         send(store, 0, 0, looks([0, 1], 5))
@@ -84,7 +84,7 @@ def test_motion_may_come_before_its_looks_and_its_finer_level_before_the_coarse_
         send(store, 0, 1, chunk, slice(0, 1))
     end_all(store)
     assert [xs(store, frame)[0] for frame in range(3)] == [5, 6, 8]
-    assert HeldTile(0, 1, 2) in store.held()
+    assert HeldTile(0, 1, LEVELS) in store.held()
 
 
 def test_a_finer_level_that_comes_late_changes_the_place_at_once() -> None:
@@ -94,7 +94,7 @@ def test_a_finer_level_that_comes_late_changes_the_place_at_once() -> None:
     end_all(store)
     coarse = xs(store, 2)[0]
     assert not store.commit(2)[0].full
-    send(store, 0, 1, chunk, slice(1, 2))
+    send(store, 0, 1, chunk, slice(1, None))
     gof, committed = store.commit(2)
     assert committed.moved.tolist() == [0]
     assert abs(gof.splats.means[0, 0] - 5.0625) < abs(coarse - 5.0625)
@@ -162,7 +162,7 @@ def test_motion_of_another_number_of_splats_is_refused_in_one_line(store: TileSt
     send(store, 0, 6, right)
     end_all(store)
     assert xs(store, 1)[:2] == [6, 6], "what was held stays, and another may come"
-    assert HeldTile(0, 5, 2) not in store.held()
+    assert HeldTile(0, 5, LEVELS) not in store.held()
 
 
 def test_motion_of_no_looks_of_later_looks_and_of_another_group_is_refused(store: TileStore) -> None:
@@ -195,6 +195,21 @@ def test_damaged_motion_is_refused_and_the_motion_that_was_held_goes_on(store: T
     end_all(store)
     assert xs(store, 1)[0] == pytest.approx(6, abs=0.1)
     assert HeldTile(0, 1, 1) in store.held()
+
+
+def test_a_damaged_level_that_had_to_wait_is_not_taken_for_held(store: TileStore) -> None:
+    chunk = motion((0, 0), 1, [0.0, 1 / 32])
+    send(store, 0, 0, looks([0], 5))
+    send(store, 0, 1, chunk, slice(0, 1))
+    store.add(0, 1, 2, [memoryview(chunk.payloads[2] + b"x")])
+    with pytest.raises(DecodeError):
+        send(store, 0, 1, chunk, slice(1, 2))
+    assert HeldTile(0, 1, 1) in store.held() or HeldTile(0, 1, 2) in store.held()
+    send(store, 2, 0, motion((0, 0), 1, [2, 3]))
+    end_all(store)
+    store.commit(LAST)
+    send(store, 0, 1, chunk, slice(1, 3))
+    assert xs(store, 1)[0] == 5 + 1 / 32
 
 
 def test_motion_whose_looks_never_come_waits_within_bounds(store: TileStore, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,7 +258,7 @@ def test_a_chunk_that_is_past_is_kept_as_its_payloads_and_decoded_only_where_it_
     assert isinstance(first, HeldMotion) and isinstance(second, HeldMotion)
     assert first.state is None
     assert second.state is not None
-    assert HeldTile(0, 1, 2) in store.held()
+    assert HeldTile(0, 1, LEVELS) in store.held()
     store.commit(0)
     assert first.state is not None
 
@@ -256,7 +271,7 @@ def test_a_finer_level_of_a_past_chunk_counts_in_the_replay(store: TileStore) ->
     end_all(store)
     assert xs(store, 1)[0] == 5
     store.commit(LAST)
-    send(store, 0, 1, chunk, slice(1, 2))
+    send(store, 0, 1, chunk, slice(1, None))
     assert xs(store, 1)[0] == 5 + 1 / 32
 
 
@@ -411,7 +426,8 @@ def test_what_is_staged_of_a_chunk_does_not_change_while_a_finer_level_is_added(
     staged = staged_from(held)
     assert staged is not None and isinstance(staged.value, Chunk) and staged.value.moves is not None
     assert held.state is not None
-    held.state.add_layer(1, chunk.payloads[1])
+    for level in range(1, LEVELS):
+        held.state.add_layer(level, chunk.payloads[level])
     assert not staged.value.moves.any()
     assert held.state.chunk.moves is not None and held.state.chunk.moves.any()
 

@@ -55,9 +55,13 @@ def test_a_shared_value_is_one_object_a_worker() -> None:
     assert first.get() == shared.get() == [1, 2]
 
 
-@pytest.mark.parametrize("codec", ["svq", "density"])
-def test_a_pool_changes_no_byte(codec: str, tmp_path: Path) -> None:
-    scene = open_scene("procedural:size=1500,frames=6,degree=1")
+ROOM = "procedural:size=1500,frames=6,degree=1"
+LINKED = "fourd:splats=1500,births=200,frames=6,degree=1,shuffle=1,quantise=sog"
+
+
+@pytest.mark.parametrize(("codec", "spec"), [("svq", ROOM), ("density", ROOM), ("svq", LINKED)])
+def test_a_pool_changes_no_byte(codec: str, spec: str, tmp_path: Path) -> None:
+    scene = open_scene(spec)
     settings = EncodeSettings(codec=codec, train_splats=1500, gof_frames=4, lod_order="paper")
     encode(scene, settings, str(tmp_path / "one"))
     with open_workers(2) as workers:

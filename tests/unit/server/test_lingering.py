@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import uuid
+
 import numpy as np
 
 from cags_protocol.messages import TileLayers
 from cags_server.inventory import ClientInventory
 from cags_server.lingering import Lingering
+from support.moving_bundle import moving_library
 from support.server_scene import library
 
 LEAST = 0.02
@@ -54,4 +57,19 @@ def test_another_group_of_frames_has_other_ids() -> None:
 def test_what_was_never_seen_does_not_linger() -> None:
     lingering = Lingering(library(), LEAST)
     lingering.update(seen(8), 3, holding(*KEY_TILES))
+    assert not len(lingering)
+
+
+def test_what_left_the_picture_while_it_moved_counts_until_its_motion_is_on_its_way() -> None:
+    scene = moving_library(f"memory://{uuid.uuid4().hex}", 5)
+    frame, tiles = 3, scene.tile_map(3)
+    owners = scene.owners(frame)
+    moving = [n for n in np.unique(owners[owners >= 0]).tolist() if tiles.chunks_until(n, frame)]
+    looks, splat = tiles.key(moving[0]), int(np.flatnonzero(owners == moving[0])[0])
+    contribution = np.zeros(scene.manifest.capacity[0], np.float32)
+    contribution[splat] = 1.0
+    lingering = Lingering(scene, LEAST)
+    lingering.update(contribution, frame, holding(looks))
+    assert lingering.added_to(0 * contribution, frame)[splat] == 1.0, "its looks alone show it where it was"
+    lingering.update(0 * contribution, frame, holding(looks, tiles.key(tiles.chunks_until(moving[0], frame)[0])))
     assert not len(lingering)

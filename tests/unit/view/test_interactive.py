@@ -74,12 +74,15 @@ class FakePipeline:
 class Stage:
     """A player with its first frame decoded, and a clock of the test's own."""
 
-    def __init__(self, **settings: Any) -> None:
-        self.session, self.pipeline = FakeSession(), FakePipeline()
+    def __init__(self, *, moves: bool = False, draw_us: int = 0, **settings: Any) -> None:
+        """``moves``: the bundle has motion; ``draw_us`` are what a picture takes."""
+        self.session, self.pipeline, self.draw_us = FakeSession(), FakePipeline(), draw_us
+        self.between: list[float] = []
+        """Times, in media frames, of the pictures between them."""
         self.poses = LivePoses(StillWalk())
         self.now_us = 0
         self.player = InteractivePlayer(self.session, ClientSettings(**settings), self.poses, now_us=0)  # type: ignore[arg-type]
-        self.player.info = SimpleNamespace(fps=FPS, frames=FRAMES, gof_starts=(0,))  # type: ignore[assignment]
+        self.player.info = SimpleNamespace(fps=FPS, frames=FRAMES, gof_starts=(0,), motion=moves or None)  # type: ignore[assignment]
         self.player.pipeline = self.pipeline  # type: ignore[assignment]
         self.player._end_frame = FRAMES
         self.end(0)
@@ -98,7 +101,11 @@ class Stage:
         shown = PresentedFrame(
             action.frame, None, blank, blank, None, blank, blank, None, 0.0, False, {}, EffectPlan(frozenset())
         )  # type: ignore[arg-type]
+        self.now_us += self.draw_us
         self.player.done(action, shown, self.now_us)
+        if action.share:
+            self.between.append(action.frame + action.share)
+            return None
         return action.frame
 
     def run(self, microseconds: float, step_us: int = 5_000) -> list[int]:
@@ -270,3 +277,44 @@ def test_the_duration_ends_it() -> None:
     stage.player.handle_timer(stage.now_us)
     assert stage.player.finished
     assert stage.session.gone
+
+
+def test_between_media_frames_what_moves_is_drawn_at_the_rate_of_the_display() -> None:
+    stage = Stage(moves=True, interpolate="on", display_rate=90)
+    drawn = stage.run(DELAY_US + 5.9 * FRAME_US, step_us=1_000)
+    assert drawn == list(range(6)), "media frames are as many as ever, and in time"
+    assert stage.between == pytest.approx([k / 3 for k in range(16) if k % 3] + [16 / 3, 17 / 3], abs=1e-4)
+    assert (stage.player.stats.frames, stage.player.stats.interpolated) == (6, 12)
+    assert len(stage.session.controls) == 1, "nothing is asked of the server"
+
+
+@pytest.mark.parametrize(("moves", "mode"), [(False, "on"), (True, "off")])
+def test_nothing_is_drawn_between_where_nothing_moves_or_nobody_wants_it(moves: bool, mode: str) -> None:
+    stage = Stage(moves=moves, interpolate=mode)
+    stage.run(DELAY_US + 5 * FRAME_US, step_us=1_000)
+    assert stage.between == []
+
+
+def test_a_machine_that_needs_most_of_a_frame_draws_nothing_between_and_drops_nothing() -> None:
+    slow, fast = (Stage(moves=True, draw_us=us) for us in (20_000, 5_000))
+    for stage in (slow, fast):
+        stage.run(DELAY_US + 20 * FRAME_US, step_us=1_000)
+        assert stage.player.stats.dropped == 0
+    assert slow.between == []
+    assert len(fast.between) >= 15
+
+
+def test_a_pause_or_a_jump_ends_what_is_between() -> None:
+    stage = Stage(moves=True, interpolate="on")
+    stage.run(DELAY_US + 4 * FRAME_US + 5_000, step_us=1_000)
+    stage.player.pause(stage.now_us)
+    stage.between.clear()
+    stage.run(500_000)
+    assert stage.between == []
+    stage.player.play(stage.now_us)
+    stage.run(DELAY_US + 3 * FRAME_US)
+    assert stage.between
+    stage.player.seek(20)
+    stage.between.clear()
+    stage.run(300_000)
+    assert stage.between == []

@@ -28,6 +28,7 @@ from cags_common.poses import Focus, open_poses
 from cags_common.raster.base import Footprint, RenderOptions
 from cags_common.splats import Splats
 from cags_common.svq import CodebookSet
+from cags_common.tile_kinds import TileKind
 from cags_common.tile_state import TileState
 from cags_common.tiles import decode_base
 from cags_encoder import EncodeSettings
@@ -170,6 +171,8 @@ def _without(reader: BundleReader, books: CodebookSet, stills: Stills, left_out:
     """Bytes a splat and PSNR when these layers are not sent."""
     tiles, size, dequantiser = [], 0, Dequantiser(books)
     for entry in reader.frame(0).tiles:
+        if entry.kind is not TileKind.LOOKS:
+            continue
         base = reader.payload(0, entry.tile, 0)
         state = TileState(decode_base(base, books), dequantiser, reader.manifest.lod_order)
         size += len(base)

@@ -94,14 +94,15 @@ def _client_works(bench: Any) -> dict[str, Callable[[], Any]]:
     from cags_common.bundle import BundleReader
     from cags_common.raster.base import RenderOptions
     from cags_common.svq import CodebookSet
+    from cags_common.tile_kinds import TileKind
     from cags_common.tiles import decode_base
 
     moment = bench.moment
     reader = BundleReader.open(str(bench.bundle))
     books = CodebookSet.from_bytes(reader.codebooks())
-    tiles = range(len(reader.frame(0).tiles))
+    tiles = [entry.tile for entry in reader.frame(0).tiles if entry.kind is TileKind.LOOKS]
     bases = [reader.payload(0, tile, 0) for tile in tiles]
-    decoder = _layer_decoder(reader, books, bases)
+    decoder = _layer_decoder(reader, books, tiles, bases)
     scene, options = moment.seen.scene, RenderOptions()
     aligner, restorer = align.create("auto"), restore.create("affine")
     inputs = moment.seen.inputs(moment.reference, moment.seen.aligned(moment.reference, aligner))
@@ -114,14 +115,14 @@ def _client_works(bench: Any) -> dict[str, Callable[[], Any]]:
     }
 
 
-def _layer_decoder(reader: Any, books: Any, bases: list[bytes]) -> Callable[[], Any]:
+def _layer_decoder(reader: Any, books: Any, tiles: list[int], bases: list[bytes]) -> Callable[[], Any]:
     from cags_common.dequantise import Dequantiser
     from cags_common.tile_state import TileState
     from cags_common.tiles import decode_base
 
     decoded = [decode_base(base, books) for base in bases]
     order, dequantiser = reader.manifest.lod_order, Dequantiser(books)
-    layers = [[reader.payload(0, tile, lod) for lod in range(1, len(order) + 1)] for tile in range(len(bases))]
+    layers = [[reader.payload(0, tile, lod) for lod in range(1, len(order) + 1)] for tile in tiles]
 
     def work() -> list[Any]:
         out = []

@@ -78,6 +78,19 @@ def test_rows_are_not_believed_across_a_cut_or_a_new_order() -> None:
     assert np.array_equal(third, second[order])
 
 
+def test_rows_that_shift_in_mid_clip_are_not_believed() -> None:
+    """A tool drops one splat and appends another: rows from there on are no longer the same splats."""
+    tracker, splats, rows = IdentityTracker(), cloud(200), np.arange(200, dtype=np.int32)
+    first, _ = tracker.identify(splats, rows, "x")
+    shifted = np.r_[np.arange(100), np.arange(101, 200), 0]
+    means = splats.means[shifted].copy()
+    means[-1] += 20
+    second, continuous = tracker.identify(with_changes(splats.take(shifted), means=means), rows, "x")
+    assert continuous
+    assert np.array_equal(second[:-1], first[shifted[:-1]])
+    assert second[-1] not in first
+
+
 def test_a_source_may_know_identities_of_some_frames_alone() -> None:
     tracker, splats, rows = IdentityTracker(), cloud(200), np.arange(200, dtype=np.int32)
     ids = [tracker.identify(splats, known, "x")[0] for known in (rows, None, None, rows, rows)]

@@ -1,6 +1,7 @@
 """The generated 4D clip, and scenes as tool chains disguise them."""
 
 import pickle
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from cags_encoder.formats.sog import parse_sog_bytes
 from cags_encoder.formats.sog_writer import quantised_as_sog, sog_bytes
 from cags_encoder.formats.spz import parse_spz, quantised_as_spz, spz_bytes
 from cags_encoder.scenes import open_scene
+from cags_encoder.scenes.disguised import DisguiseOptions
+from cags_encoder.scenes.options import EVERYWHERE
 from support.splat_files import random_splats
 
 SPEC = "fourd:splats=3000,births=300,frames=12,seed=4"
@@ -76,6 +79,7 @@ def test_shuffled_rows_are_the_same_splats_in_an_order_of_each_frame_alone() -> 
 
 
 def test_any_scene_can_be_disguised() -> None:
+    assert tuple(f.name for f in fields(DisguiseOptions)) == EVERYWHERE
     room = open_scene("procedural:size=600,frames=3,shuffle=1,quantise=spz")
     assert len(room) == 3
     assert len(np.unique(room.frame(0).log_scales)) < 600

@@ -31,7 +31,7 @@ def test_splitting(spec: str, head: str, options: dict[str, str]) -> None:
     [
         ("procedural:size=10", "scene 'procedural:size=10': size = 10 must lie in"),
         ("procedural:size=many", "size = 'many' must be of type int"),
-        ("procedural:sise=600", "unknown option 'sise'; known: size, frames, seed, fps, degree"),
+        ("procedural:sise=600", "unknown option 'sise'; known: size, frames, seed, fps, degree, shuffle, quantise"),
         ("procedural:size=600,size=700", "'size' is given twice"),
         ("procedural:fps=nan", "fps = nan must be finite"),
         ("motion:", "names no capture"),

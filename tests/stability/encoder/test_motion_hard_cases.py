@@ -1,0 +1,183 @@
+"""Motion that is hard to code, from clip to bundle and back: who is there is exact, and where they are within bounds.
+
+The bound on positions is what docs/motion.md says of the finest level: half a unit of motion beside half a step of the
+tile's grid, at any frame, joined anywhere.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cags_common.bundle import BundlePlayer, BundleReader
+from cags_common.splats import Splats
+from cags_common.tile_kinds import TileKind
+from cags_encoder import EncodeSettings, encode
+from cags_encoder.scenes import Focus
+from support.codec_scenes import cloud, with_changes
+
+FAST = EncodeSettings(train_splats=1000, lod_order="paper")
+FRAMES = 24
+SPLATS = 200
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Frames and whose rows they are."""
+
+    frames: tuple[tuple[Splats, np.ndarray], ...]
+    name = "clip"
+    fps = 30.0
+    up = (0.0, 1.0, 0.0)
+    focus = Focus((0.0, 0.0, 0.0), 1.0)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def frame(self, index: int) -> Splats:
+        return self.frames[index][0]
+
+    def ids(self, index: int) -> np.ndarray:
+        return self.frames[index][1]
+
+
+def clip(change: Callable[[Splats, int], Splats], alive: Callable[[int], np.ndarray] | None = None) -> Clip:
+    """``change(first, frame)`` of a cloud; rows ``alive(frame)`` of it."""
+    first = cloud(SPLATS, 7)
+    out = []
+    for k in range(FRAMES):
+        rows = np.arange(SPLATS) if alive is None else np.flatnonzero(alive(k))
+        out.append((change(first, k).take(rows).checked(f"frame {k}"), rows.astype(np.int32)))
+    return Clip(tuple(out))
+
+
+def shifted(amount: Callable[[int], np.ndarray]) -> Callable[[Splats, int], Splats]:
+    return lambda first, k: with_changes(first, means=first.means + amount(k))
+
+
+def spun(first: Splats, k: int) -> Splats:
+    """A quarter turn every two frames, through every multiple of 180 degrees."""
+    half = np.pi / 8 * k
+    w, x, y, z = first.quats.astype(np.float64).T
+    a, b = np.cos(half), np.sin(half)
+    quats = np.stack([a * w - b * x, a * x + b * w, a * y - b * z, a * z + b * y], axis=1)
+    quats *= np.where(quats[:, :1] < 0, -1.0, 1.0)
+    return with_changes(first, quats=quats)
+
+
+CASES: dict[str, Clip] = {
+    "still": clip(lambda first, k: first),
+    "one frame twice": clip(shifted(lambda k: np.array([0.01 * (k // 2), 0, 0]))),
+    "as little as nothing": clip(shifted(lambda k: np.array([1e-9 * k, 0, 0]))),
+    "slow and linear": clip(shifted(lambda k: np.array([0.003 * k, 0, 0]))),
+    "far in one frame": clip(shifted(lambda k: np.array([5.0 * (k > 9), 0, 0]))),
+    "a million sizes": clip(shifted(lambda k: np.array([2e4 * (k > 9), 0, 0]))),
+    "back and forth": clip(shifted(lambda k: np.array([0.3 * (-1) ** k, 0.1 * (k % 3), 0]))),
+    "spinning": clip(spun),
+    "one place": clip(lambda first, k: with_changes(first, means=np.zeros_like(first.means) + np.float32(0.01 * k))),
+    "lives of one frame": clip(lambda first, k: first, lambda k: np.arange(SPLATS) % FRAMES == k),
+    "comes and goes": clip(shifted(lambda k: np.array([0.01 * k, 0, 0])), lambda k: (np.arange(SPLATS) + k) % 7 > 1),
+    "half goes at once": clip(
+        shifted(lambda k: np.array([0.01 * k, 0, 0])), lambda k: np.arange(SPLATS) % 2 <= (k < 11)
+    ),
+    "all but one go": clip(lambda first, k: first, lambda k: np.arange(SPLATS) < (SPLATS if k < 12 else 1)),
+}
+
+
+def covariances(splats: Splats) -> np.ndarray:
+    w, x, y, z = splats.quats.astype(np.float64).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    turn = np.moveaxis(np.array(rows), -1, 0)
+    return np.einsum("nij,nj,nkj->nik", turn, np.exp(2 * splats.log_scales.astype(np.float64)), turn)
+
+
+def errors(reader: BundleReader, player: BundlePlayer, frame: int) -> tuple[float, float, float]:
+    """Largest error of positions (in units of motion), of opacities, and of covariances (relative)."""
+    shown, true = player.frame(frame), reader.source(frame)
+    assert np.array_equal(shown.ids, true.ids), f"frame {frame}: others are there"
+    assert reader.manifest.motion is not None
+    unit = max(reader.manifest.motion.moves)
+    away = np.abs(shown.splats.means.astype(np.float64) - true.splats.means).max(initial=0.0) / unit
+    alpha = [1 / (1 + np.exp(-s.logit_opacities.astype(np.float64))) for s in (shown.splats, true.splats)]
+    a, b = covariances(shown.splats), covariances(true.splats)
+    size = np.linalg.norm(b, axis=(1, 2))
+    shape = float((np.linalg.norm(a - b, axis=(1, 2)) / size).max(initial=0.0))
+    return float(away), float(np.abs(alpha[0] - alpha[1]).max(initial=0.0)), shape
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_everybody_is_where_they_should_be(name: str, tmp_path: Path) -> None:
+    encode(CASES[name], FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        through = BundlePlayer(reader)
+        first = errors(reader, through, 0)
+        for frame in range(1, FRAMES):
+            away, opacity, shape = errors(reader, through, frame)
+            assert away <= 4.0, frame  # units: half a unit, on a line within one, and the grid of the looks
+            assert opacity <= max(first[1], 0.01) + 0.07, frame  # fades are told to 0.06
+            assert shape <= first[2] + 0.35, frame
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_who_joins_in_the_middle_sees_what_others_see(name: str, tmp_path: Path) -> None:
+    encode(CASES[name], FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        through = BundlePlayer(reader)
+        for frame in (0, 5, 17, FRAMES - 1):
+            seen, joined = through.frame(frame), BundlePlayer(reader).frame(frame)
+            for (what, a), (_, b) in zip(seen.splats.arrays(), joined.splats.arrays(), strict=True):
+                assert np.array_equal(a, b), (frame, what)
+
+
+def test_what_stands_still_sends_nothing(tmp_path: Path) -> None:
+    encode(CASES["still"], FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        assert [len(reader.frame(k).tiles) for k in range(FRAMES)] == [1] + [0] * (FRAMES - 1)
+
+
+def test_linear_motion_is_told_once_a_span(tmp_path: Path) -> None:
+    encode(CASES["slow and linear"], FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        kinds = [tile.kind for k in range(FRAMES) for tile in reader.frame(k).tiles]
+        assert kinds.count(TileKind.LOOKS) == 1 and kinds.count(TileKind.UPDATE) == 0
+        assert 2 <= kinds.count(TileKind.MOTION) <= 3
+
+
+def test_an_attribute_that_changes_is_sent_by_itself(tmp_path: Path) -> None:
+    def coloured(first: Splats, k: int) -> Splats:
+        sh0 = first.sh0.copy()
+        sh0[:50] += np.float32(1.0 if k >= 9 else 0.0)
+        return with_changes(first, sh0=sh0)
+
+    encode(clip(coloured), FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        tiles = [(k, tile) for k in range(1, FRAMES) for tile in reader.frame(k).tiles]
+        assert [(k, tile.kind) for k, tile in tiles] == [(9, TileKind.UPDATE)]
+        update = reader.codec.open_tile(reader.payload(9, 0, 0))
+        changed = {name: int(mask.sum()) for name, mask in update.changed.items() if mask.any()}
+        assert changed.keys() == {"sh0"} and 45 <= changed["sh0"] <= 50  # a faint one's may not be worth it
+
+
+def test_ids_of_the_source_that_swap_are_two_splats_that_cross(tmp_path: Path) -> None:
+    first = cloud(SPLATS, 7)
+    swapped = np.arange(SPLATS, dtype=np.int32)
+    swapped[[3, 4]] = 4, 3
+    frames = tuple((first, np.arange(SPLATS, dtype=np.int32) if k < 8 else swapped) for k in range(FRAMES))
+    encode(Clip(frames), FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        player = BundlePlayer(reader)
+        for frame in (7, 8, 20):
+            assert errors(reader, player, frame)[0] <= 4.0
+
+
+def test_a_cut_begins_a_group(tmp_path: Path) -> None:
+    one, other = cloud(SPLATS, 7), cloud(SPLATS, 8)
+    encode([one] * 5 + [other] * 5, replace(FAST, frames=10), str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        assert reader.manifest.gof_starts == (0, 5)
