@@ -32,6 +32,7 @@ from cags_server.admission import (
     tls_context,
     token_allowed,
 )
+from cags_server.capacity import Capacity, capacity
 from cags_server.client_task import ClientTask, now_us
 from cags_server.connection import Connection
 from cags_server.door import BACKLOG, Door, max_connections
@@ -50,6 +51,9 @@ from cags_server.turns import Turns
 from cags_server.waiting import Waiting
 
 log = logging.getLogger(__name__)
+
+MOST_BY_MEASURE = 256
+"""Descriptors are kept for so many clients where their number is measured."""
 
 LINES_AT_ONCE = 16
 """Log lines about comings and goings of one address that may come at once; then there is one a second."""
@@ -103,6 +107,18 @@ class App:
         """How many have been let in: not those who have yet to say hello."""
         return sum(connection.streamer is not None for _, connection in self._clients.values())
 
+    def _full(self) -> str | None:
+        """Why nobody more is let in; None while there is room."""
+        most = self._settings.max_clients
+        if most:
+            return f"{most} clients are here already; try again later" if self._served() >= most else None
+        now = self._capacity()
+        return now.reason() if self._served() >= now.clients else None
+
+    def _capacity(self) -> Capacity:
+        live = [stats for _, stats in self.sessions()]
+        return capacity(self._settings, self._library.manifest.fps, [*live, self._ended.as_stats()])
+
     async def drain(self) -> None:
         """Let no one in any more, and say goodbye to everybody who is."""
         self._draining = True
@@ -140,7 +156,7 @@ class App:
             return refusal
         report = {
             "bundle": self._library.manifest.name,
-            "max_clients": self._settings.max_clients,
+            "max_clients": self._settings.max_clients or self._capacity().clients,
             "draining": self._draining,
             **self._book.report(self.sessions()),
         }
@@ -221,8 +237,8 @@ class App:
             self._unvouched.discard(peer, name)
             if not token_allowed(settings.token, hello, header):
                 return RefusalCode.TOKEN, "token", "the token is missing or wrong; give the server's with --token"
-            if self._served() >= settings.max_clients:
-                return RefusalCode.FULL, "", f"{settings.max_clients} clients are here already; try again later"
+            if (reason := self._full()) is not None:
+                return RefusalCode.FULL, "", reason
             self._book.began(name, peer)
             self._told.write(logging.INFO, (peer, "joined"), "%s: joined from %s", name, peer)
             return None
@@ -275,7 +291,7 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
         raise NetworkError(
             f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); {_way_out(error)}"
         ) from error
-    door = Door(max_connections(settings.max_clients))
+    door = Door(max_connections(settings.max_clients or MOST_BY_MEASURE))
     app = App(library, settings, door)
     runner = web.AppRunner(app.web_app(), access_log=None, shutdown_timeout=settings.drain_s)
     await runner.setup()

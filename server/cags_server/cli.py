@@ -34,7 +34,7 @@ def _serve(argv: Sequence[str]) -> None:
     add_settings(parser, ServeSettings)
     parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
     parser.add_argument("--headless", action="store_true", help="no live table, even in a terminal")
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args(_spelt_out(argv))
     settings = load_settings(ServeSettings, arguments)
     _start_logging(settings)
 
@@ -73,6 +73,15 @@ def _serve(argv: Sequence[str]) -> None:
     with ExitStack() as shown, BundleReader.open(settings.bundle) as reader:
         library = SceneLibrary(reader, raster.create(settings.rasteriser))
         asyncio.run(serve(library, settings, ready))
+
+
+def _spelt_out(argv: Sequence[str]) -> list[str]:
+    """``--max-clients auto`` by its number."""
+    pairs = zip(["", *argv], argv, strict=False)
+    return [
+        "0" if before == "--max-clients" and each == "auto" else each.replace("--max-clients=auto", "--max-clients=0")
+        for before, each in pairs
+    ]
 
 
 class _JsonFormatter(logging.Formatter):

@@ -68,7 +68,12 @@ class ServeSettings(ServerSettings):
     host: str = setting("127.0.0.1", "address to listen on")
     port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65_535)
     workers: int = setting(2, "references rendered at the same time", low=1, high=256)
-    max_clients: int = setting(32, "clients served at once; more are refused", low=1, high=100_000)
+    max_clients: int = setting(
+        32,
+        "clients served at once; more are refused; auto (or 0): as many as the renderer carries, measured",
+        low=0,
+        high=100_000,
+    )
     token: str = setting(
         "",
         "token that clients must show; several, comma separated, while one replaces another; empty: anybody may watch",

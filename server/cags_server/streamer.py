@@ -264,6 +264,7 @@ class Streamer:
         self._schedule.rendering = False
         work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
         self._schedule.pace.observe(work_us, len(render.access_unit), rate_bps)
+        self.stats.references += 1
         self.stats.render_ns += render.render_ns
         self.stats.encode_ns += render.encode_ns
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile

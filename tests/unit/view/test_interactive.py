@@ -13,6 +13,7 @@ from cags_client.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_client.view.interactive import SEEK_PATIENCE_US, InteractivePlayer
 from cags_client.view.poses import LivePoses
+from cags_client.view.shell import patient
 from cags_common.effects import EffectPlan
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
@@ -318,3 +319,8 @@ def test_a_pause_or_a_jump_ends_what_is_between() -> None:
     stage.between.clear()
     stage.run(300_000)
     assert stage.between == []
+
+
+def test_a_page_waits_for_its_server() -> None:
+    assert patient(ClientSettings()).reconnect_s == 86_400
+    assert patient(ClientSettings(reconnect_s=0)).reconnect_s == 0
