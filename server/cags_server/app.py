@@ -65,7 +65,7 @@ class App:
     def __init__(self, library: SceneLibrary, settings: ServeSettings, door: Door | None = None) -> None:
         """``door``: where its connections come from, if there is one that wants to know what they are at."""
         self._library, self._settings, self._door = library, settings, door
-        self._told = RareLog(log, burst=LINES_AT_ONCE)
+        self._told, self._turned_away = RareLog(log, burst=LINES_AT_ONCE), RareLog(log)
         self._turns = Turns()
         self._unvouched = Waiting[str]()  # names of those who have shown neither a Hello nor the token yet
         self._render_slots = RenderSlots(settings.workers)
@@ -268,7 +268,7 @@ class App:
         why = f"{ending.code}: {ending.reason}" if ending else "lost"
         self._book.ended(name, connection.stats, ending)
         if not let_in:
-            self._told.write(logging.INFO, (peer, "turned away"), "%s: not let in, from %s (%s)", name, peer, why)
+            self._turned_away.write(logging.INFO, peer, "%s: not let in, from %s (%s)", name, peer, why)
             return
         self._ended.add(connection.stats)
         self._told.write(logging.INFO, (peer, "left"), "%s: left (%s)", name, why)

@@ -14,7 +14,7 @@ from cags_common.tasks import watched
 from cags_common.transport.hosts import host_port
 from cags_shaper.control import ControlPort
 from cags_shaper.link import Link
-from cags_shaper.log import LogWriter, open_log
+from cags_shaper.log import LogWriter, close_log, open_log
 from cags_shaper.proxy import Piece, ShaperProxy
 
 if TYPE_CHECKING:
@@ -37,7 +37,9 @@ class Service:
         """Shape until SIGTERM or SIGINT. Raises :class:`CagsError` before the ready line, not after."""
         stop = asyncio.Event()
         async with contextlib.AsyncExitStack() as stack:
-            log = stack.enter_context(open_log(self._settings.log)) if self._settings.log else None
+            log = open_log(self._settings.log) if self._settings.log else None
+            if log is not None:
+                stack.callback(close_log, log)
             ready = await self._start(stack)
             for number in (signal.SIGTERM, signal.SIGINT):
                 asyncio.get_running_loop().add_signal_handler(number, stop.set)

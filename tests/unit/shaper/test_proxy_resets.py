@@ -3,12 +3,14 @@
 import asyncio
 import socket
 import struct
+from pathlib import Path
 
 import pytest
 
 from cags_shaper import proxy as proxy_module
 from cags_shaper.cli import ShaperSettings
 from cags_shaper.link import Link, LinkSettings
+from cags_shaper.log import LogWriter, close_log, open_log
 from cags_shaper.proxy import ShaperProxy
 from cags_shaper.service import Service
 from cags_shaper.trace import open_trace
@@ -98,3 +100,16 @@ async def test_a_shaper_whose_link_stops_ends_with_a_word(monkeypatch, caplog):
     writer.transport.abort()
     server.close()
     await asyncio.sleep(0.05)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full disk at hand")
+async def test_a_disk_that_is_full_does_not_stop_the_link(caplog):
+    file = open_log("/dev/full")
+    writer = LogWriter(file, ShaperSettings())
+    async with shaped(echo) as (proxy, address):
+        proxy.begin()
+        for _ in range(3):
+            writer.sample("down", proxy.downlink)
+        assert await exchange(address, b"through") == b"through"
+    close_log(file)
+    assert caplog.text.count("the log cannot be written (No space left on device)") == 1
