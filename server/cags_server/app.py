@@ -240,7 +240,7 @@ class App:
             if (reason := self._full()) is not None:
                 return RefusalCode.FULL, "", reason
             self._book.began(name, peer)
-            self._told.write(logging.INFO, (peer, "joined"), "%s: joined from %s", name, peer)
+            self._told.write(logging.INFO, peer, "%s: joined from %s", name, peer)
             return None
 
         return Connection(
@@ -271,7 +271,7 @@ class App:
             self._turned_away.write(logging.INFO, peer, "%s: not let in, from %s (%s)", name, peer, why)
             return
         self._ended.add(connection.stats)
-        self._told.write(logging.INFO, (peer, "left"), "%s: left (%s)", name, why)
+        self._told.write(logging.INFO, peer, "%s: left (%s)", name, why)
         if self._settings.session_logs:
             try:
                 write_session(Path(self._settings.session_logs), name, connection.stats, ending)
