@@ -1,15 +1,21 @@
-"""A progress bar on stderr."""
+"""Progress on stderr: a bar in a terminal, a line now and then in a pipe or a log."""
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 Tell = Callable[[str, int, int], None]
 """Called with the stage's name, steps done and steps in all."""
+
+LINE_EVERY_S = 5.0
+"""Seconds between two lines where stderr is no terminal; what is done sooner says nothing."""
 
 _TITLES = {
     "prune": "pruning",
@@ -24,9 +30,12 @@ _TITLES = {
 @contextmanager
 def progress_bar() -> Iterator[Tell]:
     """Yield the callback that :func:`~cags_encoder.pipeline.encode` takes; one bar a stage, gone when all is done."""
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+    if not console.is_terminal:
+        yield progress_lines(sys.stderr, time.monotonic)
+        return
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True) as bars:
         tasks = {}
 
         def tell(stage: str, done: int, total: int) -> None:
@@ -35,3 +44,16 @@ def progress_bar() -> Iterator[Tell]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield tell
+
+
+def progress_lines(stream: TextIO, clock: Callable[[], float]) -> Tell:
+    """A callback that writes a line to ``stream`` every :data:`LINE_EVERY_S` seconds of ``clock``."""
+    last_s = clock()
+
+    def tell(stage: str, done: int, total: int) -> None:
+        nonlocal last_s
+        if clock() - last_s >= LINE_EVERY_S:
+            last_s = clock()
+            print(f"{_TITLES.get(stage, stage)}: {done} of {total}", file=stream, flush=True)
+
+    return tell

@@ -21,6 +21,7 @@ from cags_common.codecs import tile_codec
 from cags_common.lod import LodLayer
 from cags_common.svq import Codebook, CodebookSet
 from cags_common.tiles import PositionGrid, encode_base, encode_layer
+from cags_common.updates import UpdateState, encode_update
 
 SPLATS = 21
 STAGES = {
@@ -78,7 +79,37 @@ def vector() -> dict[str, Any]:
     for name, id_range in CLOUDS.items():
         tile = payloads(codebooks, id_range=id_range)
         clouds.append({"name": name, "payloads": [_text(part) for part in tile], "decoded": _decoded(info, data, tile)})
-    return {"version": VERSION, "manifest": json.loads(info.to_json()), "codebooks": _text(data), "tiles": clouds}
+    changed = update(codebooks)
+    return {
+        "version": VERSION,
+        "manifest": json.loads(info.to_json()),
+        "codebooks": _text(data),
+        "tiles": clouds,
+        "update": {"payloads": [_text(part) for part in changed], "values": _values(info, data, changed)},
+    }
+
+
+def update(codebooks: CodebookSet) -> list[bytes]:
+    """An update of some attributes of some splats, LoD by LoD."""
+    random = np.random.default_rng(3)
+    ids = np.arange(4, 4 + 2 * SPLATS, 2, dtype=np.int32)
+    rows = np.arange(SPLATS)
+    changed = {"scale": rows % 3 == 0, "rotation": rows < 0, "alpha": rows > 4, "sh0": rows % 2 == 1, "sh1": rows == 2}
+    codes = {b.attribute: random.integers(0, 1 << sum(b.layer_bits), SPLATS).astype(np.uint32) for b in codebooks}
+    return list(encode_update(ids, changed, codes, codebooks, manifest(codebooks).lod_order))
+
+
+def _values(info: Manifest, codebooks: bytes, payloads: list[bytes]) -> list[dict[str, dict[str, str]]]:
+    """What an update says at LoD 0 and at the highest, by column: ids and values."""
+    state = tile_codec(info, codebooks).open_tile(payloads[0])
+    assert isinstance(state, UpdateState)
+    out = []
+    for first, end in pairwise((0, 1, len(payloads))):
+        for lod in range(max(first, 1), end):
+            state.add_layer(lod, payloads[lod])
+        values = state.values().items()
+        out.append({c: {"ids": _text(i.astype("<i4").tobytes()), "rows": _text(v.tobytes())} for c, (i, v) in values})
+    return out
 
 
 def _decoded(info: Manifest, codebooks: bytes, tile: list[bytes]) -> list[dict[str, str]]:

@@ -16,6 +16,7 @@ from cags_common.errors import BundleError, DecodeError
 from cags_common.svq import CodebookSet
 from cags_common.tile_state import TileState
 from cags_common.tiles import decode_base
+from cags_common.updates import UpdateState
 
 FILES = sorted(Path(__file__).parent.glob("v*.json"))
 CONTENTS = [json.loads(path.read_text(encoding="utf-8")) for path in FILES]
@@ -49,6 +50,29 @@ def test_a_recorded_tile_decodes_as_recorded(content: dict[str, Any], tile: dict
     for lod in reversed(range(1, len(payloads))):
         state.add_layer(lod, payloads[lod])
     check(state, highest)
+
+
+def test_a_recorded_update_decodes_as_recorded() -> None:
+    for content in CONTENTS:
+        books = CodebookSet.from_bytes(raw(content["codebooks"]))
+        info = Manifest.from_json(json.dumps(content["manifest"]).encode())
+        payloads = [raw(part) for part in content["update"]["payloads"]]
+        state = UpdateState(payloads[0], books, info.lod_order)
+        lowest, highest = content["update"]["values"]
+        check_update(state, lowest)
+        for lod in reversed(range(1, len(payloads))):
+            state.add_layer(lod, payloads[lod])
+        check_update(state, highest)
+        assert state.lod == len(info.lod_order)
+
+
+def check_update(state: UpdateState, expected: dict[str, dict[str, str]]) -> None:
+    values = state.values()
+    assert values.keys() == expected.keys()
+    for column, (ids, rows) in values.items():
+        assert ids.astype("<i4").tobytes() == raw(expected[column]["ids"])
+        wanted = np.frombuffer(raw(expected[column]["rows"]), "<f4").reshape(rows.shape)
+        assert np.abs(rows - wanted).max(initial=0) <= (LOGIT_TOLERANCE if column == "logit_opacities" else 0), column
 
 
 def test_the_current_version_has_been_recorded() -> None:
