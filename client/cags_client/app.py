@@ -18,6 +18,7 @@ from typing import Any
 from cags_client.actions import Decode, Present
 from cags_client.dial import Dial
 from cags_client.interrupts import interrupts
+from cags_client.line import Line
 from cags_client.player import Player
 from cags_client.present.base import FrameSink, LiveSink
 from cags_client.presented import PresentedFrame
@@ -66,7 +67,7 @@ async def play(
     taken up by the same or the next one.
     """
     settings = looked_at(settings, sinks)
-    dial = Dial(url, settings.token)
+    dial = Dial(url, settings.token, settings.ca)
     transport = await dial.first()
     adapting = ThreadPoolExecutor(1, "adapt")
     player = Player(
@@ -115,7 +116,9 @@ class Shell:
         self.ended_by: signal.Signals | None = None
         self.player = player
         self._on_frame = on_frame
-        self._transport, self._sinks, self._connect = transport, sinks, connect
+        self._sinks, self._connect = sinks, connect
+        self._transport = transport
+        self._coming_back: asyncio.Task[None] | None = None
         self._wake, self._caught_up = asyncio.Event(), asyncio.Event()
         self._decoder, self._drawer, self._writer = (ThreadPoolExecutor(1, name) for name in ("decode", "draw", "sink"))
         self._backlog = asyncio.Semaphore(SINK_BACKLOG)
@@ -124,15 +127,16 @@ class Shell:
 
     async def run(self) -> None:
         """Until the player has finished, the connection is gone, or a sink fails."""
-        self._start_reader()
+        self._open_line(self._transport)
         try:
             while not self.player.finished and self._failure is None:
                 await self._turn()
-            await self._send()
+            self._line.send(self.player.data_to_send(now_us()))
         finally:
             self._reader.cancel()
-            await asyncio.gather(self._reader, *self._tasks, return_exceptions=True)
-            await self._transport.close()
+            if self._coming_back is not None:
+                self._coming_back.cancel()
+            await asyncio.gather(self._reader, *self._tasks, self._line.close(), return_exceptions=True)
         if self._failure is not None:
             raise self._failure
 
@@ -156,9 +160,9 @@ class Shell:
         timer = self.player.next_timer_us()
         if timer is not None and timer <= now_us():
             self.player.handle_timer(now_us())
-        await self._send()
+        self._line.send(self.player.data_to_send(now_us()))
         if self.player.wants_connection(now_us()):
-            self._start(self._come_back())
+            self._coming_back = self._start(self._come_back())
         while (action := self.player.next_action(now_us())) is not None:
             self._start(self._decode(action) if isinstance(action, Decode) else self._present(action))
         if not self.player.backed_up:
@@ -168,14 +172,11 @@ class Shell:
         timer = self.player.next_timer_us()
         await woken(self._wake, None if timer is None else (timer - now_us()) / 1e6)
 
-    async def _send(self) -> None:
-        transport = self._transport
-        try:
-            for data in self.player.data_to_send(now_us()):
-                await transport.send(data)
-        except NetworkError as error:
-            if not self.player.away:  # else a new one is being opened, or the reader will tell
-                self.player.lost(str(error), now_us())
+    def _lost(self, line: Line, reason: str) -> None:
+        """Writing has met the end of a connection."""
+        if line is self._line and not self.player.away:  # else a new one is being opened, or the reader will tell
+            self.player.lost(reason, now_us())
+        self._wake.set()
 
     async def _read(self, transport: Transport) -> None:
         try:
@@ -195,7 +196,7 @@ class Shell:
         """Open another connection in place of the lost one, of which nothing more is read."""
         self._reader.cancel()
         await asyncio.gather(self._reader, return_exceptions=True)
-        old = self._transport
+        old = self._line
         try:
             transport = await self._connect(self.player.attempts)
         except NetworkError as error:
@@ -204,20 +205,21 @@ class Shell:
         if self.player.finished:
             await transport.close()
             return
-        self._transport = transport
+        self._open_line(transport)
         self.player.connected(now_us())
-        self._start_reader()
         await old.close()
 
-    def _start_reader(self) -> None:
-        """Read what comes over the connection; what reading raises ends the play."""
-        self._reader = asyncio.create_task(self._read(self._transport))
+    def _open_line(self, transport: Transport) -> None:
+        """Write to a connection, and read what comes over it; what reading raises ends the play."""
+        self._line = Line(transport, self._lost)
+        self._reader = asyncio.create_task(self._read(transport))
         self._reader.add_done_callback(self._ended)
 
-    def _start(self, work: Any) -> None:
+    def _start(self, work: Any) -> asyncio.Task[None]:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._ended)
+        return task
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)

@@ -133,7 +133,7 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
 
     _check_json(outputs.json)
     truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
-    info = fetch_info(outputs.url, settings.token)
+    info = fetch_info(outputs.url, settings.token, settings.ca)
     if truth:
         truth.check(info)
     if settings.start_frame >= info.frames:
@@ -192,7 +192,7 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
 
     _check_json(outputs.json)
     truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
-    info = fetch_info(outputs.url, settings.token)
+    info = fetch_info(outputs.url, settings.token, settings.ca)
     if truth:
         truth.check(info)
     focus = Focus(info.focus_centre, info.focus_radius, info.up)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import http.client
+import ssl
 from urllib.parse import urlsplit
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
-from cags_common.errors import NetworkError
+from cags_common.errors import ConfigError, NetworkError
 from cags_common.transport import Transport, websocket
 from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 
@@ -35,9 +36,9 @@ def _is_stream_address(text: str) -> bool:
 class Dial:
     """Opens connections to one of several servers of the same scene."""
 
-    def __init__(self, url: str, token: str = "") -> None:
-        """``url``: one or more addresses, separated by commas."""
-        self._urls, self._token = addresses(url), token
+    def __init__(self, url: str, token: str = "", ca: str = "") -> None:
+        """``url``: one or more addresses, separated by commas. ``ca``: as for :func:`trust`."""
+        self._urls, self._token, self._tls = addresses(url), token, trust(ca)
         self._current = 0
 
     async def first(self) -> Transport:
@@ -67,10 +68,25 @@ class Dial:
             max_message_bytes=MAX_MESSAGE_BYTES,
             timeout_s=timeout_s,
             token=self._token,
+            tls=self._tls,
         )
 
 
-def fetch_info(url: str, token: str = "") -> Manifest:
+def trust(ca: str) -> ssl.SSLContext | None:
+    """Which certificates are believed: those of the authorities in the PEM file ``ca``; None: the system's.
+
+    Raises :class:`ConfigError`.
+    """
+    if not ca:
+        return None
+    try:
+        return ssl.create_default_context(cafile=ca)
+    except (OSError, ssl.SSLError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"ca = {ca}: cannot be used ({reason}); give a PEM file of certificates") from error
+
+
+def fetch_info(url: str, token: str = "", ca: str = "") -> Manifest:
     """The public manifest of the first server of ``url`` that answers, by HTTP: walks are placed before a session.
 
     Raises :class:`NetworkError` where there is no such server, :class:`BundleError` for another version's manifest.
@@ -78,20 +94,26 @@ def fetch_info(url: str, token: str = "") -> Manifest:
     last = NetworkError(f"{url}: no server answers")
     for address in addresses(url):
         try:
-            return _info(address, token)
+            return _info(address, token, trust(ca))
         except NetworkError as error:
             last = error
     raise last
 
 
-def _info(url: str, token: str) -> Manifest:
+def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
     parts = urlsplit(url)
-    kind = http.client.HTTPSConnection if parts.scheme == "wss" else http.client.HTTPConnection
-    connection = kind(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S)
+    connection = http.client.HTTPConnection(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S)
+    if parts.scheme == "wss":
+        connection = http.client.HTTPSConnection(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S, context=tls)
     try:
         connection.request("GET", "/bundle", headers={"Authorization": f"Bearer {token}"} if token else {})
         response = connection.getresponse()
         data = response.read(MAX_MANIFEST_BYTES + 1)
+    except ssl.SSLError as error:
+        raise NetworkError(f"{url}: {websocket.tls_fault(error)}") from error
+    except http.client.RemoteDisconnected as error:
+        hint = "" if parts.scheme == "wss" else "; if it has a certificate, write wss://"
+        raise NetworkError(f"{url}: the server hangs up without an answer{hint}") from error
     except (OSError, http.client.HTTPException) as error:
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise NetworkError(f"{url}: no server answers ({reason}); start cags-server or check the address") from error

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from cags_client.settings import ClientSettings
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import NetworkError
+from cags_common.splats import SH_REST_OF_DEGREE
 from cags_protocol.messages import Refusal, RefusalCode
 
 FATAL_REFUSALS = frozenset(RefusalCode) - {RefusalCode.FULL, RefusalCode.TIMEOUT, RefusalCode.INTERNAL}
@@ -19,9 +21,21 @@ def refused(refusal: Refusal) -> NetworkError:
     return NetworkError(f"the server refused{where}: {refusal.message}")
 
 
-def affordable(info: Manifest, most: int) -> Manifest:
+COPIES = 4.5
+"""Times that the memory of a group's splats is taken at most: merged and in the renderer, two groups at a border."""
+
+
+def affordable(info: Manifest, settings: ClientSettings) -> Manifest:
     """``info``. Raises :class:`NetworkError` where a group of frames takes more memory than the viewer gives."""
     largest = max(info.capacity, default=0)
-    if largest > most:
-        raise NetworkError(f"the stream has groups of {largest} splats, and this client takes {most}; see --max-splats")
+    if largest > settings.max_splats:
+        raise NetworkError(
+            f"the stream has groups of {largest} splats, and this client takes {settings.max_splats}; see --max-splats"
+        )
+    needed_mb = COPIES * largest * 4 * (14 + 3 * SH_REST_OF_DEGREE[info.sh_degree]) / 1e6
+    if needed_mb > settings.max_memory_mb:
+        raise NetworkError(
+            f"the stream has groups of {largest} splats, which take {needed_mb:.0f} MB; this client gives "
+            f"{settings.max_memory_mb:g}; see --max-memory-mb"
+        )
     return info

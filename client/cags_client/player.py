@@ -275,7 +275,7 @@ class Player:
         self._welcome = welcome
         if self.pipeline is None:
             try:
-                self.info = affordable(Manifest.from_json(welcome.info), self.settings.max_splats)
+                self.info = affordable(Manifest.from_json(welcome.info), self.settings)
             except (BundleError, NetworkError) as error:
                 self._fail(error)
                 return

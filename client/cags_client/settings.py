@@ -55,9 +55,15 @@ class ClientSettings:
     )
     max_splats: int = setting(
         4_000_000,
-        "largest group of frames that is taken on, in splats; each takes about 0.5 kB of memory at SH degree 3",
+        "largest group of frames that is taken on, in splats; each takes about 1 kB of memory at SH degree 3",
         low=1,
         high=MAX_SPLATS,
+    )
+    max_memory_mb: float = setting(
+        2048.0,
+        "memory that the splats on display may take, MB; a stream with larger groups of frames is refused",
+        low=1.0,
+        high=1e6,
     )
     start_frame: int = setting(0, "media frame to join at", low=0)
     duration: float | None = setting(None, "seconds to play; the whole clip if not given", low=0.001)
@@ -78,6 +84,7 @@ class ClientSettings:
     display_rate: float = setting(60.0, "pictures a second that the display shows, for --interpolate", low=1, high=1000)
     drop_late: bool = setting(True, "skip frames that would be shown after the next one is due")
     token: str = setting("", "token of a server that asks for one")
+    ca: str = setting("", "PEM file of the authority that the server's certificate is from; the system's when empty")
 
     def __post_init__(self) -> None:
         check_settings(self)

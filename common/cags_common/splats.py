@@ -27,6 +27,9 @@ SH_REST_OF_DEGREE = (0, 3, 8, 15)
 MAX_SPLATS = 20_000_000
 """Bound on what a file may claim, checked before anything is allocated (a splat of degree 3 takes 236 bytes)."""
 
+MAX_COORDINATE = 1e30
+"""Means lie below it: their products must stay finite in single precision, and bundles carry their bounds."""
+
 Ids: TypeAlias = NDArray[np.int32]
 
 
@@ -66,8 +69,9 @@ class Splats:
     def checked(self, source: str) -> Splats:
         """These splats as contiguous float32 with unit quaternions; ``source`` names them in errors.
 
-        Raises :class:`SceneError` for wrong shapes, no splats at all, non-finite values (by attribute and index) and
-        zero quaternions. Infinite opacity logits are legal in real files (opacity exactly 0 or 1): clamped to +-20.
+        Raises :class:`SceneError` for wrong shapes, no splats at all, non-finite values (by attribute and index), means
+        beyond :data:`MAX_COORDINATE` and zero quaternions. Infinite opacity logits are legal in real files (opacity
+        exactly 0 or 1): clamped to +-20.
         """
         out = {name: np.ascontiguousarray(array, dtype=np.float32) for name, array in self.arrays()}
         n = len(out["means"])
@@ -84,6 +88,13 @@ class Splats:
                 raise SceneError(
                     f"{found}; repair the file, or leave such splats out by the scene's option repair=drop"
                 )
+        far = (np.abs(out["means"]) >= np.float32(MAX_COORDINATE)).any(axis=1)
+        if far.any():
+            index = int(np.argmax(far))
+            raise SceneError(
+                f"{source}: means[{index}] = {out['means'][index].tolist()} lies beyond {MAX_COORDINATE:g}; "
+                "repair the file, or leave such splats out by the scene's option repair=drop"
+            )
         out["quats"] = _canonical_quats(out["quats"], source)
         return Splats(**out)
 

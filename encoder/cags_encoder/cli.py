@@ -93,7 +93,7 @@ def _encode(arguments: argparse.Namespace) -> None:
     source, out = open_scene(arguments.scene), arguments.out
     key = content_key(arguments.scene, settings.encoding)
     resume = Resume(resume_folder(out, key), key) if settings.resume else None
-    with open_workers(settings.workers, settings.scheduler) as workers, progress_bar() as progress:
+    with open_workers(settings.workers, settings.scheduler) as workers, progress_bar(lines=True) as progress:
         encode(source, settings.encoding, out, progress, workers=workers, resume=resume)
     with BundleReader.open(out) as reader:
         found = summarise(reader, out)
@@ -124,7 +124,7 @@ def _verify(url: str, *, as_json: bool) -> None:
     from cags_encoder.bundles.verify import verify
     from cags_encoder.progress import progress_bar
 
-    with BundleReader.open(url) as reader, progress_bar() as progress:
+    with BundleReader.open(url) as reader, progress_bar(lines=True) as progress:
         payloads = verify(reader, url, lambda done, total: progress("verify", done, total))
         frames = reader.manifest.frames
     found = {"bundle": url, "whole": True, "frames": frames, "payloads": payloads}

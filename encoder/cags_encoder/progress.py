@@ -28,14 +28,17 @@ _TITLES = {
 
 
 @contextmanager
-def progress_bar() -> Iterator[Tell]:
-    """Yield the callback that :func:`~cags_encoder.pipeline.encode` takes; one bar a stage, gone when all is done."""
+def progress_bar(*, lines: bool = False) -> Iterator[Tell]:
+    """Yield the callback that :func:`~cags_encoder.pipeline.encode` takes; one bar a stage, gone when all is done.
+
+    Where stderr is no terminal nothing is shown, or with ``lines`` a line now and then.
+    """
     console = Console(stderr=True)
-    if not console.is_terminal:
+    if lines and not console.is_terminal:
         yield progress_lines(sys.stderr, time.monotonic)
         return
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True) as bars:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks = {}
 
         def tell(stage: str, done: int, total: int) -> None:

@@ -136,7 +136,8 @@ class ListOf:
         """See :class:`Kind`."""
         if type(raw) is not list or len(raw) > self.max_items:
             refuse(name, raw, f"a list of at most {self.max_items}")
-        return tuple([self.kind.unpack(item, name) for item in raw])
+        found = self.kind.integers(raw) if type(self.kind) is Record else None
+        return tuple([self.kind.unpack(item, name) for item in raw] if found is None else found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +163,30 @@ class Record:
             return self.cls(*values)
         except ValueError as error:
             raise ProtocolError(f"{name}: {error}") from error
+
+    def integers(self, raws: list[Any]) -> list[Any] | None:
+        """The values of ``raws``, at once; None where a field is no integer, or one of them is not as it must be.
+
+        A peer may send hundreds in one message: :meth:`unpack` takes ten times as long, and says what is wrong.
+        """
+        if not self._all_integers:
+            return None
+        count, cls, bounds = len(self.kinds), self.cls, [(kind.low, kind.high) for kind in self.kinds]  # type: ignore[attr-defined]
+        rows = [raw[:count] for raw in raws if type(raw) is list]
+        columns = list(zip(*rows, strict=False))
+        if len(rows) != len(raws) or not raws or any(len(row) != count for row in rows):
+            return None
+        for column, (low, high) in zip(columns, bounds, strict=True):
+            if set(map(type, column)) != {int} or min(column) < low or max(column) > high:
+                return None
+        try:
+            return list(map(cls, *columns))
+        except ValueError:
+            return None
+
+    @property
+    def _all_integers(self) -> bool:
+        return all(type(kind) is Integer for kind in self.kinds)
 
 
 _FINITE = Real(-1e9, 1e9)

@@ -76,7 +76,7 @@ class SendQueue:
 
     def __init__(self, max_bytes: int, max_messages: int, on_drop: OnDrop) -> None:
         self._max_bytes, self._max_messages = max_bytes, max_messages
-        self._on_drop = on_drop
+        self.on_drop = on_drop
         self._entries: dict[int, Entry] = {}
         self._by_key: dict[Hashable, Entry] = {}
         self._heap: list[tuple[Rank, int]] = []
@@ -118,7 +118,7 @@ class SendQueue:
     def drop(self, entry: Entry, reason: str) -> None:
         """Take ``entry`` out and report it."""
         self._forget(entry)
-        self._on_drop(entry, reason)
+        self.on_drop(entry, reason)
 
     def expire(self, now_us: int) -> None:
         """Drop what is stale at ``now_us``."""

@@ -275,3 +275,8 @@ class ServerSession(Session[ev.ServerEvent]):
         for flight in self._flow.drain():
             if not flight.entry.settled:
                 self._settle_dropped(flight.entry, "closed", now_us)
+        self._queue.on_drop = _unheard  # nothing is queued any more, and the session is no part of a cycle
+
+
+def _unheard(entry: Entry, reason: str) -> None:
+    """Of a queue whose session is over."""

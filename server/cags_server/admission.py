@@ -2,34 +2,50 @@
 
 from __future__ import annotations
 
+import base64
 import hmac
 import math
 import ssl
 
 from cags_common.errors import ConfigError
 from cags_common.geometry import MAX_FOV_RAD, Intrinsics
-from cags_common.transport.hosts import same_host
+from cags_common.transport.hosts import host_allowed, is_loopback, named, same_host
 from cags_common.video.h264 import MAX_PIXELS
 from cags_protocol.messages import Hello
 from cags_server.fov.base import client_halves
+from cags_server.settings import ServeSettings
 
 MIN_FOV_RAD = math.radians(0.5)
 """Narrowest view that is drawn: focal lengths of references of up to 4,096 pixels then fit the wire's bounds."""
 
-HANDSHAKES_BEYOND_CLIENTS = 16
-"""Connections that may be shaking hands while all places are taken."""
+MAX_HANDSHAKES = 64
+"""WebSockets that may have shown neither a Hello nor the token: one more ends the oldest of them."""
 
 
-def origin_allowed(origin: str | None, host: str | None, allowed: str) -> bool:
+def origin_allowed(origin: str | None, host: str | None, allowed: str, names: frozenset[str]) -> bool:
     """Whether a page of ``origin`` may connect. Programs send none; pages of this very host may, and those listed.
 
-    ``allowed`` is a comma-separated list of origins (``https://viewer.example``), or ``*``.
+    ``allowed`` is a comma-separated list of origins (``https://viewer.example``), or ``*``. This host is ``localhost``,
+    an address, or one of ``names``: any other name in ``Host`` may be a stranger's that he points here.
     """
     if origin is None or allowed.strip() == "*":
         return True
     if origin in {part.strip().rstrip("/") for part in allowed.split(",") if part.strip()}:
         return True
-    return same_host(origin, host)
+    return host_allowed(host, names) and same_host(origin, host)
+
+
+def host_refusal(settings: ServeSettings, host: str | None) -> str | None:
+    """Why a request for ``host`` is not answered, in a line; None where it is.
+
+    A server on loopback answers to this machine's names alone, so that no page reaches it under a name of its own.
+    Elsewhere it may have any name, unless the operator lists those that it has.
+    """
+    if not settings.hosts and not is_loopback(settings.host):
+        return None
+    if host_allowed(host, named(settings.hosts)):
+        return None
+    return f"host {str(host)[:100]!r} is not allowed; list it with --hosts"
 
 
 def token_allowed(expected: str, hello: Hello, header: str | None) -> bool:
@@ -47,12 +63,31 @@ def header_allowed(expected: str, header: str | None) -> bool:
     return not expected or _same(shown, expected)
 
 
-def _same(shown: str, expected: str) -> bool:
-    """In constant time, so that nothing is learnt from how long a refusal takes.
+def operator_allowed(expected: str, header: str | None, peer: str) -> bool:
+    """Whether somebody may see who watches: by the token, or from this very machine where there is none.
 
-    Bytes of a header that are not UTF-8 come as lone surrogates.
+    A browser asks for a name and a password: any name, and the token.
     """
-    return hmac.compare_digest(shown.encode(errors="surrogateescape"), expected.encode())
+    if not expected:
+        return is_loopback(peer)
+    if header_allowed(expected, header):
+        return True
+    kind, _, shown = (header or "").partition(" ")
+    try:
+        password = base64.b64decode(shown.encode(errors="surrogateescape"), validate=True).decode().partition(":")[2]
+    except ValueError:
+        return False
+    return kind.lower() == "basic" and _same(password, expected)
+
+
+def _same(shown: str, expected: str) -> bool:
+    """Whether ``shown`` is ``expected``, or one of several that commas separate.
+
+    In constant time, so that nothing is learnt from how long a refusal takes. Bytes of a header that are not UTF-8 come
+    as lone surrogates.
+    """
+    data, known = shown.encode(errors="surrogateescape"), expected.split(",")
+    return sum([hmac.compare_digest(data, each.strip().encode()) for each in known]) > 0
 
 
 def undrawable(view: Intrinsics, *, full_size: bool) -> str | None:

@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from cags_common.cli import command_parser, run_command
+from cags_common.rare_log import RareFilter
 from cags_common.settings import add_settings, load_settings
 from cags_server.settings import ServeSettings
 
@@ -33,7 +34,7 @@ def _serve(argv: Sequence[str]) -> None:
     add_settings(parser, ServeSettings)
     parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
     parser.add_argument("--headless", action="store_true", help="no live table, even in a terminal")
-    arguments = parser.parse_args(argv)
+    arguments = parser.parse_args(_spelt_out(argv))
     settings = load_settings(ServeSettings, arguments)
     _start_logging(settings)
 
@@ -49,15 +50,18 @@ def _serve(argv: Sequence[str]) -> None:
     from cags_server.board import sessions_table
     from cags_server.choices import check_choices
     from cags_server.library import SceneLibrary
+    from cags_server.memory import share_arenas
 
+    share_arenas()
     check_choices(settings)
     tls_context(settings.tls_cert, settings.tls_key)
     for folder in filter(None, (settings.session_logs, settings.event_traces)):
         writable_folder(Path(folder))
 
     def ready(host: str, port: int, app: App) -> None:
-        line = json.dumps({"ready": True, "host": host, "port": port})
-        address = f"ws://{host_port(host, port)}/stream"
+        scheme = "wss" if settings.tls_cert else "ws"
+        line = json.dumps({"ready": True, "host": host, "port": port, "scheme": scheme})
+        address = f"{scheme}://{host_port(host, port)}/stream"
         print(line if arguments.json else f"serving {settings.bundle} on {address}", flush=True)
         if watched(headless=arguments.headless or arguments.json):
             shown.enter_context(live_table(lambda: sessions_table(address, app.sessions())))
@@ -69,6 +73,15 @@ def _serve(argv: Sequence[str]) -> None:
     with ExitStack() as shown, BundleReader.open(settings.bundle) as reader:
         library = SceneLibrary(reader, raster.create(raster.chosen(settings.rasteriser)))
         asyncio.run(serve(library, settings, ready))
+
+
+def _spelt_out(argv: Sequence[str]) -> list[str]:
+    """``--max-clients auto`` by its number."""
+    pairs = zip(["", *argv], argv, strict=False)
+    return [
+        "0" if before == "--max-clients" and each == "auto" else each.replace("--max-clients=auto", "--max-clients=0")
+        for before, each in pairs
+    ]
 
 
 class _JsonFormatter(logging.Formatter):
@@ -85,4 +98,5 @@ def _start_logging(settings: ServeSettings) -> None:
     handler = logging.StreamHandler(sys.stderr)
     plain = logging.Formatter("%(asctime)s %(levelname)s %(message)s")
     handler.setFormatter(_JsonFormatter() if settings.log_format == "json" else plain)
+    handler.addFilter(RareFilter())
     logging.basicConfig(level=logging.INFO, handlers=[handler])

@@ -66,6 +66,7 @@ class Connection:
         self._fetches, self._unopened = fetches, False
         self._fetching: int | None = None  # media frame
         self._fetched: int | None = None
+        self._stats = StreamStats()
 
     @property
     def closed(self) -> bool:
@@ -74,8 +75,8 @@ class Connection:
 
     @property
     def stats(self) -> StreamStats:
-        """What the stream did so far."""
-        return self.streamer.stats if self.streamer else StreamStats()
+        """What the stream did so far, or until it ended."""
+        return self.streamer.stats if self.streamer else self._stats
 
     def receive(self, data: Buffer, now_us: int) -> None:
         """Take one message of the client. One that sends more than its quota is refused."""
@@ -171,10 +172,15 @@ class Connection:
         self._rendering = False
 
     def release(self) -> None:
-        """Give back the renderer's place and turn: the client is gone, and what is rendered for it is for nobody."""
+        """Give back the renderer's place and turn, and all that was kept for the client, who is gone.
+
+        The streamer asks this object whether it may render: left as they are, both would wait for a collection of
+        cycles, with an encoder's pictures and a client's inventory.
+        """
         self._render_ended()
         if self._render_slots is not None:
             self._render_slots.left(self.name)
+        self._stats, self.streamer, self._admit = self.stats, None, None
 
     def connection_lost(self, reason: str, now_us: int) -> None:
         """The transport ended by itself."""
@@ -184,6 +190,11 @@ class Connection:
     def close(self, reason: str, now_us: int) -> None:
         """Say goodbye; the message is in ``data_to_send``."""
         self.session.bye(reason, now_us=now_us)
+        self._settle(now_us)
+
+    def fail(self, reason: str, now_us: int) -> None:
+        """End the session for a fault of the server, of which the viewer is told ``reason``."""
+        self.session.refuse(RefusalCode.INTERNAL, "", reason, now_us=now_us)
         self._settle(now_us)
 
     def _settle(self, now_us: int) -> None:

@@ -8,12 +8,12 @@ from cags_protocol.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB, blob_chunks
 from cags_protocol.messages import TileLayers
 from cags_server.library import SceneLibrary
 from cags_server.opening import Opening
-from cags_server.tiles import BASE_PRIORITY, TileSender
+from cags_server.tiles import BASE_PRIORITY, ENHANCEMENT_PRIORITY, TileSender
 
 BLOB_PRIORITY = 0
 """Decoders' tables: nothing can be shown without them."""
 
-WEIGHTS_PRIORITY = 2
+WEIGHTS_PRIORITY = ENHANCEMENT_PRIORITY
 """A restorer's weights: playing goes on without them, so that base layers go first."""
 
 

@@ -48,6 +48,7 @@ class StreamStats:
     frames: int = 0
     frames_skipped: int = 0
     references_late: int = 0
+    references: int = 0
     bytes_tiles: int = 0
     bytes_reference: int = 0
     bytes_other: int = 0

@@ -8,6 +8,8 @@ frames has been seen before, later where nothing has, since tiles are then chose
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cags_protocol.cadence import EVERY_FRAME, last_displayed, next_displayed
 from cags_protocol.messages import Control
 from cags_server.clock import ClientClock
@@ -22,6 +24,10 @@ it, and either in a group of which nothing was seen. Periods, but no longer than
 
 MAX_LEAD_STRETCH = 3.0
 """A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
+
+
+JUMP_US = 1_000_000
+"""Frames that are later than that, or earlier while the viewer pauses, tell of a clock that has jumped."""
 
 
 class Schedule:
@@ -58,6 +64,15 @@ class Schedule:
         """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
         wanted = self._lead_frames * 1e6 / self.timeline.fps
         return min(max(wanted, self.pace.needed_us(rtt_us)), MAX_LEAD_STRETCH * wanted)
+
+    def follow_clock(self, now_us: int) -> None:
+        """A pose has told the client's time: a clock that was set back leaves ticks of a pause far in the future."""
+        t = self.timeline
+        if self._controlled and not t.playing and not self.rendering:
+            due_us = self._clock.to_server(t.display_us(self.next_tick))
+            if due_us - now_us > JUMP_US + MAX_LEAD_STRETCH * self._lead_frames * t.period_us:
+                self.timeline = replace(t, at_us=self._clock.to_client(now_us))
+                self._from_tick, self._blind_tick, self._rendered_tick = 0, -1, None
 
     def media_frame(self, tick: int) -> int | None:
         """While paused the viewer still moves: the same frame is planned again and again. None past the end."""
@@ -127,16 +142,19 @@ class Schedule:
         self._rendered_tick, self.rendering = tick, True
         return tick, frame, self._render_covers
 
-    def go_blind(self) -> tuple[int, int]:
+    def go_blind(self, late_us: float = 0.0) -> tuple[int, int]:
         """Serve the next frame without what a render would tell; its tick and how many ticks it covers.
 
-        That may be the frame whose render is out: its reference still comes, its tiles do not wait for it.
+        That may be the frame whose render is out: its reference still comes, its tiles do not wait for it. The frame
+        became due ``late_us`` ago: after a jump of the clock the newest one that is due stands for all before it.
         """
         unserved = self._unserved_render
         if unserved is not None:
             self._blind_tick = unserved
             return unserved, self._render_covers
-        self._blind_tick = self.next_tick
+        missed = int(late_us // self.timeline.period_us) if late_us > JUMP_US else 0
+        newest = self._up_to_the_end(last_displayed(self.next_tick + missed, self.cadence_permille))
+        self._blind_tick = max(self.next_tick, newest)
         return self._blind_tick, self._cover(self._blind_tick)
 
     def _cover(self, tick: int) -> int:

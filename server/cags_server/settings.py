@@ -70,11 +70,22 @@ class ServeSettings(ServerSettings):
     host: str = setting("127.0.0.1", "address to listen on")
     port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65_535)
     workers: int = setting(2, "references rendered at the same time", low=1, high=256)
-    max_clients: int = setting(32, "clients served at once; more are refused", low=1, high=100_000)
-    token: str = setting("", "bearer token that clients must show; none is asked for when empty")
+    max_clients: int = setting(
+        32,
+        "clients served at once; more are refused; auto (or 0): as many as the renderer carries, measured",
+        low=0,
+        high=100_000,
+    )
+    token: str = setting(
+        "",
+        "token that clients must show; several, comma separated, while one replaces another; empty: anybody may watch",
+    )
     tls_cert: str = setting("", "PEM file of the certificate; with it the server speaks HTTPS and WSS")
     tls_key: str = setting("", "PEM file of the certificate's private key")
     origins: str = setting("", "web origins whose pages may connect, comma separated, or *; this host's own always may")
+    hosts: str = setting(
+        "", "names under which this server is reached, comma separated; needed behind a proxy on this machine"
+    )
     max_pose_rate: float = setting(2000.0, "poses a client may send, a second", low=1.0, high=1e6)
     max_message_rate: float = setting(1000.0, "messages a client may send, a second", low=1.0, high=1e6)
     max_queue_mb: float = setting(16.0, "data that may wait for one client, MB", low=0.1, high=4096.0)
@@ -87,5 +98,7 @@ class ServeSettings(ServerSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.token and not all(part.strip() for part in self.token.split(",")):
+            raise ConfigError("token has an empty part, which would let everybody in; separate tokens by one comma")
         if not self.bundle:
             raise ConfigError("bundle is not given; name one with --bundle FOLDER_OR_URL")

@@ -108,6 +108,7 @@ class Streamer:
             case ev.PosesReceived(samples, arrival_us, cadence_permille):
                 self._viewer.observe(samples, arrival_us)
                 self._schedule.cadence_permille = cadence_permille
+                self._schedule.follow_clock(arrival_us)
             case ev.Acknowledged(sample, buffered_bytes):
                 self._estimator.on_ack(sample)
                 self._budget.acknowledged(sample, buffered_bytes)
@@ -191,7 +192,7 @@ class Streamer:
         if not (self._schedule.rendering or between):
             return []
         seen = self._next_is_seen()
-        tick, covered = self._schedule.go_blind()
+        tick, covered = self._schedule.go_blind(now_us - due_us)
         plan = self._blind_plan(tick, frame, covered, now_us)
         record = self._record(plan)
         if self._schedule.is_out(tick):
@@ -263,6 +264,7 @@ class Streamer:
         self._schedule.rendering = False
         work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
         self._schedule.pace.observe(work_us, len(render.access_unit), rate_bps)
+        self.stats.references += 1
         self.stats.render_ns += render.render_ns
         self.stats.encode_ns += render.encode_ns
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile

@@ -22,7 +22,7 @@ from cags_server.staleness import Staleness
 from cags_server.tile_map import TileMap
 from cags_server.visible import VisibleTile
 
-BASE_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3
+BASE_PRIORITY, URGENT_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3, 4
 """Base layers and ends of frames, detail, what is out of view; references go before, in the session's own order."""
 
 Parts: TypeAlias = "tuple[list[ev.Outgoing], list[ev.Outgoing]]"
@@ -86,7 +86,7 @@ class TileSender:
         fresh = [u for u in upgrades if u.from_lod == 0]
         base = [self._tile((u.frame, u.tile), (0, 1), BASE_PRIORITY, deadline_us) for u in fresh]
         detail = [
-            self._tile((u.frame, u.tile), run, BASE_PRIORITY if u.urgent else ENHANCEMENT_PRIORITY, deadline_us)
+            self._tile((u.frame, u.tile), run, URGENT_PRIORITY if u.urgent else ENHANCEMENT_PRIORITY, deadline_us)
             for u in sorted(upgrades, key=lambda u: u.from_lod > 0)
             for run in self._missing_runs(u.frame, u.tile, max(u.from_lod, 1), u.to_lod)
         ]

@@ -10,6 +10,9 @@ from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
 from cags_server.records import FrameRecord
 from cags_server.settings import ServerSettings
 
+MAX_UNSETTLED = 512
+"""Predictions whose outcome is waited for; of a clock that was set back, it never comes."""
+
 
 def fov_options(settings: ServerSettings) -> FovOptions:
     """The settings that field-of-view policies take."""
@@ -51,6 +54,7 @@ class Viewer:
     def expect(self, record: FrameRecord) -> None:
         """A frame was planned by a prediction: tell it the truth later."""
         self._unsettled.append(record)
+        del self._unsettled[:-MAX_UNSETTLED]
 
     def ensure_pose(self, now_us: int) -> None:
         """Before the first pose the viewer is where the Hello said."""

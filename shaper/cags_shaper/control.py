@@ -14,11 +14,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 from collections import deque
 from typing import Any
 
 from cags_common.errors import CagsError, ConfigError
+from cags_common.tasks import watched
 from cags_shaper.proxy import ShaperProxy, bound_socket
+
+log = logging.getLogger("cags_shaper")
 
 MAX_LINE_BYTES = 4096
 RATE_WINDOW_US = 1_000_000
@@ -98,7 +102,7 @@ class ControlPort:
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            with contextlib.suppress(ConnectionError):
+            with contextlib.suppress(OSError):
                 while line := await _line(reader):
                     writer.write(json.dumps(self.answer(line)).encode() + b"\n")
                     await writer.drain()
@@ -106,7 +110,7 @@ class ControlPort:
             writer.close()
 
     def _spawn(self, coroutine: Any) -> None:
-        task = asyncio.create_task(coroutine)
+        task = watched(coroutine, lambda error: log.error("control port: %s", error, exc_info=error))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import dataclasses
 import json
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from cags_shaper.proxy import ShapedDirection, ShaperProxy
+
+LOG = logging.getLogger("cags_shaper")
 
 INTERVAL_US = 100_000
 
@@ -33,7 +36,7 @@ class LogWriter:
     """Writes one line a direction and interval."""
 
     def __init__(self, file: TextIO, settings: DataclassInstance) -> None:
-        self._file = file
+        self._file, self._ended = file, False
         self._last: dict[str, tuple[int, int, int]] = {}
         header = {"log": "cags-shaper", "version": 1, "interval_us": INTERVAL_US, "fields": FIELDS}
         self._line({**header, "settings": dataclasses.asdict(settings)})
@@ -69,7 +72,13 @@ class LogWriter:
             self.sample("up", proxy.uplink)
 
     def _line(self, record: dict[str, object]) -> None:
-        self._file.write(json.dumps(record) + "\n")
+        if self._ended:
+            return
+        try:
+            self._file.write(json.dumps(record) + "\n")
+        except OSError as error:  # a full disk is no reason to stop the link
+            self._ended = True
+            LOG.warning("the log cannot be written (%s) and ends here", error.strerror or error)
 
 
 def open_log(path: str) -> TextIO:
@@ -78,3 +87,9 @@ def open_log(path: str) -> TextIO:
         return Path(path).open("w", encoding="utf-8", buffering=1)
     except OSError as error:
         raise ConfigError(f"--log {path}: cannot be written ({error.strerror}); give another file") from error
+
+
+def close_log(file: TextIO) -> None:
+    """Close it; what a full disk does not take is lost."""
+    with contextlib.suppress(OSError):
+        file.close()

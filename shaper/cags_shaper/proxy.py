@@ -15,6 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cags_common.errors import NetworkError
+from cags_common.rare_log import RareLog
+from cags_common.tasks import watched
+from cags_common.transport.accepting import accept_all
 from cags_common.wake import woken
 from cags_shaper.link import SEGMENT_BYTES, Link, tcp_wire_bytes
 from cags_shaper.link_clock import LinkClock
@@ -29,6 +32,9 @@ WRITE_BACKLOG_BYTES = 256 * 1024
 
 READ_BYTES = 16 * SEGMENT_BYTES
 
+MAX_CONNECTIONS = 400
+"""Shaped at once; each takes two descriptors of the usual 1,024. The oldest makes room for one more."""
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -42,11 +48,14 @@ class Piece:
 class ShapedDirection:
     """One link and the task that delivers what it lets through."""
 
-    def __init__(self, link: Link[Piece], clock: LinkClock) -> None:
+    def __init__(
+        self, link: Link[Piece], clock: LinkClock, on_fault: Callable[[BaseException], None] | None = None
+    ) -> None:
+        """``on_fault`` is told if delivering ends by itself: every connection hangs then."""
         self.link, self.clock = link, clock
         self._wake = asyncio.Event()
         self._room = asyncio.Event()
-        self._task = asyncio.create_task(self._deliver())
+        self._task = watched(self._deliver(), on_fault or _log_fault)
 
     def now_us(self) -> int:
         """Time since the link began."""
@@ -96,10 +105,17 @@ def _write(piece: Piece) -> None:
         piece.ended.set()
     if piece.to.is_closing():
         return
-    if piece.data:
-        piece.to.write(piece.data)
-    elif piece.to.can_write_eof():
-        piece.to.write_eof()
+    try:
+        if piece.data:
+            piece.to.write(piece.data)
+        elif piece.to.can_write_eof():
+            piece.to.write_eof()
+    except OSError:  # reset by its peer, which a transport that is not reading has yet to notice
+        piece.to.transport.abort()
+
+
+def _log_fault(error: BaseException) -> None:
+    log.error("the link has stopped: %s", error, exc_info=error)
 
 
 class ShaperProxy:
@@ -110,10 +126,12 @@ class ShaperProxy:
     """
 
     def __init__(self, target: tuple[str, int], downlink: Link[Piece], uplink: Link[Piece]) -> None:
-        self._target = target
+        self._target, self._told = target, RareLog(log)
         self._links = downlink, uplink
-        self._connections: set[asyncio.Task[None]] = set()
-        self._server: asyncio.Server | None = None
+        self._connections: dict[asyncio.Task[None], None] = {}  # oldest first
+        self._listener: socket.socket | None = None
+        self._accepting: asyncio.Task[None] | None = None
+        self._stopped: asyncio.Future[None] | None = None
 
     async def start(self, host: str, port: int, clock: Callable[[], int]) -> tuple[str, int]:
         """Start listening; the address in use (``port`` 0 picks a free one). Raises :class:`NetworkError`."""
@@ -121,8 +139,11 @@ class ShaperProxy:
         _make_small(listener)  # before listening: connections inherit it
         listener.listen(128)
         self._clock = LinkClock(clock)
-        self.downlink, self.uplink = (ShapedDirection(link, self._clock) for link in self._links)
-        self._server = await asyncio.start_server(self._accept, sock=listener, limit=READ_BYTES)
+        self._stopped = asyncio.get_running_loop().create_future()
+        self.downlink, self.uplink = (ShapedDirection(link, self._clock, self._stop) for link in self._links)
+        self._listener = listener
+        accepting = accept_all(listener, self._accept, log, relieve=self._end_oldest)
+        self._accepting = watched(accepting, self._stop)
         name = listener.getsockname()
         return str(name[0]), int(name[1])
 
@@ -130,28 +151,63 @@ class ShaperProxy:
         """Let the links' time pass from now on; nothing happens where it does already."""
         self._clock.begin()
 
+    async def stopped(self) -> None:
+        """Waits for a fault that ends the service of every connection, and raises it."""
+        assert self._stopped is not None, "start comes first"
+        await asyncio.shield(self._stopped)
+
     async def close(self) -> None:
         """Stop listening and hang up all connections."""
-        if self._server is None:
+        if self._accepting is None or self._listener is None or self._stopped is None:
             return
-        self._server.close()
+        self._stopped.cancel()
+        self._accepting.cancel()
+        await asyncio.gather(self._accepting, return_exceptions=True)
+        self._listener.close()
         for task in list(self._connections):
             task.cancel()
         await asyncio.gather(*self._connections, return_exceptions=True)
         await asyncio.gather(self.downlink.close(), self.uplink.close())
 
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.begin()
-        # A task of our own: asyncio's would report our cancelling it as an error.
-        task = asyncio.create_task(self._carry_both(reader, writer))
-        self._connections.add(task)
-        task.add_done_callback(self._connections.discard)
+    def _stop(self, error: BaseException) -> None:
+        _log_fault(error)
+        if self._stopped is not None and not self._stopped.done():
+            self._stopped.set_exception(error)
+            self._stopped.exception()  # told by the line above, whether or not somebody waits
 
-    async def _carry_both(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _accept(self, accepted: socket.socket) -> None:
+        self.begin()
+        if len(self._connections) >= MAX_CONNECTIONS:
+            self._end_oldest()
+        # A task of our own: asyncio's would report our cancelling it as an error.
+        task = watched(self._carry_both(accepted), _log_fault)
+        self._connections[task] = None
+        task.add_done_callback(self._left)
+
+    def _left(self, task: asyncio.Task[None]) -> None:
+        self._connections.pop(task, None)
+
+    def _end_oldest(self) -> None:
+        oldest = next(iter(self._connections), None)
+        if oldest is not None:
+            oldest.cancel()
+            del self._connections[oldest]
+
+    async def _carry_both(self, accepted: socket.socket) -> None:
+        try:
+            reader, writer = await asyncio.open_connection(sock=accepted, limit=READ_BYTES)
+        except BaseException:
+            accepted.close()
+            raise
         try:
             await self._connect(reader, writer)
         except OSError as error:
-            log.warning("connection to %s:%d: %s", *self._target, error.strerror or error)
+            self._told.write(
+                logging.WARNING, "target", "connection to %s:%d: %s", *self._target, error.strerror or error
+            )
+        except asyncio.CancelledError:
+            writer.transport.abort()
+            raise
         finally:
             writer.close()
 
@@ -164,6 +220,9 @@ class ShaperProxy:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self.uplink.carry(reader, up_writer))
                 group.create_task(self.downlink.carry(up_reader, writer))
+        except asyncio.CancelledError:
+            up_writer.transport.abort()
+            raise
         finally:
             up_writer.close()
 

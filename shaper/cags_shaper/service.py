@@ -9,10 +9,12 @@ import signal
 import time
 from typing import TYPE_CHECKING
 
+from cags_common.errors import NetworkError
+from cags_common.tasks import watched
 from cags_common.transport.hosts import host_port
 from cags_shaper.control import ControlPort
 from cags_shaper.link import Link
-from cags_shaper.log import LogWriter, open_log
+from cags_shaper.log import LogWriter, close_log, open_log
 from cags_shaper.proxy import Piece, ShaperProxy
 
 if TYPE_CHECKING:
@@ -35,14 +37,28 @@ class Service:
         """Shape until SIGTERM or SIGINT. Raises :class:`CagsError` before the ready line, not after."""
         stop = asyncio.Event()
         async with contextlib.AsyncExitStack() as stack:
-            log = stack.enter_context(open_log(self._settings.log)) if self._settings.log else None
+            log = open_log(self._settings.log) if self._settings.log else None
+            if log is not None:
+                stack.callback(close_log, log)
             ready = await self._start(stack)
             for number in (signal.SIGTERM, signal.SIGINT):
                 asyncio.get_running_loop().add_signal_handler(number, stop.set)
             print(self._ready_line(ready), flush=True)
+            watching = watched(self._end_with_proxy(stop), lambda error: None)  # raised below
             if log is not None:
                 await LogWriter(log, self._settings).follow(self._proxy, stop)
             await stop.wait()
+            if watching.done():
+                await watching
+            watching.cancel()
+
+    async def _end_with_proxy(self, stop: asyncio.Event) -> None:
+        try:
+            await self._proxy.stopped()
+        except Exception as error:
+            raise NetworkError(f"the link has stopped ({error}); start the shaper again") from error
+        finally:
+            stop.set()
 
     async def _start(self, stack: contextlib.AsyncExitStack) -> dict[str, str | int]:
         address, control_address = self._settings.address("listen"), self._settings.address("control")

@@ -21,7 +21,7 @@ SETTLED = 40
 def scenario(tmp_path_factory) -> Scenario:
     cache = str(tmp_path_factory.mktemp("bundles"))
     bundle = cached_bundle(f"procedural:size=500,frames={FRAMES}", cache, EncodeSettings(frames=FRAMES))
-    return Scenario(bundle, "generated:steady-0.5", "synthetic:walking", client=ClientSettings(width=80, height=60))
+    return Scenario(bundle, "generated:steady-0.75", "synthetic:walking", client=ClientSettings(width=80, height=60))
 
 
 @pytest.fixture

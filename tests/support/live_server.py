@@ -66,9 +66,9 @@ class Client:
         async with asyncio.timeout(20):
             while len(found := [e for e in self.events if isinstance(e, kind)]) < count:
                 self.session.handle_timer(now_us=now_us())
-                for data in self.session.data_to_send(now_us()):
-                    await self.transport.send(data)
                 try:
+                    for data in self.session.data_to_send(now_us()):
+                        await self.transport.send(data)
                     async with asyncio.timeout(0.02):
                         self.session.receive(await self.transport.recv(), now_us=now_us())
                 except TimeoutError:

@@ -8,34 +8,16 @@ any literal address is taken; names must be ``localhost`` or allowed by the user
 from __future__ import annotations
 
 import ipaddress
-from urllib.parse import urlsplit
 
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
-from cags_common.transport.hosts import same_host
+from cags_common.transport.hosts import host_allowed, same_host
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' {socket}; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-
-
-def host_allowed(host: str, names: frozenset[str]) -> bool:
-    """Whether a ``Host`` header (with or without a port) names this machine."""
-    try:
-        name = urlsplit("//" + host).hostname
-    except ValueError:
-        return False
-    if not name:
-        return False
-    if name == "localhost" or name in names:
-        return True
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
 
 
 def on_this_machine(peer: str) -> bool:

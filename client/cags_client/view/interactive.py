@@ -21,6 +21,9 @@ from cags_protocol.messages import Control
 SEEK_PATIENCE_US = 15_000_000
 """How long the old picture stays after a seek when the first frame does not come whole; then what there is is shown."""
 
+JUMP_US = 1_000_000
+"""An end of the clip that is later than that was slept through."""
+
 
 class InteractivePlayer(Player):
     """Plays until :meth:`leave` or the end of ``settings.duration``; at the clip's end it starts again or holds."""
@@ -130,6 +133,8 @@ class InteractivePlayer(Player):
         assert self.pipeline is not None
         if not self.loop:
             self.pause(now_us)
+        elif now_us - self._frame_due_us(self._end_frame) > JUMP_US:  # the machine slept: no round is made up for
+            self.seek(0)
         elif self._loop_told and self.pipeline.keeps(0):
             self._anchor = (0, self._frame_due_us(self._end_frame))
             self._cadence.counted_from -= self._end_frame

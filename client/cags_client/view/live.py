@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib.resources import files
@@ -41,7 +41,8 @@ from cags_client.view.settings import ViewSettings
 from cags_client.viewpoint import PoseSource
 from cags_common.errors import CagsError, ConfigError, NetworkError, ProtocolError
 from cags_common.raster.base import Exactness
-from cags_common.transport.hosts import host_port
+from cags_common.tasks import watched
+from cags_common.transport.hosts import host_port, named
 
 EXACTNESSES = tuple(exactness.value for exactness in Exactness)
 
@@ -52,6 +53,9 @@ REACHED_AT = {"localhost": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}  # 
 """Where a browser on this machine finds a page that is served on more than one address."""
 
 STATE_PERIOD_S = 0.25
+SLOW_PAGE_S = 5.0
+"""How long a page may take nothing: meanwhile the others get no pictures."""
+
 SCRIPTS = "js"
 TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 
@@ -68,6 +72,7 @@ class LiveView:
         self._controls: Controls | None = None
         self._attached = asyncio.Event()
         self._pages: dict[web.WebSocketResponse, Page] = {}
+        self._links: dict[web.WebSocketResponse, asyncio.WriteTransport] = {}
         self._newest: ShownFrame | None = None
         self._wake = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -81,8 +86,7 @@ class LiveView:
     async def start(self) -> str:
         """Serve the page; returns its address. Raises :class:`NetworkError` where the port is taken."""
         self._loop = asyncio.get_running_loop()
-        names = frozenset(name.strip() for name in self.settings.view_allow_host.split(",") if name.strip())
-        app = web.Application(middlewares=[guard(names)])
+        app = web.Application(middlewares=[guard(named(self.settings.view_allow_host))])
         app.router.add_get("/live", self._live)
         app.router.add_get("/", self._asset)
         app.router.add_get("/{name}", self._asset)
@@ -100,7 +104,7 @@ class LiveView:
             ) from error
         port = self._runner.addresses[0][1]
         self.url = f"http://{host_port(REACHED_AT.get(host, host), port)}/"
-        self._tasks = [asyncio.create_task(self._pump()), asyncio.create_task(self._tell())]
+        self._tasks = [watched(part(), self._failed) for part in (self._pump, self._tell)]
         return self.url
 
     def attach(self, scene: SceneInfo, controls: Controls) -> None:
@@ -153,11 +157,14 @@ class LiveView:
             raise web.HTTPServiceUnavailable(text=f"{MAX_PAGES} pages are open already; close one\n")
         socket = web.WebSocketResponse(max_msg_size=MAX_TEXT_BYTES, heartbeat=20.0, compress=False)
         await socket.prepare(request)
+        if isinstance(request.transport, asyncio.WriteTransport):
+            self._links[socket] = request.transport
         try:
             await self._attached.wait()
             await self._serve(socket)
         finally:
             self._pages.pop(socket, None)
+            self._links.pop(socket, None)
         return socket
 
     async def _serve(self, socket: web.WebSocketResponse) -> None:
@@ -289,8 +296,7 @@ class LiveView:
                     await self._broadcast({"type": "error", "text": f"frame {shown.frame}: {error}"})
                     continue
                 began_s = loop.time()
-                with contextlib.suppress(ConnectionError):
-                    await socket.send_bytes(message)
+                await self._sent(socket, socket.send_bytes(message))
                 page.wrote(loop.time() - began_s)
             looked = {socket: value for socket, value in looked.items() if socket in self._pages}
 
@@ -315,8 +321,24 @@ class LiveView:
     async def _broadcast(self, message: dict[str, Any]) -> None:
         text = json.dumps(message)
         for socket in list(self._pages):
-            with contextlib.suppress(ConnectionError):
-                await socket.send_str(text)
+            await self._sent(socket, socket.send_str(text))
+
+    async def _sent(self, socket: web.WebSocketResponse, sending: Coroutine[Any, Any, None]) -> None:
+        """Send to one page; one that takes nothing for a while is let go, as the others wait for it."""
+        try:
+            async with asyncio.timeout(SLOW_PAGE_S):
+                await sending
+        except TimeoutError:
+            LOG.warning("a page took nothing for %g s and was let go", SLOW_PAGE_S)
+            self._pages.pop(socket, None)
+            transport = self._links.get(socket)
+            if transport is not None:
+                transport.abort()
+        except (ConnectionError, RuntimeError):  # RuntimeError: it is closing
+            self._pages.pop(socket, None)
+
+    def _failed(self, error: BaseException) -> None:
+        LOG.error("the page's server has stopped: %s", error, exc_info=error)
 
 
 def _one_of(wish: PageSetting, choices: Sequence[str]) -> str:

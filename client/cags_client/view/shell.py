@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ from cags_protocol.client import ClientSession
 
 KEPT_RECORDS = 9000
 """Frames whose figures a live view keeps for the report: the last five minutes."""
+
+PAGE_PATIENCE_S = 86_400.0
 
 Truth = Callable[[int, Camera], tuple[F32, F32]]
 """Picture and alpha of a frame of the unquantised scene."""
@@ -141,6 +144,11 @@ class PlayerControls:
         return SplatDetail(store.splats.means.copy(), owner, lods[owner] / np.float32(top))
 
 
+def patient(settings: ClientSettings) -> ClientSettings:
+    """A page that somebody has open stays, and waits for its server for a day, unless the first loss is to end it."""
+    return replace(settings, reconnect_s=PAGE_PATIENCE_S) if settings.reconnect_s else settings
+
+
 async def watch_live(
     url: str,
     settings: ClientSettings,
@@ -157,10 +165,11 @@ async def watch_live(
 
     ``on_ready`` is given the page's address.
     """
+    settings = patient(settings)
     view = LiveView(view_settings, walk)
     on_ready(await view.start())
     try:
-        dial = Dial(url, settings.token)
+        dial = Dial(url, settings.token, settings.ca)
         transport = await dial.first()
         live = LiveSettings(settings)
         live.depth_shown = True  # the page can show it at any time

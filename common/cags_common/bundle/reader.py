@@ -21,6 +21,9 @@ MANIFEST_NAME = "manifest.json"
 CODEBOOKS_NAME = "codebooks.bin"
 MAX_WEIGHTS_BYTES = 4 << 20
 
+MOST_IDS_A_SPLAT, SPARE_IDS = 8, 65_536
+"""Ids of a group are mostly dense: its capacity is at most so many times the splats that its tiles carry, and some."""
+
 
 def weights_name(crc: int) -> str:
     """The file of a restorer's weights, by their CRC-32: new ones lie beside the old until the manifest names them."""
@@ -112,9 +115,12 @@ class BundleReader:
         return data
 
     def tile_ids(self, frame: int, tile: int) -> Ids:
-        """Ids [n] of a tile's splats, ascending, in the tile's order; of motion, those of the looks that it moves."""
+        """Ids [n] of a tile's splats, ascending, in the tile's order; of motion, those of the looks that it moves.
+
+        Raises :class:`BundleError`.
+        """
         looks = self._tile(self.frame(frame), tile).looks
-        return self.codec.tile_ids(self.payload(*(looks or (frame, tile)), 0))
+        return self._within(self.codec.tile_ids(self.payload(*(looks or (frame, tile)), 0)), frame, f"tile {tile}")
 
     def removed_payload(self, frame: int) -> bytes:
         """The ids that ``frame`` removes, packed by :func:`~cags_common.packing.encode_ids`."""
@@ -131,17 +137,22 @@ class BundleReader:
     def source_delta(self, frame: int) -> SourceDelta:
         """What the unquantised ``frame`` changes against the one before (everything in the first of a group)."""
         gof = self.manifest.gof_of(frame)
+        self._tile_index(gof)  # which checks the capacity
         row = frame - self.manifest.gof_starts[gof]
         sizes = self._sources(gof)
         start = 8 + sum(size for size, _ in sizes[:row])
         data = self._store.read(self.manifest.gofs[gof].source.name, start, start + sizes[row][0])
         check_crc(data, sizes[row][1], f"source frame {frame}")
-        return decode_source(data, f"source frame {frame}")
+        delta = decode_source(data, f"source frame {frame}")
+        self._within(delta.ids, frame, "source")
+        self._within(delta.removed, frame, "source, removed")
+        return delta
 
     def source(self, frame: int) -> SourceFrame:
         """All unquantised splats alive in ``frame``. Cheapest in rising order: an earlier frame replays its group."""
         gof = self.manifest.gof_of(frame)
         first = self.manifest.gof_starts[gof]
+        self._tile_index(gof)
         with self._replaying:  # seconds of reading and decoding: payloads need not wait for it
             if self._replay is None or not first <= self._replay[0] <= frame:
                 state = SourceState(self.manifest.capacity[gof], self.manifest.sh_degree)
@@ -158,8 +169,19 @@ class BundleReader:
         if known is None:  # two threads may read it side by side: both read the same
             data = self._read_index(self.manifest.gofs[gof].tiles)
             frames = self.manifest.gof_frames(gof)
-            known = self._index[gof] = decode_tile_index(data, gof=gof, frames=frames, lods=self.manifest.lods)
+            known = decode_tile_index(data, gof=gof, frames=frames, lods=self.manifest.lods)
+            self._check_capacity(gof, known)
+            self._index[gof] = known
         return known
+
+    def _check_capacity(self, gof: int, entries: tuple[FrameEntry, ...]) -> None:
+        """Whoever draws a group takes memory for its capacity: it must not claim far more ids than tiles carry."""
+        capacity, carried = self.manifest.capacity[gof], sum(t.splats for entry in entries for t in entry.tiles)
+        if capacity > MOST_IDS_A_SPLAT * carried + SPARE_IDS:
+            raise BundleError(
+                f"manifest: capacity[{gof}] = {capacity} is far more than the {carried} splats that the group's tiles "
+                "carry; encode the bundle again"
+            )
 
     def _sources(self, gof: int) -> tuple[tuple[int, int], ...]:
         known = self._source_index.get(gof)
@@ -184,6 +206,16 @@ class BundleReader:
             with self._lock:
                 self._frames.put(entry.frame, data, len(data))
         return data
+
+    def _within(self, ids: Ids, frame: int, what: str) -> Ids:
+        """``ids``, which index arrays and kernels' memory. Raises :class:`BundleError` beyond the group's capacity."""
+        capacity = self.manifest.capacity[self.manifest.gof_of(frame)]
+        if len(ids) and not 0 <= int(ids.min()) <= int(ids.max()) < capacity:
+            raise BundleError(
+                f"frame {frame}, {what}: ids {int(ids.min())} to {int(ids.max())} do not lie within the group's "
+                f"capacity of {capacity}; encode the bundle again"
+            )
+        return ids
 
     @staticmethod
     def _tile(entry: FrameEntry, tile: int) -> TileEntry:

@@ -14,6 +14,11 @@ class ConnectionEndedError(NetworkError):
 class Transport(Protocol):
     """One connection that carries binary messages."""
 
+    @property
+    def peer(self) -> str:
+        """Address of the other end, for logs and limits."""
+        ...
+
     async def send(self, data: bytes) -> None:
         """Write one message; returns when little of it is left unwritten. Raises :class:`ConnectionEndedError`.
 
@@ -25,3 +30,6 @@ class Transport(Protocol):
 
     async def close(self, reason: str = "") -> None:
         """End the connection; does not raise, and may be called again."""
+
+    def abort(self) -> None:
+        """End the connection at once; what was not written yet is lost. May be called again."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 from urllib.parse import urlsplit
 
 
@@ -16,3 +17,34 @@ def same_host(origin: str, host: str | None) -> bool:
         return bool(host) and urlsplit(origin).netloc == host
     except ValueError:  # brackets that do not close, and the like: no browser sends it
         return False
+
+
+def named(text: str) -> frozenset[str]:
+    """Host names of a comma-separated list."""
+    return frozenset(name.strip().lower() for name in text.split(",") if name.strip())
+
+
+def host_allowed(host: str | None, names: frozenset[str]) -> bool:
+    """Whether a ``Host`` header (with or without a port) is ``localhost``, a literal address, or one of ``names``.
+
+    A page can point a name of its own at any address (DNS rebinding), and then its ``Origin`` equals ``Host``. It
+    cannot do so with an address, which is what the browser asked for.
+    """
+    try:
+        name = urlsplit(f"//{host}").hostname if host else None
+    except ValueError:
+        return False
+    return bool(name) and (name == "localhost" or name in names or _is_address(name))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host to listen on is this machine's loopback, by name or address."""
+    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
+
+
+def _is_address(name: str | None) -> bool:
+    try:
+        ipaddress.ip_address(name or "")
+    except ValueError:
+        return False
+    return True

@@ -13,6 +13,8 @@ MAX_WAITING = 64
 class MemoryTransport:
     """One end of :func:`memory_pair`."""
 
+    peer = "memory"
+
     def __init__(self, inbox: asyncio.Queue[bytes | None], outbox: asyncio.Queue[bytes | None]) -> None:
         self._inbox, self._outbox = inbox, outbox
         self._ended = False
@@ -36,6 +38,13 @@ class MemoryTransport:
         if not self._ended:
             self._ended = True
             await self._outbox.put(None)
+
+    def abort(self) -> None:
+        """See :class:`Transport`."""
+        self._ended = True
+        while not self._outbox.empty():
+            self._outbox.get_nowait()
+        self._outbox.put_nowait(None)
 
 
 def memory_pair() -> tuple[MemoryTransport, MemoryTransport]:

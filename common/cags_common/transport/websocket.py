@@ -29,7 +29,6 @@ class ServerWebSocket:
     def __init__(self, socket: web.WebSocketResponse, transport: Any, peer: str) -> None:
         self._ws, self._transport = socket, transport
         self.peer = peer
-        """Address of the client, for logs."""
 
     @classmethod
     async def accept(cls, request: web.Request, *, subprotocol: str, max_message_bytes: int) -> ServerWebSocket:
@@ -40,7 +39,7 @@ class ServerWebSocket:
             timeout=CLOSE_TIMEOUT_S,
             protocols=(subprotocol,),
             compress=False,
-            max_msg_size=max_message_bytes,
+            max_msg_size=max_message_bytes + 1,  # of aiohttp: the first size that is refused
             writer_limit=0,  # wait for the transport after every message, not after every 256 KiB
         )
         await ws.prepare(request)
@@ -79,6 +78,11 @@ class ServerWebSocket:
         """See :class:`Transport`."""
         await self._ws.close(message=_close_reason(reason))
 
+    def abort(self) -> None:
+        """See :class:`Transport`."""
+        if self._transport is not None:
+            self._transport.abort()
+
     def tcp_info(self) -> TcpInfo | None:
         """The kernel's figures for this connection, where there are any."""
         return None if self._transport is None else tcp_info(self._transport.get_extra_info("socket"))
@@ -89,6 +93,7 @@ class ClientWebSocket:
 
     def __init__(self, socket: ClientConnection, url: str) -> None:
         self._ws, self._url = socket, url
+        self.peer = url
 
     async def send(self, data: bytes) -> None:
         """See :class:`Transport`."""
@@ -113,6 +118,10 @@ class ClientWebSocket:
         """See :class:`Transport`."""
         await self._ws.close(reason=_close_reason(reason).decode())
 
+    def abort(self) -> None:
+        """See :class:`Transport`."""
+        self._ws.transport.abort()
+
 
 async def connect(
     url: str,
@@ -124,11 +133,13 @@ async def connect(
     tls: ssl.SSLContext | None = None,
 ) -> ClientWebSocket:
     """Connect to ``url`` (``ws://`` or ``wss://``). Raises :class:`NetworkError`, which names the URL."""
+    import ssl
+
     from websockets.asyncio.client import connect as websocket_connect
     from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
     from websockets.typing import Subprotocol
 
-    extra: dict[str, Any] = {} if tls is None else {"ssl": tls}
+    extra: dict[str, Any] = {"ssl": tls} if tls is not None and url.startswith("wss:") else {}
     try:
         ws = await websocket_connect(
             url,
@@ -149,13 +160,29 @@ async def connect(
     except InvalidStatus as error:
         raise NetworkError(f"{url}: refused with HTTP {error.response.status_code}{_body(error)}") from error
     except (InvalidHandshake, EOFError) as error:
-        raise NetworkError(f"{url}: does not speak WebSocket there ({error}); is it a cags-server?") from error
+        other = "is it a cags-server?"
+        if url.startswith("ws://"):
+            other += " If it has a certificate, write wss://"
+        raise NetworkError(f"{url}: does not speak WebSocket there ({error}); {other}") from error
+    except ssl.SSLError as error:
+        raise NetworkError(f"{url}: {tls_fault(error)}") from error
     except TimeoutError as error:
         raise NetworkError(f"{url}: no answer within {timeout_s:g} s; is the server running and reachable?") from error
     except OSError as error:
         raise NetworkError(f"{url}: cannot connect ({_os_reason(error)}); is the server running there?") from error
     tune_socket(ws.transport.get_extra_info("socket"))
     return ClientWebSocket(ws, url)
+
+
+def tls_fault(error: ssl.SSLError) -> str:
+    """Why TLS did not come about, and what would help."""
+    import ssl
+
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate is not trusted ({error.verify_message}); give its authority's PEM file with --ca"
+    if error.reason in ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE", "HTTP_REQUEST"):
+        return "does not speak TLS there; without a certificate at the server, write ws://"
+    return f"TLS failed ({error.reason or error})"
 
 
 def _os_reason(error: OSError) -> str:

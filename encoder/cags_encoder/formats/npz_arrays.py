@@ -1,18 +1,18 @@
 """Arrays of an ``.npz`` archive, bounded and without pickles; stored arrays are mapped, not read.
 
 Archives of dynamic scenes hold gigabytes of which a frame needs megabytes: ``np.savez`` stores arrays uncompressed, so
-that a frame's slice is read where it lies. Deflated archives are inflated whole, within :data:`MAX_INFLATED_BYTES`.
+that a frame's slice is read where it lies. Deflated arrays are inflated whole, within :data:`MAX_INFLATED_BYTES` for
+the whole archive, and only once their header has shown the shape that is wanted.
 """
 
 from __future__ import annotations
 
-import io
 import math
 import re
 import struct
 import zipfile
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, NamedTuple
+from typing import IO, Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from cags_common.errors import SceneError
 from cags_encoder.formats.sog_files import MAX_ENTRIES, ZIP_FAULTS
 
-MAX_INFLATED_BYTES = 4 << 30
+MAX_INFLATED_BYTES = 1 << 30
+"""Of all deflated arrays of an archive; stored ones are mapped, however large."""
+
+INFLATED_AT_ONCE = 1 << 20
 MAX_NPY_HEADER = 10_000
 
 _LOCAL_HEADER = struct.Struct("<4s22xHH")
@@ -55,25 +58,29 @@ class NpzArrays:
             raise SceneError(f"{path}: is not an .npz archive or is damaged ({error})") from error
         if len(entries) > MAX_ENTRIES:
             raise SceneError(f"{path}: holds over {MAX_ENTRIES} arrays; this is no params.npz of a dynamic scene")
+        self._inflated_bytes = 0
         self._entries = {entry.filename.removesuffix(".npy"): entry for entry in entries}
 
     def __contains__(self, name: str) -> bool:
         return name in self._entries
 
-    def array(self, name: str) -> NDArray[np.floating[Any]]:
-        """The array ``name``, of floating-point numbers; mapped from the file where it is stored uncompressed."""
+    def array(self, name: str, width: int | None = None) -> NDArray[np.floating[Any]]:
+        """The array ``name``, of floating-point numbers; mapped from the file where it is stored uncompressed.
+
+        With ``width`` its shape must be [N, width] or [T, N, width]: another is refused before it is inflated.
+        """
         entry = self._entries.get(name)
         if entry is None:
             raise SceneError(f"{self._path}: lacks the array {name!r}; this is no params.npz of a dynamic scene")
         try:
             if entry.compress_type == zipfile.ZIP_STORED:
-                return self._mapped(name, entry)
-            return self._inflated(name, entry)
+                return self._mapped(name, entry, width)
+            return self._inflated(name, entry, width)
         except ZIP_FAULTS as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise SceneError(f"{self._path}: the array {name!r} is damaged ({reason})") from error
 
-    def _mapped(self, name: str, entry: zipfile.ZipInfo) -> NDArray[np.floating[Any]]:
+    def _mapped(self, name: str, entry: zipfile.ZipInfo, width: int | None) -> NDArray[np.floating[Any]]:
         with self._path.open("rb") as file:
             file.seek(entry.header_offset)
             _, name_length, extra_length = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
@@ -81,25 +88,35 @@ class NpzArrays:
             file.seek(start)
             header = self._header(name, file)
             offset = file.tell()
-        self._check(name, header, entry.file_size - (offset - start))
+        self._check(name, header, entry.file_size - (offset - start), width)
         if math.prod(header.shape) == 0:  # nothing cannot be mapped
             return np.zeros(header.shape, header.dtype)
         return np.memmap(
             self._path, dtype=header.dtype, mode="r", offset=offset, shape=header.shape, order=header.order
         )
 
-    def _inflated(self, name: str, entry: zipfile.ZipInfo) -> NDArray[np.floating[Any]]:
-        if entry.file_size > MAX_INFLATED_BYTES:
-            raise SceneError(f"{self._path}: the array {name!r} inflates to over {MAX_INFLATED_BYTES} bytes; store it")
+    def _inflated(self, name: str, entry: zipfile.ZipInfo, width: int | None) -> NDArray[np.floating[Any]]:
+        self._inflated_bytes += entry.file_size
+        if self._inflated_bytes > MAX_INFLATED_BYTES:
+            raise SceneError(
+                f"{self._path}: with the array {name!r} it inflates to over {MAX_INFLATED_BYTES} bytes; "
+                "save it without compression (numpy.savez)"
+            )
         with zipfile.ZipFile(self._path) as archive, archive.open(entry) as file:
-            data = file.read(entry.file_size + 1)
-        stream = io.BytesIO(data)
-        header = self._header(name, stream)
-        self._check(name, header, len(data) - stream.tell())
-        flat = np.frombuffer(data, header.dtype, math.prod(header.shape), stream.tell())
+            header = self._header(name, file)
+            self._check(name, header, entry.file_size - file.tell(), width)
+            flat = np.empty(math.prod(header.shape), header.dtype)
+            room, at = flat.view(np.uint8).data, 0
+            while at < len(room):
+                count = file.readinto(room[at : at + INFLATED_AT_ONCE])  # type: ignore[attr-defined]
+                if not count:
+                    raise SceneError(
+                        f"{self._path}: the array {name!r} is cut short: {at} of {len(room)} bytes are there"
+                    )
+                at += count
         return flat.reshape(header.shape, order=header.order)
 
-    def _header(self, name: str, file: BinaryIO) -> _Header:
+    def _header(self, name: str, file: BinaryIO | IO[bytes]) -> _Header:
         """The ``.npy`` header, matched against what numpy writes for plain arrays; nothing in it is evaluated."""
         magic, major = _MAGIC.unpack(file.read(_MAGIC.size))
         if magic != b"\x93NUMPY" or major not in (1, 2, 3):
@@ -114,9 +131,10 @@ class NpzArrays:
         shape = tuple(int(side) for side in sides.split(",") if side.strip())
         return _Header(shape, fortran == "True", np.dtype(kind))
 
-    def _check(self, name: str, header: _Header, room: int) -> None:
-        """The claimed shape fits the bytes that are there."""
-        if math.prod(header.shape) * header.dtype.itemsize > room or max(header.shape, default=0) > room:
-            raise SceneError(
-                f"{self._path}: the array {name!r} of shape {header.shape} is cut short: {room} bytes are there"
-            )
+    def _check(self, name: str, header: _Header, room: int, width: int | None) -> None:
+        """The claimed shape is one that is wanted, and fits the bytes that are there."""
+        shape = header.shape
+        if width is not None and (len(shape) not in (2, 3) or shape[-1] != width):
+            raise SceneError(f"{self._path}: {name} has shape {shape}, expected [T, N, {width}] or [N, {width}]")
+        if math.prod(shape) * header.dtype.itemsize > room or max(shape, default=0) > room:
+            raise SceneError(f"{self._path}: the array {name!r} of shape {shape} is cut short: {room} bytes are there")

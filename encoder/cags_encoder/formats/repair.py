@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.errors import SceneError
-from cags_common.splats import Splats
+from cags_common.splats import MAX_COORDINATE, Splats
 
 Check: TypeAlias = Callable[[Splats, str], Splats]
 """Takes what a parser read and the file's name, gives checked splats or raises :class:`SceneError`."""
@@ -28,11 +28,15 @@ _said: set[tuple[str, int]] = set()
 
 
 def drawable(splats: Splats) -> NDArray[np.bool_]:
-    """Which splats [n] can be drawn: finite (but an opacity logit may be infinite), the rotation with a direction."""
+    """Which splats [n] can be drawn: finite and within reach, the rotation with a direction.
+
+    An opacity logit may be infinite.
+    """
     good: NDArray[np.bool_] = np.linalg.norm(splats.quats.astype(np.float64), axis=1) >= SHORTEST_QUATERNION
     for name, array in splats.arrays():
         bad = np.isnan(array) if name == "logit_opacities" else ~np.isfinite(array)
         good &= ~bad.reshape(len(array), -1).any(axis=1)
+    good &= (np.abs(splats.means) < np.float32(MAX_COORDINATE)).all(axis=1)
     return good
 
 

@@ -58,7 +58,7 @@ def _inflate(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDArray[np.
     inflater = zlib.decompressobj(GZIP_WBITS)
     try:
         head = inflater.decompress(data, HEADER.size)
-        header = _header(head, source)
+        header = _header(head, source, len(data))
         size = header.count * sum(width for _, width in header.sections)
         body = inflater.decompress(inflater.unconsumed_tail, size)
         more = inflater.decompress(inflater.unconsumed_tail, 1)  # reaches the stream's own checksum
@@ -73,7 +73,7 @@ def _inflate(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDArray[np.
     return header, parts
 
 
-def _header(head: bytes, source: str) -> SpzHeader:
+def _header(head: bytes, source: str, held_bytes: int) -> SpzHeader:
     if len(head) < HEADER.size:
         raise SceneError(f"{source}: is cut short in its header")
     magic, version, count, sh_degree, fractional_bits, _flags, _reserved = HEADER.unpack(head)
@@ -81,7 +81,7 @@ def _header(head: bytes, source: str) -> SpzHeader:
         raise SceneError(f"{source}: is gzip, but no SPZ (magic 0x{magic:08x}); check the file's type")
     if version not in (1, 2, 3):
         raise SceneError(f"{source}: is SPZ version {version} in gzip; versions 1 to 3 are read")
-    return checked_header(version, count, sh_degree, fractional_bits, source)
+    return checked_header(version, count, sh_degree, fractional_bits, source, held_bytes=held_bytes)
 
 
 def _means(raw: NDArray[np.uint8], header: SpzHeader) -> F32:

@@ -29,8 +29,16 @@ class SpzHeader:
         return (("mean", mean_bytes), ("alpha", 1), ("colour", 3), ("scale", 3), ("quat", quat_bytes), ("sh", sh_bytes))
 
 
-def checked_header(version: int, count: int, sh_degree: int, fractional_bits: int, source: str) -> SpzHeader:
-    """The header, its claims within bounds. Raises :class:`SceneError` naming ``source``."""
+SMALL_COUNT = 1_000_000
+"""Up to here a file may claim what it likes; beyond it a splat must take up a byte, for real ones take ten or more."""
+
+
+def checked_header(
+    version: int, count: int, sh_degree: int, fractional_bits: int, source: str, *, held_bytes: int
+) -> SpzHeader:
+    """The header of a file of ``held_bytes``, its claims in bounds. Raises :class:`SceneError` naming ``source``."""
+    if count > max(SMALL_COUNT, held_bytes):
+        raise SceneError(f"{source}: claims {count} splats in {held_bytes} bytes, which hold far fewer; check the file")
     if sh_degree > 3:
         raise SceneError(f"{source}: claims SH degree {sh_degree}; 0 to 3 are read")
     if fractional_bits > 24:

@@ -33,7 +33,7 @@ def inflate_streams(data: bytes, source: str) -> tuple[SpzHeader, dict[str, NDAr
         raise SceneError(
             f"{source}: is SPZ version {version} in streams; versions 1 to 4 are read, save it as version 3"
         )
-    header = checked_header(version, count, degree, bits, source)
+    header = checked_header(version, count, degree, bits, source, held_bytes=len(data))
     sections = [(name, width) for name, width in header.sections if width]
     if streams != len(sections):
         raise SceneError(f"{source}: has {streams} streams, {len(sections)} hold splats of SH degree {degree}")

@@ -45,7 +45,7 @@ class Dynamic3dScene:
 
     def _open(self) -> None:
         archive = NpzArrays(self._path)
-        self._arrays = {name: self._timed(archive.array(name), name, width) for name, width in _WIDTHS.items()}
+        self._arrays = {name: self._timed(archive.array(name, width), name, width) for name, width in _WIDTHS.items()}
 
     def _timed(self, array: NDArray[np.floating[Any]], name: str, width: int) -> NDArray[np.floating[Any]]:
         """``array`` as [T or 1, N, width]."""

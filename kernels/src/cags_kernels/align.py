@@ -227,6 +227,8 @@ def lay(shown: F32, over: F32, share: F32, confidence: F32, threads: int) -> Non
     ``shown`` and ``share`` may be parts of larger pictures. Raises ``KernelError`` and, for arrays that do not fit,
     ``ValueError``.
     """
+    if share.ndim != 2 or share.dtype != np.float32 or shown.dtype != np.float32 or not shown.flags.writeable:
+        raise ValueError(f"shown of {shown.dtype} and share of {share.dtype}, {share.shape}; float32 and [H, W] needed")
     height, width = share.shape
     over, confidence = _checked(over, (height, width, 3)), _checked(confidence, (height, width))
     if shown.shape != over.shape or shown.strides[1:] != (12, 4) or share.strides[1] != 4:
@@ -253,6 +255,8 @@ def _correct_input(view: _Reprojection, own: F32, reference: F32, p: CorrectPara
 
 
 def _reprojection(view: Reprojection, depth: F32, reference: F32) -> _Reprojection:
+    if view.m.shape != (3, 3) or view.b.shape != (3,):
+        raise ValueError(f"m of shape {view.m.shape} and b of shape {view.b.shape}, expected (3, 3) and (3,)")
     return _Reprojection(
         *(_address(depth), depth.shape[1], depth.shape[0], reference.shape[1], reference.shape[0]),
         (_float * 9)(*np.ravel(view.m)),

@@ -28,6 +28,18 @@ DEPTH_NONE, DEPTH_EXPECTED, DEPTH_MEDIAN = 0, 1, 2
 
 BRIGHTEST = float(np.finfo(np.float32).max)
 
+MAX_SIDE_PX = 16384
+
+SPLAT_SHAPES: dict[str, tuple[int, ...]] = {
+    "means": (3,),
+    "quats": (4,),
+    "log_scales": (3,),
+    "logit_opacities": (),
+    "sh0": (3,),
+    "sh_rest": (3,),
+}
+"""What each array holds of a splat; ``sh_rest`` so many times as there are coefficients."""
+
 _pictures = BufferPool()
 
 
@@ -132,9 +144,10 @@ class NativeScene:
         self._library = library()
         self._handle = _Pointer()
         self._buffers = BufferPool()
-        self.count = len(splats[0])
+        given = _splats(splats)
+        self.count, self._coefficients = len(splats[0]), splats[5].shape[1]
         create = self._library.cags_raster_scene_create
-        check(create(ctypes.byref(_splats(splats)), threads, ctypes.byref(self._handle)), "raster_scene_create")
+        check(create(ctypes.byref(given), threads, ctypes.byref(self._handle)), "raster_scene_create")
 
     def __del__(self) -> None:
         handle = getattr(self, "_handle", None)
@@ -143,17 +156,27 @@ class NativeScene:
 
     def update(self, rows: NDArray[np.int64], splats: tuple[F32, ...]) -> None:
         """Replace the splats at ``rows`` [M]; as many SH coefficients as at creation."""
-        rows = np.ascontiguousarray(rows, dtype=np.int64)
+        given, rows = _splats(splats), self._rows(rows, len(splats[0]))
+        if splats[5].shape[1] != self._coefficients:
+            raise ValueError(f"{splats[5].shape[1]} SH coefficients for a scene of {self._coefficients}")
         update = self._library.cags_raster_scene_update
-        check(update(self._handle, _address(rows), ctypes.byref(_splats(splats))), "raster_scene_update")
+        check(update(self._handle, _address(rows), ctypes.byref(given)), "raster_scene_update")
 
     def recolour(self, rows: NDArray[np.int64], sh0: F32) -> None:
         """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
         if sh0.shape != (*rows.shape, 3):
             raise ValueError(f"colours of shape {sh0.shape} for rows of shape {rows.shape}")
-        rows, sh0 = np.ascontiguousarray(rows, np.int64), np.ascontiguousarray(sh0, np.float32)
+        rows, sh0 = self._rows(rows, len(sh0)), np.ascontiguousarray(sh0, np.float32)
         recolour = self._library.cags_raster_scene_recolour
         check(recolour(self._handle, _address(rows), ctypes.c_int64(len(rows)), _address(sh0)), "raster_scene_recolour")
+
+    def _rows(self, rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+        """``rows``, of which there must be ``count``, each of this scene."""
+        if rows.shape != (count,) or not np.issubdtype(rows.dtype, np.integer):
+            raise ValueError(f"rows of shape {rows.shape} and type {rows.dtype} for {count} splats")
+        if count and not 0 <= int(rows.min()) <= int(rows.max()) < self.count:
+            raise ValueError(f"rows {int(rows.min())} to {int(rows.max())} of a scene of {self.count}")
+        return np.ascontiguousarray(rows, dtype=np.int64)
 
     def move(self, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int = 1) -> None:
         """Take position, rotation and opacity at rising ``rows`` [M] from ``splats``, arrays [N] of the whole scene.
@@ -161,14 +184,18 @@ class NativeScene:
         The others of their columns must be those that the scene holds. Raises :class:`cags_kernels.KernelError` for
         splats that cannot be drawn, and then nothing is changed.
         """
-        rows = np.ascontiguousarray(rows, dtype=np.int64)
+        given, rows = _splats(splats), self._rows(rows, len(rows))
+        if (len(splats[0]), splats[5].shape[1]) != (self.count, self._coefficients):
+            raise ValueError(
+                f"{len(splats[0])} splats of {splats[5].shape[1]} coefficients for a scene of {self.count}"
+            )
         move = self._library.cags_raster_scene_move
         count = ctypes.c_int64(len(rows))
-        check(move(self._handle, _address(rows), count, ctypes.byref(_splats(splats)), threads), "raster_scene_move")
+        check(move(self._handle, _address(rows), count, ctypes.byref(given), threads), "raster_scene_move")
 
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
         """Render one view over black; depth as ``options.depth`` says."""
-        shape = (camera.height, camera.width)
+        shape = _size(camera.width, camera.height)
         rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
         depth = None if options.depth == DEPTH_NONE else self._buffers.empty(shape)
         weights = self._buffers.empty((self.count,)) if contribution else None
@@ -183,13 +210,17 @@ class NativeScene:
 
     def upsample(self, half: RasterImage, width: int, height: int, options: RasterOptions) -> RasterImage:
         """A view of twice the resolution: ``half`` is of (width + 1) // 2 by (height + 1) // 2 pixels."""
-        if half.alpha.shape != _half_shape(width, height):
-            raise ValueError(f"alpha of shape {half.alpha.shape} is not half of {width}x{height} px")
-        shape = (height, width)
+        shape, small = _size(width, height), _half_shape(width, height)
+        wanted = ((half.rgb, (*small, 3)), (half.alpha, small), (half.depth, small))
+        for plane, expected in wanted:
+            if plane is not None and plane.shape != expected:
+                raise ValueError(f"plane of shape {plane.shape} is not half of {width}x{height} px: {expected}")
+        colours, opacity = np.ascontiguousarray(half.rgb, np.float32), np.ascontiguousarray(half.alpha, np.float32)
+        distance = None if half.depth is None else np.ascontiguousarray(half.depth, np.float32)
         rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
         depth = None if half.depth is None else self._buffers.empty(shape)
         limits = options.void_alpha, options.brightest, options.threads
-        _upsample((half.rgb, half.alpha, half.depth), (rgb, alpha, depth), *limits)
+        _upsample((colours, opacity, distance), (rgb, alpha, depth), *limits)
         return RasterImage(rgb, alpha, depth, half.contribution, half.statistics)
 
     def back_project(self, camera: RasterCamera, residual: F32, options: RasterOptions) -> tuple[F32, F32]:
@@ -210,11 +241,19 @@ def enlarge(picture: F32, width: int, height: int, threads: int) -> F32:
 
     Both in [0, 1]. Raises ``KernelError`` and, for a picture of another size, ``ValueError``.
     """
+    _size(width, height)
     if picture.shape != (*_half_shape(width, height), 3):
         raise ValueError(f"picture of shape {picture.shape} is not half of {width}x{height} px")
     whole = _pictures.empty((height, width, 3))
     _upsample((np.ascontiguousarray(picture, np.float32), None, None), (whole, None, None), 0.0, 1.0, threads)
     return whole
+
+
+def _size(width: int, height: int) -> tuple[int, int]:
+    """(height, width) of a picture. Raises ``ValueError``."""
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
+        raise ValueError(f"a picture of {width}x{height} px; sides have 1 to {MAX_SIDE_PX}")
+    return height, width
 
 
 def _half_shape(width: int, height: int) -> tuple[int, int]:
@@ -235,14 +274,21 @@ def _address(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
 
 
 def _splats(arrays: tuple[F32, ...]) -> _Splats:
-    for array in arrays:
-        if array.dtype != np.float32 or not array.flags.c_contiguous:
-            raise ValueError("splat arrays must be C-contiguous float32")
+    if len(arrays) != len(SPLAT_SHAPES):
+        raise ValueError(f"{len(arrays)} splat arrays, expected {len(SPLAT_SHAPES)}")
     means, rest = arrays[0], arrays[5]
+    for array, (name, shape) in zip(arrays, SPLAT_SHAPES.items(), strict=True):
+        if array.dtype != np.float32 or not array.flags.c_contiguous:
+            raise ValueError(f"{name}: splat arrays must be C-contiguous float32")
+        coefficients = rest.shape[1:2] if name == "sh_rest" else ()
+        if array.shape != (*means.shape[:1], *coefficients, *shape):
+            raise ValueError(f"{name} of shape {array.shape} for {len(means)} splats")
     return _Splats(len(means), rest.shape[1], *(_address(array) for array in arrays))
 
 
 def _arguments(camera: RasterCamera, options: RasterOptions) -> tuple[object, object]:
+    if np.shape(camera.rotation) != (3, 3) or np.shape(camera.position) != (3,):
+        raise ValueError(f"a rotation of {np.shape(camera.rotation)} and a position of {np.shape(camera.position)}")
     native_camera = _Camera(
         (_double * 9)(*np.ravel(camera.rotation)),
         (_double * 3)(*np.ravel(camera.position)),

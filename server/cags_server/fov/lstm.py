@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,12 @@ class LstmWeights:
             np.savez(file, provenance=text, **{name: getattr(self, name) for name in _NAMES})
 
     @staticmethod
+    @cache
+    def shipped() -> LstmWeights:
+        """Those of the package, read once: every viewer's network has them."""
+        return LstmWeights.load()
+
+    @staticmethod
     def load(path: Path = SHIPPED) -> LstmWeights:
         """Read what :meth:`save` wrote. Raises :class:`ConfigError` for anything else."""
         try:
@@ -104,7 +111,7 @@ class LstmFov:
     """Rolls the network out over the frames in flight. ``gain`` multiplies what it says."""
 
     def __init__(self, gain: float = 1.0, weights: LstmWeights | None = None) -> None:
-        self._weights = weights or LstmWeights.load()
+        self._weights = weights or LstmWeights.shipped()
         self._gain = gain
         self._origin: F32 | None = None
         self._true: LstmState | None = None

@@ -36,7 +36,7 @@ class AutoregressivePredictor:
     """Pooled AR with online gains. ``weights`` are the shipped ones unless given."""
 
     def __init__(self, weights: PooledWeights | None = None) -> None:
-        self._weights = weights or PooledWeights.load()
+        self._weights = weights or PooledWeights.shipped()
 
     def predict(self, history: PoseHistory, horizon_us: int) -> PoseDistribution:
         """See :class:`~cags_server.predict.base.Predictor`."""

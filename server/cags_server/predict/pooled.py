@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,12 @@ class PooledWeights:
         arrays = {f"order_{order}": matrix.astype(np.float32) for order, matrix in self.matrices.items()}
         with whole_file(path) as writing, writing.open("wb") as file:
             np.savez(file, provenance=text, **arrays)  # type: ignore[arg-type]
+
+    @staticmethod
+    @cache
+    def shipped() -> PooledWeights:
+        """Those of the package, read once: every viewer's predictor has them."""
+        return PooledWeights.load()
 
     @staticmethod
     def load(path: Path = SHIPPED) -> PooledWeights:

@@ -21,7 +21,7 @@ from cryptography.x509.oid import NameOID
 from cags_bench.network.clients import watch_all
 from cags_bench.network.plot import plot_session
 from cags_client.dial import fetch_info
-from cags_common.errors import NetworkError
+from cags_common.errors import ConfigError, NetworkError
 from cags_common.geometry import Pose
 from cags_common.transport.websocket import connect
 from cags_protocol import SUBPROTOCOL
@@ -116,14 +116,30 @@ async def test_a_session_over_tls(tmp_path: Path) -> None:
         client = Client(await connect(url, subprotocol=SUBPROTOCOL, tls=trusting, **what))
         assert await client.play()
         await client.transport.close()
-        with pytest.raises(NetworkError, match="cannot connect"):  # nobody vouches for the certificate
+        with pytest.raises(NetworkError, match=r"certificate is not trusted .*--ca"):
             await connect(url, subprotocol=SUBPROTOCOL, **what)
-        with pytest.raises(NetworkError):  # plain text at a TLS port
+        with pytest.raises(NetworkError, match="write wss://"):
             await connect(url.replace("wss", "ws"), subprotocol=SUBPROTOCOL, **what)
+        assert (await asyncio.to_thread(fetch_info, url, "", certificate)).frames == 12
+        with pytest.raises(NetworkError, match=r"certificate is not trusted .*--ca"):
+            await asyncio.to_thread(fetch_info, url)
+        with pytest.raises(NetworkError, match="write wss://"):
+            await asyncio.to_thread(fetch_info, url.replace("wss", "ws"))
+        with pytest.raises(ConfigError, match=r"ca = .*key\.pem: cannot be used"):
+            fetch_info(url, "", key)
     finally:
         await app.drain()
         await server.close()
         app.close()
+
+
+async def test_tls_at_a_plain_port_is_named() -> None:
+    async with serving() as (_, server):
+        url = stream_url(server).replace("ws://", "wss://")
+        with pytest.raises(NetworkError, match=r"does not speak TLS there; .*write ws://"):
+            await connect(url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
+        with pytest.raises(NetworkError, match=r"does not speak TLS there; .*write ws://"):
+            await asyncio.to_thread(fetch_info, url)
 
 
 async def test_one_place_is_one_client() -> None:
@@ -180,6 +196,29 @@ async def test_pages_of_strange_origins_are_turned_away(origin: str | None, allo
         except aiohttp.WSServerHandshakeError as error:
             reached = error.status
         assert reached == status
+
+
+@pytest.mark.parametrize(
+    ("hosts", "host", "status"),
+    [
+        ("", "rebound.example", 403),
+        ("viewer.example", "Viewer.example", 200),
+        ("", "127.0.0.1", 200),
+        ("", "[::1]:7", 200),
+    ],
+)
+async def test_a_name_that_a_stranger_points_here_reaches_nothing(hosts: str, host: str, status: int) -> None:
+    """DNS rebinding: the page's ``Origin`` is its ``Host``."""
+    async with serving(hosts=hosts) as (_, server), aiohttp.ClientSession() as http:
+        for path in ("/bundle", "/metrics", "/healthz"):
+            async with http.get(server.make_url(path), headers={"Host": host}) as answer:
+                assert answer.status == status
+        headers = {"Host": host, "Origin": f"http://{host}"}
+        if status == 403:
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await http.ws_connect(stream_url(server), headers=headers, protocols=(SUBPROTOCOL,))
+        else:
+            await (await http.ws_connect(stream_url(server), headers=headers, protocols=(SUBPROTOCOL,))).close()
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00" * 64, b"\x81\xa4type\xa5hello", bytes(range(256))])

@@ -11,19 +11,26 @@ from typing import Any
 import aiohttp
 import pytest
 
-from cags_common.errors import NetworkError
+from cags_common.errors import BundleError
 from cags_common.geometry import Pose
+from cags_common.rare_log import RareLog
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
 from cags_protocol.encoding import decode
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from cags_protocol.messages import Blob, PoseSample, Refusal
+from cags_protocol.messages import Blob, Control, PoseSample, Refusal
 from cags_server import app, cli, client_task
 from cags_server.client_task import ClientTask
 from cags_server.connection import Connection
 from cags_server.settings import ServerSettings, ServeSettings
 from support.live_server import Client, now_us, serving
-from support.server_scene import hello, library
+from support.server_scene import FakeReader, hello, library
+
+
+@pytest.fixture(autouse=True)
+def nothing_was_logged_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client_task, "told", RareLog(client_task.log, 10.0))
+    monkeypatch.setattr(client_task, "tracebacks", RareLog(client_task.log, 60.0))
 
 
 def test_a_server_listens_on_this_machine_alone_unless_told_otherwise() -> None:
@@ -41,21 +48,28 @@ async def test_a_server_is_ready_until_it_drains() -> None:
             assert answer.status == 200, "it still lives"
 
 
-async def test_connections_that_never_shake_hands_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app, "HANDSHAKES_BEYOND_CLIENTS", 2)
-    async with serving(max_clients=1) as (_, server):
-        silent = [await Client.join(server) for _ in range(3)]
-        with pytest.raises(NetworkError, match="503"):
-            await Client.join(server)
+async def test_connections_that_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each that comes takes the place of the one that has been silent for longest."""
+    monkeypatch.setattr(app, "MAX_HANDSHAKES", 3)
+    async with serving(max_clients=1) as (running, server):
+        silent = [await Client.join(server) for _ in range(12)]
+        good = await Client.join(server)
+        await good.until(ev.Welcomed)
+        assert len(running._clients) <= 4
         for client in silent:
             await client.transport.close()
-        async with asyncio.timeout(10):
-            while True:
-                try:
-                    await (await Client.join(server)).until(ev.Welcomed)
-                    break
-                except NetworkError:
-                    await asyncio.sleep(0.02)
+
+
+async def test_who_shows_the_token_waits_with_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app, "MAX_HANDSHAKES", 2)
+    async with serving(token="secret", max_clients=4) as (_, server):
+        good = await Client.join(server, header_token="secret")
+        silent = [await Client.join(server) for _ in range(8)]
+        await good.until(ev.Welcomed)
+        by_hello = await Client.join(server, token="secret")
+        await by_hello.until(ev.Welcomed)
+        for client in silent:
+            await client.transport.close()
 
 
 async def test_too_many_poses_are_refused_by_name() -> None:
@@ -66,6 +80,16 @@ async def test_too_many_poses_are_refused_by_name() -> None:
         client.session.send_poses(samples, now_us=now_us())
         (refused,) = await client.until(ev.Refused)
         assert (refused.refusal.code, refused.refusal.field) == ("quota", "poses")
+
+
+async def test_a_message_of_the_largest_size_is_read() -> None:
+    """It is no message, and is refused as that; one more byte would end the WebSocket with 1009."""
+    async with serving() as (_, server):
+        client = await Client.join(server)
+        client.session.data_to_send(now_us())
+        await client.transport.send(bytes(MAX_CLIENT_MESSAGE_BYTES))
+        (refused,) = await client.until(ev.Refused)
+        assert refused.refusal.code == "malformed"
 
 
 async def test_a_message_larger_than_any_client_needs_ends_the_connection() -> None:
@@ -111,17 +135,22 @@ class Stuck:
     async def close(self, reason: str = "") -> None:
         await asyncio.Event().wait()
 
+    def abort(self) -> None:
+        self.aborted = True
+
 
 async def test_a_client_that_takes_nothing_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client_task, "CLOSE_TIMEOUT_S", 0.05)
     settings = ServerSettings(reference_width=64, reference_height=48)
     connection = Connection(library(), settings, name="slow", now_us=now_us())
     with ThreadPoolExecutor(1) as executor:
+        transport = Stuck()
         async with asyncio.timeout(10):
-            await ClientTask(Stuck(), connection, executor, slow_s=0.1).run()
+            await ClientTask(transport, connection, executor, slow_s=0.1).run()
     assert connection.ending is not None
     assert connection.ending.code == "timeout"
     assert "0.1 s" in connection.ending.reason
+    assert transport.aborted, "else the socket stays open until its peer takes what is left"
 
 
 class Willing(Stuck):
@@ -159,23 +188,79 @@ async def test_a_fault_of_the_server_ends_its_session_with_a_word_and_a_line_in_
     assert "a fault of the program" in caplog.text
 
 
-async def test_a_job_whose_result_cannot_be_used_is_given_up_and_the_stream_goes_on(
+async def test_a_job_whose_result_cannot_be_used_ends_its_session_with_one_traceback(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    def fails(connection: Connection, *arguments: Any) -> None:
+        raise RuntimeError("cannot be used")
+
     async with serving() as (_, server):
-        whole, calls = Connection.job_done, []
+        monkeypatch.setattr(Connection, "job_done", fails)
+        for _ in range(3):
+            client = await Client.join(server)
+            await client.until(ev.FrameEnded)
+            client.session.control(Control("play", 0, now_us() + 300_000), now_us=now_us())
+            (refused,) = await client.until(ev.Refused)
+            assert (refused.refusal.code, refused.refusal.message) == ("internal", "the server failed; join again")
+    assert caplog.text.count("Traceback") == 1
 
-        def fails_once(connection: Connection, *arguments: Any) -> None:
-            calls.append(arguments)
-            if len(calls) == 1:
-                raise RuntimeError("cannot be used")
-            whole(connection, *arguments)
 
-        monkeypatch.setattr(Connection, "job_done", fails_once)
+class BeyondCapacity(FakeReader):
+    """Ids that no array of the group has a row for, in the second group of frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.broken = True
+
+    def at_hand(self, frame: int) -> bool:
+        return frame < 6
+
+    def tile_ids(self, frame: int, tile: int) -> Any:
+        ids = super().tile_ids(frame, tile)
+        return ids + 1000 if frame >= 6 and getattr(self, "broken", False) else ids
+
+
+async def test_a_fault_while_fetching_ends_the_session_with_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    async with serving(library(BeyondCapacity())) as (_, server):
+        client = await Client.join(server, start_frame=7)
+        (refused,) = await client.until(ev.Refused)
+        assert refused.refusal.code == "internal"
+        assert await (await Client.join(server)).until(ev.FrameEnded), "others go on"
+    assert caplog.text.count("ended by a fault") == 1
+    assert caplog.text.count("Traceback") == 1
+
+
+class Vanishing(FakeReader):
+    """A bundle that is deleted while it is served."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gone = False
+
+    def source_delta(self, frame: int) -> Any:
+        if self.gone:
+            raise BundleError("clip.cags/source-0.bin: is not there any more")
+        return super().source_delta(frame)
+
+    source = source_delta  # type: ignore[assignment]
+
+
+async def test_a_bundle_that_is_gone_costs_a_line_and_no_traceback_a_frame(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client_task, "FAILING_S", 0.1)
+    reader = Vanishing()
+    scene = library(reader)
+    async with serving(scene) as (_, server):
+        reader.gone = True
         client = await Client.join(server)
-        assert await client.play()
-        assert len(calls) > 1
-    assert "cannot be used" in caplog.text
+        await client.until(ev.FrameEnded)
+        client.session.control(Control("play", 0, now_us() + 300_000), now_us=now_us())
+        (refused,) = await client.until(ev.Refused)
+    assert refused.refusal.message == "the server cannot read the scene at present; join again later"
+    assert "Traceback" not in caplog.text
+    assert caplog.text.count("has no reference") == 1
+    assert caplog.text.count("ended, as the scene cannot be read") == 1
 
 
 def test_the_log_is_json_where_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

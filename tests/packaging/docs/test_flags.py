@@ -26,6 +26,7 @@ OF_OTHERS = {
     "pip": {"--extra-index-url", "--force-reinstall"},
     "docker compose": {"--build", "--abort-on-container-exit", "--profile"},
     "dask": {"--port", "--nthreads", "--nworkers"},
+    "curl": {"--cacert"},
 }
 """Flags of other programs that the pages tell people to use."""
 

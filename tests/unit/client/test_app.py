@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from cags_client import player
+from cags_client import line, player
 from cags_client.actions import Decode, Present, Traffic
 from cags_client.app import Shell, looked_at, now_us
 from cags_client.pipeline import ClientPipeline
@@ -63,6 +63,16 @@ async def test_groups_larger_than_the_viewer_gives_memory_for_end_the_play_at_on
         await client.run()
     client.close()
     assert "4000001 splats, and this client takes 4000000; see --max-splats" in str(client.player.error)
+
+
+async def test_groups_that_take_more_memory_than_the_viewer_gives_end_the_play_at_once() -> None:
+    client, server = shell()
+    huge = replace(MANIFEST, sh_degree=3, capacity=(3_000_000,))
+    await server.send(encode(Welcome("s", 30.0, 3, False, huge.to_json())))
+    async with asyncio.timeout(5):
+        await client.run()
+    client.close()
+    assert "3000000 splats, which take 3186 MB; this client gives 2048; see --max-memory-mb" in str(client.player.error)
 
 
 async def test_a_fault_while_reading_is_raised_and_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,6 +142,74 @@ async def test_a_client_whose_decoder_lags_stops_reading_until_it_has_caught_up(
     async with asyncio.timeout(5):
         await running
     client.close()
+
+
+class Stalled(MemoryTransport):
+    """A link that takes nothing from some time on, and never says so."""
+
+    def __init__(self, ours: MemoryTransport) -> None:
+        self._ours, self.stalls, self.aborted = ours, False, False
+
+    async def send(self, data: bytes) -> None:
+        if self.stalls:
+            await asyncio.Event().wait()
+        await self._ours.send(data)
+
+    async def recv(self) -> bytes:
+        return await self._ours.recv()
+
+    async def close(self, reason: str = "") -> None:
+        if self.stalls:
+            await asyncio.Event().wait()
+        await self._ours.close()
+
+    def abort(self) -> None:
+        self.aborted = True
+
+
+def stalled_shell() -> tuple[Shell, Stalled, MemoryTransport]:
+    ours, theirs = memory_pair()
+    link = Stalled(ours)
+    made = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us())
+    return Shell(link, made, (), None, nowhere), link, theirs
+
+
+async def test_a_link_that_stalls_keeps_nothing_from_being_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    client, link, server = stalled_shell()
+    read: list[bytes] = []
+    link.stalls = True
+    monkeypatch.setattr(client.player, "receive", lambda data, now_us: read.append(data))
+    running = asyncio.create_task(client.run())
+    for number in range(5):
+        await server.send(bytes([number]))
+        await asyncio.sleep(0.02)
+    client.leave(signal.SIGTERM)
+    async with asyncio.timeout(1.0):
+        await running
+    client.close()
+    assert read == [bytes([number]) for number in range(5)]
+    assert link.aborted
+
+
+async def test_a_stalled_link_takes_no_memory_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(line, "MAX_UNSENT_BYTES", 1000)
+    lost: list[str] = []
+    link = Stalled(memory_pair()[0])
+    link.stalls = True
+    made = line.Line(link, lambda _, reason: lost.append(reason))
+    for _ in range(100):
+        made.send([bytes(100)])
+    assert lost == ["the link takes nothing any more"]
+    assert made._unsent_bytes == 0
+    await made.close()
+
+
+async def test_what_waits_is_written_before_the_end() -> None:
+    ours, theirs = memory_pair()
+    made = line.Line(ours, lambda _, reason: None)
+    made.send([b"one", b"two"])
+    await made.close()
+    assert [await theirs.recv(), await theirs.recv()] == [b"one", b"two"]
 
 
 class File:

@@ -18,6 +18,6 @@ def test_a_line_now_and_then() -> None:
 
 
 def test_what_is_done_at_once_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress_bar() as tell:
+    with progress_bar(lines=True) as tell:
         tell("encode", 1, 1)
     assert capsys.readouterr() == ("", "")

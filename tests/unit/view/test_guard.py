@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from cags_client.view.guard import host_allowed, on_this_machine
+from cags_client.view.guard import on_this_machine
+from cags_common.transport.hosts import host_allowed
 
 
 @pytest.mark.parametrize(

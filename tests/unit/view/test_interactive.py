@@ -13,6 +13,7 @@ from cags_client.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_client.view.interactive import SEEK_PATIENCE_US, InteractivePlayer
 from cags_client.view.poses import LivePoses
+from cags_client.view.shell import patient
 from cags_common.effects import EffectPlan
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
@@ -217,6 +218,16 @@ def test_what_is_held_loops_without_a_break_and_without_a_word(stage: Stage) -> 
     assert not stage.player.playing
 
 
+def test_rounds_that_were_slept_through_are_not_made_up_for(stage: Stage) -> None:
+    stage.pipeline.kept = True
+    stage.player.set_rate(1.0, stage.now_us)
+    stage.run(DELAY_US + 0.5 * FRAMES * FRAME_US)
+    stage.now_us += 11 * 86_400 * 1_000_000
+    stage.turn()  # the last frame of the round that was under way
+    drawn = stage.run(DELAY_US + 0.5 * FRAMES * FRAME_US)
+    assert len(drawn) < FRAMES, "at the clip's own speed again"
+
+
 def test_a_store_that_can_keep_no_more_loops_by_a_seek(stage: Stage) -> None:
     stage.pipeline.kept = True
     stage.player.set_rate(1.0, stage.now_us)
@@ -308,3 +319,8 @@ def test_a_pause_or_a_jump_ends_what_is_between() -> None:
     stage.between.clear()
     stage.run(300_000)
     assert stage.between == []
+
+
+def test_a_page_waits_for_its_server() -> None:
+    assert patient(ClientSettings()).reconnect_s == 86_400
+    assert patient(ClientSettings(reconnect_s=0)).reconnect_s == 0

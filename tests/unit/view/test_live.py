@@ -272,3 +272,23 @@ async def test_a_dead_shaper_is_named() -> None:
         await ShaperControl("127.0.0.1:1").ask()
     with pytest.raises(ConfigError, match="HOST:PORT"):
         ShaperControl("nowhere")
+
+
+async def test_a_page_that_takes_nothing_does_not_keep_pictures_from_the_others(
+    show: BallShow, client: aiohttp.ClientSession, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("cags_client.view.live.SLOW_PAGE_S", 0.2)
+    stalled = await visit(client, show)
+    await stalled.frame()
+    (socket,) = show.view._pages
+
+    async def hang(data: bytes) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(socket, "send_bytes", hang)
+    other = await visit(client, show)
+    async with asyncio.timeout(5):
+        for _ in range(20):
+            await other.frame()
+    assert socket not in show.view._pages
+    assert "was let go" in caplog.text

@@ -1,0 +1,70 @@
+"""Memory that ended sessions have left goes back to the system.
+
+The C library keeps what was freed in pieces between pieces in use, in an arena a thread: after 3,000 sessions a server
+of 100 MB held 1.1 GB.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import gc
+import sys
+from collections.abc import Callable
+
+QUIET_S = 1.0
+"""From the end of a session to the first attempt: others may end with it."""
+
+LEAST_INTERVAL_S = 5.0
+
+M_ARENA_MAX, ARENAS = -8, 2
+"""Of ``mallopt``: threads share so many arenas."""
+
+
+class FreedMemory:
+    """Gives memory back once sessions have ended, seldom enough to cost nothing."""
+
+    def __init__(self) -> None:
+        self._timer: asyncio.TimerHandle | None = None
+        self._last_s = float("-inf")
+        self._trim = _trimmer()
+
+    def session_ended(self) -> None:
+        """Something was freed."""
+        if self._timer is None:
+            loop = asyncio.get_running_loop()
+            at_s = max(loop.time() + QUIET_S, self._last_s + LEAST_INTERVAL_S)
+            self._timer = loop.call_at(at_s, self._give_back, loop)
+
+    def close(self) -> None:
+        """The server ends."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _give_back(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._timer, self._last_s = None, loop.time()
+        gc.collect(1)  # transports of asyncio are cycles of their own
+        loop.run_in_executor(None, self._trim)
+
+
+def share_arenas() -> None:
+    """Have all threads allocate from a few arenas; before any of them begins."""
+    mallopt = _of_the_c_library("mallopt")
+    if mallopt is not None:
+        mallopt(M_ARENA_MAX, ARENAS)
+
+
+def _trimmer() -> Callable[[], object]:
+    trim = _of_the_c_library("malloc_trim")
+    return (lambda: trim(0)) if trim is not None else lambda: None
+
+
+def _of_the_c_library(name: str) -> Callable[..., int] | None:
+    """A function of the GNU C library; None with another one, which needs no such help."""
+    if sys.platform != "linux":
+        return None
+    try:
+        function: Callable[..., int] = getattr(ctypes.CDLL(None), name)
+    except (OSError, AttributeError):
+        return None
+    return function

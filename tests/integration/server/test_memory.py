@@ -1,0 +1,63 @@
+"""Sessions end without cycles, and what they leave goes back to the system."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+
+import pytest
+
+from cags_protocol import events as ev
+from cags_server import memory
+from support.live_server import Client, now_us, serving
+
+
+async def visit(server) -> None:
+    client = await Client.join(server)
+    await client.until(ev.FrameEnded)
+    client.session.bye(now_us=now_us())
+    for data in client.session.data_to_send(now_us()):
+        await client.transport.send(data)
+    await client.transport.close()
+
+
+async def test_ended_sessions_leave_no_cycles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "QUIET_S", 1e6)
+    async with serving() as (app, server):
+        await visit(server)
+        gc.collect()
+        gc.disable()
+        try:
+            for _ in range(5):
+                await visit(server)
+            async with asyncio.timeout(5):
+                while app._clients:  # noqa: ASYNC110
+                    await asyncio.sleep(0.01)
+            await asyncio.sleep(0.1)
+            gc.set_debug(gc.DEBUG_SAVEALL)
+            gc.collect()
+            ours = [type(each) for each in gc.garbage if type(each).__module__.startswith("cags_")]
+        finally:
+            gc.set_debug(0)
+            gc.garbage.clear()
+            gc.enable()
+    assert ours == []
+
+
+async def test_memory_is_given_back_once_for_many_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "QUIET_S", 0.02)
+    monkeypatch.setattr(memory, "LEAST_INTERVAL_S", 0.2)
+    trims = 0
+
+    def trim() -> None:
+        nonlocal trims
+        trims += 1
+
+    monkeypatch.setattr(memory, "_trimmer", lambda: trim)
+    freed = memory.FreedMemory()
+    for _ in range(30):
+        freed.session_ended()
+        await asyncio.sleep(0.01)
+    await asyncio.sleep(0.3)
+    freed.close()
+    assert 1 <= trims <= 4

@@ -1,0 +1,107 @@
+"""What an operator sees, and who does not see it."""
+
+from __future__ import annotations
+
+import base64
+
+import aiohttp
+import pytest
+
+from cags_common.geometry import Pose
+from cags_protocol import events as ev
+from cags_server.records import FrameRecord, StreamStats
+from cags_server.status import SessionBook, page, short_of
+from support.live_server import Client, now_us, serving
+from support.streamer_rig import PERIOD_US
+
+
+def basic(text: str) -> dict[str, str]:
+    return {"Authorization": "Basic " + base64.b64encode(text.encode()).decode()}
+
+
+async def test_the_page_tells_who_watches_and_why_others_left() -> None:
+    async with serving() as (_, server), aiohttp.ClientSession() as http:
+        async with http.get(server.make_url("/status")) as answer:
+            assert "Nobody watches at the moment" in await answer.text()
+        first, second = [await Client.join(server) for _ in range(2)]
+        await first.until(ev.FrameEnded)
+        await second.until(ev.FrameEnded)
+        first.session.bye("done", now_us=now_us())
+        for data in first.session.data_to_send(now_us()):
+            await first.transport.send(data)
+        await first.transport.close()
+        await second.play()
+        async with http.get(server.make_url("/status.json")) as answer:
+            report = await answer.json()
+        async with http.get(server.make_url("/status")) as answer:
+            assert "1 watching" in await answer.text()
+            assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+    (live,), (ended,) = report["sessions"], report["ended"]
+    assert (live["session"], ended["session"]) == ("s2", "s1")
+    assert live["frames"] > 0
+    assert live["sent_mb"] > 0
+    assert (live["ended"], ended["ended"]) == ("", "bye: done")
+    assert report["bundle"] == "wall"
+
+
+@pytest.mark.parametrize("path", ["/status", "/status.json", "/metrics"])
+@pytest.mark.parametrize(
+    ("how", "status"),
+    [
+        ({}, 401),
+        ({"headers": {"Authorization": "Bearer wrong"}}, 401),
+        ({"headers": {"Authorization": "Basic ***"}}, 401),
+        ({"headers": basic("anyone:wrong")}, 401),
+        ({"headers": basic("anyone:secret")}, 200),
+        ({"headers": {"Authorization": "Bearer secret"}}, 200),
+    ],
+)
+async def test_with_a_token_it_is_for_those_who_have_it(path: str, how: dict, status: int) -> None:
+    async with (
+        serving(token="secret") as (_, server),
+        aiohttp.ClientSession() as http,
+        http.get(server.make_url(path), **how) as answer,
+    ):
+        assert answer.status == status
+        assert ("WWW-Authenticate" in answer.headers) == (status == 401)
+
+
+def record(**changes: object) -> FrameRecord:
+    made = FrameRecord(0, 0, 0, round(PERIOD_US), 0, Pose.identity(), (0.1, 0.1), 1)
+    for name, value in changes.items():
+        setattr(made, name, value)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("changes", "answer"),
+    [
+        ({"budget_bytes": 1000, "tile_bytes": 100}, "nothing"),
+        ({"budget_bytes": 1000, "tile_bytes": 950}, "link"),
+        ({"budget_bytes": 1000, "tile_bytes": 950, "reference_late": True}, "renderer"),
+    ],
+)
+def test_what_a_session_is_short_of(changes: dict, answer: str) -> None:
+    stats = StreamStats()
+    assert short_of(stats) == "nothing"
+    stats.records.extend(record(**changes) for _ in range(10))
+    assert short_of(stats) == answer
+
+
+def test_what_peers_say_is_no_markup() -> None:
+    book = SessionBook()
+    book.began("s1", "<script>")
+    text = page(book.report([("s1", StreamStats())]), "<b>")
+    assert "<script>" not in text
+    assert "&lt;script&gt;" in text
+    assert "<b>" not in text
+
+
+def test_the_book_forgets_the_oldest() -> None:
+    book = SessionBook()
+    for number in range(60):
+        book.began(f"s{number}", "a")
+        book.ended(f"s{number}", StreamStats(), ev.Closed("bye", "done"))
+    report = book.report([])
+    assert len(report["ended"]) == 50
+    assert report["ended"][0]["session"] == "s59"
