@@ -35,7 +35,7 @@ MAX_UNITS = (1 << 25) - (1 << 10)
 """Residuals, finest units: fixed point fits 32 bits."""
 
 STARTS, TURNS, LIVES, FADES, MOVES = 1, 2, 4, 8, 16
-DEADZONES = (0.2, 0.1, 0.25)
+DEADZONES = (0.2, 0.1, 0.15)
 """Of each level, units beyond half a one up to which a residual is none: most of the bits tell such noise."""
 
 FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
