@@ -213,7 +213,7 @@ class TileSender:
         return encode_ids(ids[older[~np.isin(shown[older], told)]])
 
     def _follows(self, tiles: TileMap, looks: int, frame: int) -> bool:
-        """Whether the client has the motion of a tile of looks that says what ends at ``frame``."""
+        """Whether the client has the motion that says what of ``looks`` ends at ``frame``; what travels may drop."""
         of = np.array([looks], np.int32)
         chunks = {int(tiles.chunk_at(of, at)[0]) for at in (frame - 1, frame)} - {-1}
-        return any(self.inventory.depth(*tiles.key(chunk)) for chunk in chunks)
+        return any(self.inventory.delivered_depth(*tiles.key(chunk)) for chunk in chunks)
