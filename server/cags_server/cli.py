@@ -63,15 +63,18 @@ def _serve(argv: Sequence[str]) -> None:
         line = json.dumps({"ready": True, "host": host, "port": port, "scheme": scheme})
         address = f"{scheme}://{host_port(host, port)}/stream"
         print(line if arguments.json else f"serving {settings.bundle} on {address}", flush=True)
+        for note in notes:
+            logging.getLogger(__name__).info(note)
         if watched(headless=arguments.headless or arguments.json):
             shown.enter_context(live_table(lambda: sessions_table(address, app.sessions())))
 
+    notes: list[str] = []  # told once the server listens: what keeps it from that is one line
     if settings.host not in ("127.0.0.1", "::1", "localhost") and not settings.token:
         logging.getLogger(__name__).warning(
             "listening on %s without --token: anyone who reaches it may watch", settings.host
         )
     with ExitStack() as shown, BundleReader.open(settings.bundle) as reader:
-        library = SceneLibrary(reader, raster.create(raster.chosen(settings.rasteriser)))
+        library = SceneLibrary(reader, raster.create(raster.chosen(settings.rasteriser, notes.append)))
         asyncio.run(serve(library, settings, ready))
 
 

@@ -60,7 +60,9 @@ def opening_tiles(library: SceneLibrary, frame: int, camera: Camera) -> tuple[li
     """
     tiles, owned = library.tile_map(frame), library.owned(frame)
     numbers = np.unique(owned.looks[owned.looks >= 0])
-    distances = distances_in_view(_bounds(tiles, numbers, frame), camera)
+    # A tile that its motion takes out of view is seen where its looks lie until that motion comes: both places count.
+    places = _bounds(tiles, numbers, frame), np.asarray(tiles.bounds[numbers])
+    distances = np.minimum(*(distances_in_view(place, camera) for place in places))
     order = np.argsort(distances, kind="stable")
     near = numbers[order[: np.isfinite(distances).sum()]]
     in_view = [n for pair in zip(near.tolist(), tiles.chunk_at(near, frame).tolist(), strict=True) for n in pair]

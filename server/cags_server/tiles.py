@@ -41,6 +41,7 @@ class TileSender:
         """Newest media frame whose end was queued."""
         self.from_nothing = False
         """Whether the client holds nothing and must be given a beginning."""
+        self._late: list[tuple[int, int]] = []  # looks sent since the last end of a frame
         self.client_keeps = False
         """Whether the client holds on to a group of frames when it goes back within it."""
         self._group: int | None = None  # of the frame ended last
@@ -192,13 +193,16 @@ class TileSender:
         self.inventory.queued(message)
         if self._brings_version(message):
             self._staleness.sent(message.frame, message.tile)
+            self._late += [key] if entry.kind == TileKind.LOOKS else []
         return ev.Outgoing(message, payload, priority, deadline_us)
 
     def frame_ends(self, frame: int) -> list[ev.Outgoing]:
         """The ends of every frame up to ``frame`` that has not been ended: skipped ones too, for their removed ids."""
         first = self._library.gof_start(frame) if self.ended is None else self.ended + 1
         self.ended, self._group = frame, self._library.manifest.gof_of(frame)
-        return [ev.Outgoing(FrameEnd(at), self._removed(at), BASE_PRIORITY) for at in range(first, frame + 1)]
+        ends = [ev.Outgoing(FrameEnd(at), self._removed(at), BASE_PRIORITY) for at in range(first, frame + 1)]
+        self._late = []
+        return ends
 
     def _removed(self, frame: int) -> bytes:
         """The ids that end at ``frame``; where motion says when splats end, those of motion that the client lacks."""
@@ -210,7 +214,17 @@ class TileSender:
         older = np.flatnonzero((shown >= 0) & (tiles.frames[shown] < frame)) if len(ids) else np.zeros(0, np.intp)
         looks = np.unique(shown[older])
         told = [n for n in looks.tolist() if self._follows(tiles, n, frame)]
-        return encode_ids(ids[older[~np.isin(shown[older], told)]])
+        ended = ids[older[~np.isin(shown[older], told)]]
+        return encode_ids(np.union1d(ended, self._ended_before(frame)).astype(np.int32))
+
+    def _ended_before(self, frame: int) -> NDArray[np.int32]:
+        """Splats of looks that were sent of late, though they had ended before ``frame``."""
+        late = [key for key in self._late if self._library.gof_start(frame) <= key[0] < frame]
+        if not late:
+            return np.zeros(0, np.int32)
+        ids = np.concatenate([self._library.tile_ids(*key) for key in late])
+        ended: NDArray[np.int32] = ids[self._library.owners(frame)[ids] < 0].astype(np.int32)
+        return ended
 
     def _follows(self, tiles: TileMap, looks: int, frame: int) -> bool:
         """Whether the client has the motion that says what of ``looks`` ends at ``frame``; what travels may drop."""

@@ -20,8 +20,8 @@ SETTLED = 40
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory) -> Scenario:
     cache = str(tmp_path_factory.mktemp("bundles"))
-    bundle = cached_bundle(f"procedural:size=500,frames={FRAMES}", cache, EncodeSettings(frames=FRAMES))
-    return Scenario(bundle, "generated:steady-0.75", "synthetic:walking", client=ClientSettings(width=80, height=60))
+    bundle = cached_bundle(f"procedural:size=2000,frames={FRAMES}", cache, EncodeSettings(frames=FRAMES))
+    return Scenario(bundle, "generated:steady-1", "synthetic:walking", client=ClientSettings(width=80, height=60))
 
 
 @pytest.fixture

@@ -88,14 +88,17 @@ def create(name: str = "auto") -> Rasteriser:
     return FACTORIES[name]()
 
 
-def chosen(name: str) -> str:
-    """The backend that a client or server draws with when asked for ``name``: ``gpu`` for ``auto`` where it runs."""
+def chosen(name: str, tell: Callable[[str], None] = _log.info) -> str:
+    """The backend that a client or server draws with when asked for ``name``: ``gpu`` for ``auto`` where it runs.
+
+    ``tell`` hears in one line why it does not.
+    """
     if name != "auto":
         return name
     try:
         return create("gpu").name
     except ConfigError as error:
-        _log.info("not drawing on a graphics processor: %s", error)
+        tell(f"not drawing on a graphics processor: {error}")
         return name
 
 
