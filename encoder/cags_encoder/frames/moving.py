@@ -8,7 +8,7 @@ turn and fade, and when they end, always against the decoder's copy of the looks
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,8 @@ class _Track:
     first_span: int
     end: Window | None = None
     """How the last chunk leaves the splats (one frame); None before any chunk."""
+    fades: bool = False
+    """Whether the last chunk fades some of them: held at its end, they would stay faded."""
 
 
 class MovingGroups:
@@ -77,6 +79,7 @@ class MovingGroups:
         self._held: SplatTable | None = None
         self._axes = np.zeros((0, 3), np.int64)  # [capacity] order of a splat's axes in its looks
         self._fading = np.zeros(0, bool)  # [capacity] told by a fade now
+        self._faded: list[Ids] = []  # whose fades have ended at this frame
         self._owner = np.zeros((0, 2), np.int64)  # [capacity] key of the looks that a splat has
 
     def send(self, frame: Placed, quantised: QuantisedDelta) -> tuple[CutTile | UpdateCut | TrackSpan, ...]:
@@ -92,11 +95,12 @@ class MovingGroups:
         whole = births | changed.pop("whole")
         looks = self._looks(frame, ids[whole], quantised, np.flatnonzero(whole))
         self._mark_gone(frame.delta.removed)
+        self._faded = []
         chunks = self._chunks(frame.index)
         changed["opacity"] = self._brighter(ids, frame.delta.splats.take(rows), fresh)
         for name in ("scale", "sh0", "sh_rest"):
             changed[name] &= ~whole
-        updates = self._updates(ids, changed, quantised, fresh)
+        updates = [*self._updates(ids, changed, quantised, fresh), *self._after_fades(frame.index, ids)]
         return (*looks, *chunks, *updates)
 
     def _room(self, capacity: int) -> None:
@@ -194,6 +198,27 @@ class MovingGroups:
             tiles.append(UpdateCut(ids[run], masks, _svq(quantised).take(run), corners(means[run])))
         return tiles
 
+    def _after_fades(self, frame: int, judged: Ids) -> list[UpdateCut]:
+        """Opacities of splats whose fade is over, though nothing of them changed in ``frame`` (else they are among the
+        ``judged``): what is held is the largest that they had.
+        """
+        ids = np.setdiff1d(np.concatenate([np.zeros(0, np.int32), *self._faded]), judged).astype(np.int32)
+        if not len(ids) or self._held is None:
+            return []
+        window, held = self._trails.window(ids, frame, frame), self._held.take(ids)
+        alpha = np.clip(window.opacities[0].astype(np.float64), 1e-9, 1 - 1e-9)
+        true = replace(held, logit_opacities=np.log(alpha / (1 - alpha)).astype(np.float32))
+        coded = self._codec.quantise(true)
+        fresh = self._codec.decode(coded)
+        rows = np.flatnonzero(self._brighter(ids, true, fresh) & window.present[0])
+        if not len(rows):
+            return []
+        nothing = np.zeros(len(ids), bool)
+        changed = {"scale": nothing, "sh0": nothing, "sh_rest": nothing, "opacity": ~nothing}
+        self._take_over(ids, changed, rows, fresh)
+        masks = {book.attribute: self._mask(book.attribute, changed)[rows] for book in self._books}
+        return [UpdateCut(ids[rows], masks, coded.take(rows), corners(window.means[0][rows]))]
+
     @staticmethod
     def _mask(attribute: str, changed: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
         if attribute.startswith("rotation"):
@@ -239,9 +264,9 @@ class MovingGroups:
         logits = self._held.take(track.ids).logit_opacities if self._held is not None else np.zeros(0, np.float32)
         fades = self._fades(track, window, _drawn(logits))
         lives = self._lives(window)
-        if fades is None and lives is None and self._is_still(track, window):
+        if fades is None and lives is None and not track.fades and self._is_still(track, window):
             return None
-        track.end = window.last()
+        track.end, track.fades = window.last(), fades is not None
         return TrackSpan(
             *(track.key, window.means, window.quats, window.present, track.anchors, track.quats),
             *(track.steps, track.round, starts, lives, fades),
@@ -277,6 +302,7 @@ class MovingGroups:
         fades, fits = fit_fades(opacities, window.present, held, middles)
         fades[~fits] = 0
         mine = window.present[0]
+        self._faded.append(track.ids[mine & self._fading[track.ids] & (fades[:, 0] == 0)])
         self._fading[track.ids[mine]] = fades[mine, 0] > 0
         return fades if fades.any() else None
 

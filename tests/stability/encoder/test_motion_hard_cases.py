@@ -67,6 +67,17 @@ def spun(first: Splats, k: int) -> Splats:
     return with_changes(first, quats=quats)
 
 
+def fading(last: int) -> Callable[[Splats, int], Splats]:
+    """Half of them fade by a Gaussian of the time until frame ``last``, and stay as they are then."""
+
+    def change(first: Splats, k: int) -> Splats:
+        falls = 0.9 * np.exp(-0.5 * (min(k, last) / (0.6 * last)) ** 2)
+        alpha = np.where(np.arange(SPLATS) % 2, 0.9, falls)
+        return with_changes(first, logit_opacities=np.log(alpha / (1 - alpha)))
+
+    return change
+
+
 CASES: dict[str, Clip] = {
     "still": clip(lambda first, k: first),
     "one frame twice": clip(shifted(lambda k: np.array([0.01 * (k // 2), 0, 0]))),
@@ -181,3 +192,16 @@ def test_a_cut_begins_a_group(tmp_path: Path) -> None:
     encode([one] * 5 + [other] * 5, replace(FAST, frames=10), str(tmp_path / "out"))
     with BundleReader.open(str(tmp_path / "out")) as reader:
         assert reader.manifest.gof_starts == (0, 5)
+
+
+@pytest.mark.parametrize("last", [9, 14])
+def test_a_fade_that_is_over_leaves_the_opacity_that_there_is(last: int, tmp_path: Path) -> None:
+    encode(clip(fading(last)), FAST, str(tmp_path / "out"))
+    with BundleReader.open(str(tmp_path / "out")) as reader:
+        chunks = [(k, t) for k in range(FRAMES) for t in reader.frame(k).tiles if t.kind == TileKind.MOTION]
+        fades = [reader.codec.open_tile(reader.payload(k, t.tile, 0)).chunk.fades is not None for k, t in chunks]
+        assert fades[0], "it fades by its motion"
+        over = chunks[len(fades) - fades[::-1].index(True) - 1]
+        player = BundlePlayer(reader)
+        for frame in range(over[0] + over[1].span + 1, FRAMES):
+            assert errors(reader, player, frame)[1] <= 0.03, frame
