@@ -26,7 +26,6 @@ PROBABILITY_BITS = 12
 TOTAL = 1 << PROBABILITY_BITS
 """Frequencies of a table add up to this."""
 
-MAX_SYMBOL = 255
 MAX_LANES = 32
 SYMBOLS_A_LANE = 4096
 """A lane costs four bytes; so many symbols pay for it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cags_common.geometry import F64
+from cags_common.geometry import F32, F64
 from cags_common.splats import SH_C0, Splats
 
 
@@ -14,7 +14,7 @@ def visible_effect(a: Splats, b: Splats) -> F64:
     A shift by a splat's own radius, a scaling by e, a turn by a radian of a long splat, or a full change of colour
     count as one, weighed by opacity. An order of magnitude, meant for thresholds.
     """
-    opacity_a, opacity_b = _opacity(a), _opacity(b)
+    opacity_a, opacity_b = drawn(a.logit_opacities), drawn(b.logit_opacities)
     shift, scaling, turn, colour, harmonics = _looks(a, b)
     parts = shift + scaling + turn + (colour + harmonics)
     effect: F64 = np.abs(opacity_a - opacity_b) + np.maximum(opacity_a, opacity_b) * parts
@@ -23,7 +23,7 @@ def visible_effect(a: Splats, b: Splats) -> F64:
 
 def attribute_effects(a: Splats, b: Splats) -> dict[str, F64]:
     """What each attribute by itself adds to :func:`visible_effect` [n]."""
-    opacity_a, opacity_b = _opacity(a), _opacity(b)
+    opacity_a, opacity_b = drawn(a.logit_opacities), drawn(b.logit_opacities)
     names = ("position", "scale", "rotation", "colour", "harmonics")
     parts = {name: np.maximum(opacity_a, opacity_b) * part for name, part in zip(names, _looks(a, b), strict=True)}
     return {"opacity": np.abs(opacity_a - opacity_b), **parts}
@@ -41,6 +41,7 @@ def _looks(a: Splats, b: Splats) -> tuple[F64, F64, F64, F64, F64]:
     return shift, scaling, turn, colour, harmonics
 
 
-def _opacity(splats: Splats) -> F64:
-    opacity: F64 = 1.0 / (1.0 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -30, 30)))
-    return opacity
+def drawn(logits: F32) -> F64:
+    """Drawn opacities [n], 0 to 1, of their logits."""
+    opacities: F64 = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(np.float64), -30, 30)))
+    return opacities

@@ -21,6 +21,7 @@ from cags_common.splats import SH_C0, Ids, Splats
 from cags_common.svq import CodebookSet
 from cags_common.tiles import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
 from cags_encoder.frames.differential import QuantisedDelta
+from cags_encoder.frames.effect import drawn
 from cags_encoder.frames.placing import Placed
 from cags_encoder.frames.rows import SplatTable
 from cags_encoder.frames.tiling import CutTile, corners, cut_tiles
@@ -165,7 +166,7 @@ class MovingGroups:
         axes = self._axes[ids[old]]
         scales = np.take_along_axis(source.log_scales[old], axes, axis=1)
         same_axes = np.abs(scales - now.log_scales).max(axis=1, initial=0.0) < 1e-6
-        weight = np.maximum(_drawn(held.logit_opacities), _drawn(now.logit_opacities))
+        weight = np.maximum(drawn(held.logit_opacities), drawn(now.logit_opacities))
         wrong = _effects(held, now, scales, weight)
         noise = _effects(new, now, now.log_scales, weight)
         for name in names:
@@ -177,9 +178,9 @@ class MovingGroups:
         """Which splats [k] are drawn with another opacity than is held, and told by no fade."""
         if self._held is None or not len(ids):
             return np.zeros(len(ids), bool)
-        alpha = _drawn(true.logit_opacities)
-        wrong = np.abs(_drawn(self._held.take(ids).logit_opacities) - alpha)
-        noise = np.abs(_drawn(fresh.logit_opacities) - alpha)
+        alpha = drawn(true.logit_opacities)
+        wrong = np.abs(drawn(self._held.take(ids).logit_opacities) - alpha)
+        noise = np.abs(drawn(fresh.logit_opacities) - alpha)
         return (wrong > noise + SHARE * self._threshold) & ~self._fading[ids]
 
     def _updates(
@@ -262,7 +263,7 @@ class MovingGroups:
             return None
         track.next = frame + length
         logits = self._held.take(track.ids).logit_opacities if self._held is not None else np.zeros(0, np.float32)
-        fades = self._fades(track, window, _drawn(logits))
+        fades = self._fades(track, window, drawn(logits))
         lives = self._lives(window)
         if fades is None and lives is None and not track.fades and self._is_still(track, window):
             return None
@@ -310,12 +311,6 @@ class MovingGroups:
 def _svq(quantised: QuantisedDelta) -> SvqSplats:
     assert isinstance(quantised.coded, SvqSplats)
     return quantised.coded
-
-
-def _drawn(logits: F32) -> F64:
-    """Opacities [n] of logits, 0 to 1."""
-    opacities: F64 = 1.0 / (1.0 + np.exp(-np.clip(logits.astype(np.float64), -60, 60)))
-    return opacities
 
 
 def _effects(shown: Splats, true: Splats, scales: F32, weight: F64) -> dict[str, F64]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cags_common.geometry import F32
 from cags_common.splats import Ids
+from cags_encoder.frames.effect import drawn
 from cags_encoder.frames.placing import Placed
 from cags_encoder.motion.fades import fit_fades, peaks
 
@@ -98,8 +99,7 @@ class Trails:
         moment.alive[delta.removed] = False
         ids, splats = delta.ids, delta.splats
         moment.means[ids], moment.quats[ids] = splats.means, splats.quats
-        logits = np.clip(splats.logit_opacities.astype(np.float64), -30, 30)
-        moment.opacities[ids], moment.alive[ids] = 1.0 / (1.0 + np.exp(-logits)), True
+        moment.opacities[ids], moment.alive[ids] = drawn(splats.logit_opacities), True
         self._newest = self._moments[frame.index] = moment
         self._ends[self._group] = frame.index
 
