@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -18,7 +19,7 @@ class Restarted:
     """From here on data comes over another connection, whose reference video is numbered from 1 again."""
 
 
-DataEvent: TypeAlias = ev.TileReceived | ev.ReferenceReceived | ev.FrameEnded | Restarted
+DataEvent: TypeAlias = ev.TileReceived | ev.ReferenceReceived | ev.FrameEnded | ev.MarkReceived | Restarted
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,8 @@ class DecodeResult:
 class Decode:
     """Messages to decode; :meth:`run` returns what came of it.
 
-    Tiles go first, all at once and dequantised: the end of a frame never overtakes what belongs to it.
+    Between two marks tiles go first, all at once and dequantised: the end of a frame never overtakes what belongs to
+    it, and a mark never what came before it.
     """
 
     events: tuple[DataEvent, ...]
@@ -45,23 +47,38 @@ class Decode:
 
     def run(self) -> DecodeResult:
         """Decode into the pipeline. A damaged message is left out and reported; the others count."""
-        tiles = [(event.message, event.payload) for event in self.events if isinstance(event, ev.TileReceived)]
-        errors = self.pipeline.on_tiles(tiles) + self.pipeline.flush()
+        errors: list[DecodeError] = []
         needs_idr, whole = False, -1
-        for event in self.events:
-            try:
-                match event:
-                    case ev.ReferenceReceived(reference, payload):
-                        needs_idr = not self.pipeline.on_reference(reference, payload)
-                    case ev.FrameEnded(end, payload):
-                        self.pipeline.on_frame_end(end, payload)
-                        whole = max(whole, end.frame)
-                    case Restarted():
-                        self.pipeline.restart_references()
-            except DecodeError as error:
-                errors.append(error)
-                needs_idr |= isinstance(event, ev.ReferenceReceived)
+        for events in _between_marks(self.events):
+            tiles = [(event.message, event.payload) for event in events if isinstance(event, ev.TileReceived)]
+            errors += self.pipeline.on_tiles(tiles) + self.pipeline.flush()
+            for event in events:
+                try:
+                    match event:
+                        case ev.ReferenceReceived(reference, payload):
+                            needs_idr = not self.pipeline.on_reference(reference, payload)
+                        case ev.FrameEnded(end, payload):
+                            self.pipeline.on_frame_end(end, payload)
+                            whole = max(whole, end.frame)
+                        case ev.MarkReceived(mark):
+                            self.pipeline.on_mark(mark)
+                        case Restarted():
+                            self.pipeline.restarted()
+                except DecodeError as error:
+                    errors.append(error)
+                    needs_idr |= isinstance(event, ev.ReferenceReceived)
         return DecodeResult(tuple(errors), needs_idr, whole, tuple(self.pipeline.take_dropped()))
+
+
+def _between_marks(events: tuple[DataEvent, ...]) -> Iterator[tuple[DataEvent, ...]]:
+    """``events`` in parts: a mark, and the beginning of another connection, end one and stand alone."""
+    first = 0
+    for at, event in enumerate(events):
+        if isinstance(event, ev.MarkReceived | Restarted):
+            yield events[first:at]
+            yield (event,)
+            first = at + 1
+    yield events[first:]
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,7 +69,6 @@ async def play(
     settings = looked_at(settings, sinks)
     dial = Dial(url, settings.token, settings.ca)
     transport = await dial.first()
-    adapting = ThreadPoolExecutor(1, "adapt")
     player = Player(
         ClientSession(now_us=now_us()),
         settings,
@@ -78,7 +77,6 @@ async def play(
         near=near,
         live=live,
         clock=time.perf_counter,
-        background=adapting,
         rng=random.Random(),  # noqa: S311 - spreads attempts in time
     )
     shell = Shell(transport, player, sinks, on_frame, dial.again)
@@ -87,7 +85,6 @@ async def play(
             await shell.run()
     finally:
         shell.close()
-        adapting.shutdown(wait=True, cancel_futures=True)
     if shell.player.error is not None:
         raise shell.player.error
     return Playback(shell.player, shell.records, shell.ended_by)

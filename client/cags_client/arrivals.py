@@ -87,4 +87,4 @@ class Arrivals:
 
 
 def _size(event: DataEvent) -> int:
-    return 0 if isinstance(event, Restarted) else len(event.payload)
+    return 0 if isinstance(event, Restarted | ev.MarkReceived) else len(event.payload)

@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     from cags_client.settings import ClientSettings
 
-    parser = command_parser(PROG, "Watch a stream headless: decode, draw, align, restore, save, score.", EXAMPLES)
+    parser = command_parser(PROG, "Watch a stream headless: decode, draw, correct, save, score.", EXAMPLES)
     parser.add_argument(
         "--url",
         required=True,
@@ -110,15 +110,13 @@ def _body(argv: Sequence[str]) -> int | None:
 def _checked_choices(settings: ClientSettings, outputs: _Outputs) -> str:
     """The rasteriser chosen; what is misspelt is told before any server is asked. Raises :class:`CagsError`."""
     from cags_client import align, restore
-    from cags_client.restore import auto
     from cags_common import raster
     from cags_common.poses import Focus, open_poses
 
     rasteriser = raster.chosen(settings.raster)
     raster.create(rasteriser)
     align.create(settings.align)
-    if settings.restore != auto.NAME:
-        restore.check_name(settings.restore)
+    restore.check_name(settings.restore)
     open_poses(outputs.poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
     return rasteriser
 

@@ -1,45 +1,41 @@
 """From messages to pictures: the client without sockets, threads or clocks.
 
 Shared by real time (``app.py`` calls it from executors) and virtual time (the simulator calls it inline). ``on_*``
-decode and store; :meth:`ClientPipeline.present` draws one frame. One thread may decode while another presents.
+decode and store; :meth:`ClientPipeline.present` draws one frame: commit what its reference assumes, rasterise, add what
+the reference says is lacking. One thread may decode while another presents.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cags_client import align, restore
-from cags_client.adapt import AdapterStep, SirtAdapter
-from cags_client.align import Aligned, AlignSettings, ReferencePicture
-from cags_client.carry import OnDisplay, ReferenceViews
-from cags_client.expected import Veils
-from cags_client.gof_store import Committed, GofStore
-from cags_client.opening import Arrival
+from cags_client.align import Aligned, AlignSettings
+from cags_client.changes import Changes
 from cags_client.presented import PresentedFrame
-from cags_client.references import References
+from cags_client.references import Received, References
 from cags_client.resolution import Resolutions
-from cags_client.restore import RestoreInput, Restorer, auto
+from cags_client.restore import CORRECT, NONE, RestoreInput, Restorer
 from cags_client.restore.networks.weights import Weights
 from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
-from cags_client.standin import Drawn, StandIn
 from cags_client.stopwatch import Stopwatch
-from cags_client.tile_store import TileStore
-from cags_common import raster
+from cags_common import correction, raster
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import tile_codec
+from cags_common.correction import Corrected, CorrectSettings
 from cags_common.effects import Effect, EffectPlan, Situation, held_sh_degree, plan_frame
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.halving import enlarged, halved
-from cags_protocol.messages import FrameEnd, HeldTile, ReferenceFrame, TileLayers
+from cags_common.store.gof_store import Committed, GofStore
+from cags_common.store.tile_decode import Arrival
+from cags_common.store.tile_store import TileStore
+from cags_protocol.messages import FrameEnd, HeldTile, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 
 class ClientPipeline:
@@ -53,29 +49,26 @@ class ClientPipeline:
         *,
         live: LiveSettings | None = None,
         clock: Callable[[], float] = lambda: 0.0,
-        background: Executor | None = None,
     ) -> None:
-        """``background`` takes the colour adapter off the display path; without it steps run where they are planned."""
         self.info = info
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self._clock = clock
         self._store = TileStore(info, tile_codec(info, codebooks), settings.threads)
+        self._marked = self._marked_before = 0  # newest mark of the store; that of connections before this one
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
-        self._shares: F32 | None = None  # each splat's contribution to the view of the newest reference
-        self._sh_degree = 0  # highest band with anything in it since the group's first frame
         self._scene_store: GofStore | None = None
-        self._adapter: SirtAdapter | None = None
-        self._background = background
-        self._adapting: Future[AdapterStep] | None = None  # of the scene as it is; seen from the next frame on
-        self._views = ReferenceViews(self._rasteriser, self._store.earlier)
-        self._veils = Veils(self._rasteriser, info.lod_gains_db)
-        self._changes = self._corrections = 0  # of the scene, and of its colours alone
+        self._sh_degree = 0  # highest band with anything in it since the group's first frame
+        self._shown_frame = 0
+        self._used = 0  # order of the newest reference that was shown
+        self._changes = Changes()
+        self._own: tuple[Received, F32] | None = None  # the client's own view of a picture
+        self._corrector = correction.create("auto", settings.threads)
+        self._correct_settings = CorrectSettings()
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
-        self._stand_in = StandIn(self._aligner, settings.threads)
         self._resolutions = Resolutions(1e3 / info.fps)
         self._weights: dict[str, Weights] = {}
         self._restorer_wanted = self.live.restore
@@ -98,9 +91,17 @@ class ClientPipeline:
         """Tiles of which layers had come and were given up since the last call, for want of memory."""
         return self._store.take_dropped()
 
+    def on_mark(self, mark: Mark) -> None:
+        """What came before this is the basis of references that name it."""
+        if mark.restart:
+            self._store.reset(self._shown_frame)
+            self._references.reset()
+        self._marked = max(self._marked, self._marked_before + mark.number)
+        self._store.mark(self._marked)
+
     def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:
         """Decode a reference; False asks for an IDR picture. Raises :class:`DecodeError`."""
-        return self._references.add(message, payload)
+        return self._references.add(message, payload, self._marked_before + message.basis)
 
     def on_frame_end(self, message: FrameEnd, payload: memoryview) -> None:
         """The frame is whole. Raises :class:`DecodeError`."""
@@ -137,9 +138,11 @@ class ClientPipeline:
         """Whether ``frame`` can be drawn whole without anything from the network."""
         return self._store.holds(frame)
 
-    def restart_references(self) -> None:
-        """The reference video goes on over another connection. The pictures that are there stay in use."""
+    def restarted(self) -> None:
+        """What follows comes over another connection; what is held was told there. Pictures stay in use."""
         self._references.restart()
+        self._marked_before = self._marked
+        self._store.restarted()
 
     def held(self) -> list[HeldTile]:
         """The tiles that are decoded, for a server that takes the session over."""
@@ -147,6 +150,7 @@ class ClientPipeline:
 
     def reset(self, frame: int) -> None:
         """The viewer jumped to ``frame``: forget tiles and references."""
+        self._shown_frame = frame
         self._store.reset(frame)
         self._references.reset()
         self._scene = None
@@ -170,191 +174,151 @@ class ClientPipeline:
         """Draw media frame ``frame`` from ``camera``; with ``share``, after that, what moves so many frames later."""
         started_s = self._clock()
         watch = Stopwatch(self._clock)
+        self._shown_frame = frame
         if self._restorer_wanted != self.live.restore:
             self._restorer_wanted = self.live.restore
             self._restorer = self._made_restorer()
+        reference = self._references.newest(frame, self.settings.reference_age)
         with watch("update"):
-            store, committed = self._committed(frame, share)
+            store, committed = self._committed(frame, share, reference)
             scene = self._updated(store, committed)
-        reference = self._reference(frame, store)
-        situation = self._situation(store, committed, (frame + share, camera), reference)
-        plan = plan_frame(situation, self.settings.effects)
+            if reference is not None and reference.frame == frame and reference.order > self._used:
+                self._used = reference.order
+                self._changes.used(reference.order, reference.basis, store.splats.means)
+        plan = plan_frame(self._situation(store, committed, (frame + share, camera), reference), self.settings.effects)
         half = self._resolutions.chosen(self.live.resolution) == HALF
         seen_by = halved(camera) if half else camera
         with watch("raster"):
             view = scene.render(seen_by, self._drawing(plan, half=half))
-        drawn = _Drawn(scene, store, seen_by, view.rgb, view)
-        aligned, own, shown = None, None, view.rgb
-        if reference is not None:
-            aligned, own, shown = self._with_reference(plan, drawn, reference, frame, watch)
-            if own is not None and own.contribution is not None:
-                self._shares = own.contribution
+        drawn = _Drawn(scene, store, seen_by, view)
+        corrected, aligned, shown = None, None, view.rgb
+        if reference is not None and Effect.CORRECTION in plan:
+            corrected = self._corrected(plan, drawn, reference, frame, watch)
+            shown = corrected.rgb
+        elif reference is not None and Effect.RESTORATION in plan:
+            aligned, shown = self._restored(plan, drawn, reference, frame, watch)
         if half:
             with watch("enlarge"):
                 shown = enlarged(shown, camera, self.settings.threads)
-        tier = self._tier
-        self._observe(started_s, watch.stages_ms)
+        if self.live.resolution == AUTO:
+            self._resolutions.observe(self._clock(), watch.stages_ms, (self._clock() - started_s) * 1e3)
         return PresentedFrame(
             frame=frame,
             camera=camera,
             rgb=shown,
             drawn=view.rgb,
             aligned=aligned,
+            confidence=_confidence(corrected, aligned),
             depth=view.depth,
             alpha=view.alpha,
             reference=reference,
-            lod_mean=store.shown.lod_mean(camera, self._shares if own is not None else None),
+            lod_mean=store.shown.lod_mean(camera),
             missed=committed.missed,
             buffer_ms=self._store.ahead(frame) * 1e3 / self.info.fps,
             stages_ms=watch.stages_ms,
             effects=plan,
             share=share,
-            tier=tier,
+            tier=self._restorer_wanted,
         )
 
-    def _committed(self, frame: int, share: float) -> tuple[GofStore, Committed]:
+    def _committed(self, frame: int, share: float, reference: Received | None) -> tuple[GofStore, Committed]:
+        """Show what the frame's reference assumes; without one of its own, no more than the next ones assume."""
         moved = self._store.move(frame, share) if share else None
-        return moved or self._store.commit(frame, self.settings.reference_age if self._compares else 0)
+        if moved is not None:
+            return moved
+        if reference is not None and reference.frame == frame:
+            basis: int | None = reference.basis
+        else:
+            basis = self._references.next_basis(frame, self._used, self.settings.reference_age)
+        store, committed = self._store.commit(frame, basis)
+        if committed.fresh:
+            self._changes.clear()
+        self._changes.committed(self._marked + 1 if basis is None else basis, committed.rows)
+        return store, committed
 
     def _situation(
-        self, store: GofStore, committed: Committed, view: tuple[float, Camera], reference: ReferencePicture | None
+        self, store: GofStore, committed: Committed, view: tuple[float, Camera], reference: Received | None
     ) -> Situation:
-        frame, camera = view
+        time, camera = view
+        speaks = reference is not None and reference.kind is not ReferenceKind.NOTHING
+        name = self._restorer_wanted.partition("@")[0]
         there = reference.camera.pose.position if reference is not None else None
         return Situation(
             sh_degree=self._sh_degree,
             scene_sh_degree=self.info.sh_degree,
             changed=committed.changed,
             whole=store.full and not committed.missed,
-            reference=reference is not None,
+            reference=speaks and name != NONE,
+            picture=reference is not None and reference.kind is ReferenceKind.PICTURE,
             same_place=there == camera.pose.position,
-            same_frame=reference is not None and reference.frame == frame,
-            restorer=self._restorer.needs,
-            replaces=self._replaces,
-            adapts=self._adapter is not None,
+            same_frame=reference is not None and reference.frame == int(time),
+            corrects=name == CORRECT,
+            stale=reference is not None and (reference.frame < time or self._changes.since(reference.basis)),
+            restorer=self._restorer.needs if self._restorer is not None else frozenset(),
+            replaces=name in restore.REPLACING,
             depth_shown=self.live.depth_shown,
         )
 
-    def _reference(self, frame: int, store: GofStore) -> ReferencePicture | None:
-        """The reference to use: one that can be compared with what the client held at its frame."""
-        reference = self._references.newest(frame, self.settings.reference_age)
-        if reference is None or self._replaces or self._views.usable(reference, store):
-            return reference
-        return None
+    def _made_restorer(self) -> Restorer | None:
+        """The restorer of aligned pictures that the viewer wants; None where it is another thing that is wanted."""
+        if self._restorer_wanted in (CORRECT, NONE):
+            return None
+        return restore.create(self._restorer_wanted, threads=self.settings.threads, weights=self._weights)
 
-    @property
-    def _compares(self) -> bool:
-        """Whether references are compared with the client's own splats, as of their own frames."""
-        return self._adapter is not None or (bool(self._restorer.needs) and not self._replaces)
-
-    @property
-    def _replaces(self) -> bool:
-        return self._tier.partition("@")[0] in restore.REPLACING
-
-    def _made_restorer(self) -> Restorer:
-        """The restorer that the viewer wants; with ``auto`` the machine is measured first, which takes a second."""
-        s = self.settings
-        make = partial(restore.create, threads=s.threads, weights=self._weights)
-        if self._restorer_wanted == auto.NAME:
-            return auto.measured(make, s.intrinsics, 1e3 / self.info.fps, self._clock)
-        return make(self._restorer_wanted)
-
-    @property
-    def _tier(self) -> str:
-        return self._restorer.tier if isinstance(self._restorer, auto.AutoRestorer) else self._restorer.name
-
-    def _observe(self, started_s: float, stages_ms: dict[str, float]) -> None:
-        """Tell ``auto``, of the restorer and of the resolution, what the frame took."""
-        now_s = self._clock()
-        frame_ms = (now_s - started_s) * 1e3
-        if isinstance(self._restorer, auto.AutoRestorer):
-            self._restorer.controller.observe(now_s, stages_ms.get("restore"), frame_ms)
-        if self.live.resolution == AUTO:
-            self._resolutions.observe(now_s, stages_ms, frame_ms)
-
-    def _with_reference(
-        self, plan: EffectPlan, drawn: _Drawn, reference: ReferencePicture, frame: int, watch: Stopwatch
-    ) -> tuple[Aligned | None, RenderedView | None, F32]:
-        """The aligned reference, the client's own view of it, and the restored picture, each where planned."""
-        aligned, own, shown = None, None, drawn.distorted
-        depth, options = drawn.view.depth, self._reference_options(plan, reference)
+    def _corrected(
+        self, plan: EffectPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
+    ) -> Corrected:
+        """The picture with what is lacking in it added."""
+        own = None
         if Effect.OWN_VIEW in plan:
             with watch("own"):
-                reference, own = self._seen_from(plan, reference, drawn, options)
-        if Effect.ALIGNMENT in plan and depth is not None:
-            with watch("align"):
-                occlusion, colours = Effect.OCCLUSION in plan, Effect.EROSION in self._restorer.needs
-                aligned = self._aligner.align(reference, depth, drawn.camera, occlusion=occlusion, colours=colours)
-                if Effect.FADE in plan:
-                    aligned = _faded(aligned, self._freshness(reference, frame))
-        if Effect.ADAPTATION in plan and own is not None and self._adapter is not None and self._adapting is None:
-            with watch("adapt"):
-                self._adapting = self._begun(self._adapter, (drawn.scene, reference, own, options))
-        if Effect.RESTORATION in plan and aligned is not None:
-            inputs = RestoreInput(drawn.distorted, drawn.view.alpha, aligned, reference, own, self._shares)
-            with watch("restore"):
-                shown = self._restorer.restore(self._veils.watched(inputs, self._held(drawn), options))
-        if Effect.STAND_IN in plan and own is not None and depth is not None:
-            with watch("stand-in"):
-                mine = Drawn(drawn.distorted, drawn.view.alpha, depth, drawn.camera)
-                shown = self._stand_in.paint(shown, mine, reference, own, self._freshness(reference, frame))
-        return aligned, own, shown
+                own = self._own_view(plan, drawn, reference)
+        with watch("correct"):
+            veto = None
+            if Effect.VETO in plan:
+                assert drawn.view.depth is not None
+                focal_px, splats = reference.camera.intrinsics.fx_px, drawn.store.splats
+                veto = self._changes.veto(reference.basis, splats, drawn.view.depth, drawn.camera, focal_px)
+            freshness = self._freshness(reference, frame) if Effect.FADE in plan else 1.0
+            if freshness < 1.0:
+                stale = np.float32(1.0 - freshness)
+                veto = np.full(correction.veto_shape(drawn.camera), stale) if veto is None else np.maximum(veto, stale)
+            settings = self._correct_settings
+            return self._corrector.correct(drawn.view, drawn.camera, reference.correction, own, settings, veto)
 
-    def _seen_from(
-        self, plan: EffectPlan, reference: ReferencePicture, drawn: _Drawn, options: RenderOptions
-    ) -> tuple[ReferencePicture, RenderedView]:
-        """The reference, carried to the frame on display, and the client's own view of it."""
-        if Effect.CARRY not in plan:
-            return reference, self._views.now(reference, self._held(drawn), options)
-        self._adapted(drawn.store, must_end=True)
-        return self._views.carried(reference, self._held(drawn), options)
+    def _own_view(self, plan: EffectPlan, drawn: _Drawn, reference: Received) -> F32:
+        """The client's splats from a picture's camera, as they were when it was first used."""
+        if self._own is None or self._own[0] is not reference:
+            footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
+            options = replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint)
+            self._own = reference, drawn.scene.render(reference.camera, options).rgb
+        return self._own[1]
 
-    def _held(self, drawn: _Drawn) -> OnDisplay:
-        def restore_rows(rows: NDArray[np.intp]) -> None:
-            splats = drawn.store.splats.take(rows)
-            if self._adapter is not None:
-                splats = replace(splats, sh0=self._adapter.corrected(splats.sh0, rows))
-            drawn.scene.update(rows, splats)
-
-        return OnDisplay(drawn.scene, drawn.store, self._changes, self._corrections, restore_rows)
-
-    def _begun(
-        self, adapter: SirtAdapter, work: tuple[RasterScene, ReferencePicture, RenderedView, RenderOptions]
-    ) -> Future[AdapterStep]:
-        if self._background is not None:
-            return self._background.submit(adapter.step, *work)
-        done: Future[AdapterStep] = Future()
-        done.set_result(adapter.step(*work))
-        return done
-
-    def _adapted(self, store: GofStore, *, must_end: bool) -> None:
-        """Take over the step under way. It reads the scene, so one that ``must_end`` before an update is waited for."""
-        step = self._adapting
-        if step is None or self._adapter is None or self._scene is None or not (must_end or step.done()):
-            return
-        if self._adapter.apply(self._scene, store.splats, step.result()):
-            self._changes += 1
-            self._corrections += 1
-        self._adapting = None
+    def _restored(
+        self, plan: EffectPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
+    ) -> tuple[Aligned | None, F32]:
+        """The aligned picture, and what the restorer makes of it."""
+        picture, depth = reference.picture, drawn.view.depth
+        if picture is None or depth is None or self._restorer is None:
+            return None, drawn.view.rgb
+        with watch("align"):
+            occlusion, colours = Effect.OCCLUSION in plan, Effect.EROSION in self._restorer.needs
+            aligned = self._aligner.align(picture, depth, drawn.camera, occlusion=occlusion, colours=colours)
+            if Effect.FADE in plan:
+                aligned = _faded(aligned, self._freshness(reference, frame))
+        with watch("restore"):
+            return aligned, self._restorer.restore(RestoreInput(drawn.view.rgb, aligned))
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
         if self._scene is None or committed.fresh:
-            self._adapting = self._shares = None  # of a scene that is gone
             self._scene, self._scene_store = self._rasteriser.load(store.splats), store
-            self._adapter = SirtAdapter(store.capacity) if self.settings.adapt == "sirt" else None
             self._sh_degree = held_sh_degree(store.splats.sh_rest)
-            self._changes += 1
             return self._scene
-        self._adapted(store, must_end=committed.changed)
         if len(committed.moved):
             self._scene.move(committed.moved, store.splats, self.settings.threads)
-            self._changes += 1
         if len(committed.rows):
-            if self._adapter is not None:
-                self._adapter.forget(committed.rows)
             changed = store.splats.take(committed.rows)
             self._scene.update(committed.rows, changed)
-            self._changes += 1
             self._sh_degree = max(self._sh_degree, held_sh_degree(changed.sh_rest))
         return self._scene
 
@@ -370,12 +334,7 @@ class ClientPipeline:
         options = replace(self._options(plan), displayed=True)
         return replace(options, footprint=options.footprint.at_half_resolution()) if half else options
 
-    def _reference_options(self, plan: EffectPlan, reference: ReferencePicture) -> RenderOptions:
-        """How the server draws references, so that the client's splats can be compared with them."""
-        footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
-        return replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint)
-
-    def _freshness(self, reference: ReferencePicture, frame: int) -> float:
+    def _freshness(self, reference: Received, frame: int) -> float:
         """1 for references up to half as old as is allowed, falling to 0 past the oldest: none goes at a stroke."""
         allowed = self.settings.reference_age + 1
         return min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
@@ -388,8 +347,13 @@ class _Drawn:
     scene: RasterScene
     store: GofStore
     camera: Camera
-    distorted: F32
     view: RenderedView
+
+
+def _confidence(corrected: Corrected | None, aligned: Aligned | None) -> F32 | None:
+    if corrected is not None:
+        return corrected.confidence
+    return None if aligned is None else aligned.confidence
 
 
 def _faded(aligned: Aligned, freshness: float) -> Aligned:

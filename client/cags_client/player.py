@@ -17,9 +17,8 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from concurrent.futures import Executor
 
-from cags_client.actions import Decode, DecodeResult, Present, Restarted, Traffic
+from cags_client.actions import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
 from cags_client.arrivals import MAX_UNDECODED_BYTES, Arrivals
 from cags_client.between import Between, Moment
 from cags_client.cadence import Cadence
@@ -28,6 +27,7 @@ from cags_client.pipeline import ClientPipeline
 from cags_client.play_stats import PlayStats
 from cags_client.presented import PresentedFrame
 from cags_client.reconnect import Reconnect
+from cags_client.restore import references_wanted
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.viewpoint import PoseSource, Viewpoint
 from cags_common.bundle.manifest import Manifest
@@ -61,14 +61,9 @@ class Player:
         near: float = DEFAULT_NEAR,
         live: LiveSettings | None = None,
         clock: Callable[[], float] = lambda: 0.0,
-        background: Executor | None = None,
         rng: random.Random | None = None,
     ) -> None:
-        """``session`` is the first one; ``rng`` spreads the attempts to come back after a loss.
-
-        ``background`` is where the colour adapter works (see :class:`ClientPipeline`).
-        """
-        self._background = background
+        """``session`` is the first one; ``rng`` spreads the attempts to come back after a loss."""
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self.pipeline: ClientPipeline | None = None
@@ -88,6 +83,7 @@ class Player:
         self._codebooks: bytes | None = None
         self._weights: bytes | None = None
         self._arrivals = Arrivals()
+        self._restarts_due = 0  # jumps by which everything was forgotten, and of which the server has not heard
         self._presenting, self._next_frame = False, settings.start_frame
         self._cadence = Cadence(settings.start_frame)
         self._between = Between(settings.interpolate, settings.display_rate)
@@ -164,6 +160,7 @@ class Player:
         """There is a connection again: say Hello with what is held."""
         self._session = ClientSession(RESUMING, now_us=now_us)
         self._arrivals.add(Restarted())
+        self._restarts_due = 0
         self._resume_at = self._state_of_play(now_us)
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
         self._session.hello(self._hello(frame, self._viewpoint.pose_at(now_us)), now_us=now_us)
@@ -234,12 +231,15 @@ class Player:
                     self._take_weights()
             case ev.TileReceived(_, payload):
                 self.stats.bytes_tiles += len(payload)
-                self._arrivals.add(event)
+                self._take(event)
             case ev.ReferenceReceived(_, payload):
                 self.stats.bytes_reference += len(payload)
-                self._arrivals.add(event)
+                self._take(event)
             case ev.FrameEnded():
-                self._arrivals.add(event)
+                self._take(event)
+            case ev.MarkReceived(mark):
+                self._restarts_due -= mark.restart and self._restarts_due > 0
+                self._take(event)
             case ev.NoticeReceived(notice):
                 self.stats.notices.append(f"{notice.code}: {notice.message}")
             case ev.Refused(refusal):
@@ -248,6 +248,11 @@ class Player:
                     self._fail(self._why_away)
             case ev.Closed(code, reason):
                 self._on_closed(code, reason, now_us)
+
+    def _take(self, event: DataEvent) -> None:
+        """Media, unless it was sent before the server heard of a jump by which everything was forgotten."""
+        if not self._restarts_due:
+            self._arrivals.add(event)
 
     def _on_closed(self, code: str, reason: str, now_us: int) -> None:
         if self.finished:
@@ -297,9 +302,8 @@ class Player:
         if self.pipeline is not None and self._welcome is not None:
             resume, held = self._welcome.session, pack_inventory(self._arrivals.held(self.pipeline.held()))
         token, agent = self.settings.token, "cags-client"
-        return Hello(
-            PROTOCOL_VERSION, self.settings.intrinsics, pose, self._near, frame, token, agent, resume, inventory=held
-        )
+        wanted, chroma, view = references_wanted(self.settings.restore), self.settings.chroma, self.settings.intrinsics
+        return Hello(PROTOCOL_VERSION, view, pose, self._near, frame, token, agent, resume, wanted, chroma, held)
 
     def _state_of_play(self, now_us: int) -> Control | None:
         """Where the play will stand once a server has taken the session over; None before it has begun."""
@@ -321,7 +325,6 @@ class Player:
                 self.settings,
                 live=self.live,
                 clock=self._clock,
-                background=self._background,
             )
         except CagsError as error:
             self._fail(error)

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from cags_client.align import Aligned, ReferencePicture
+import numpy as np
+
+from cags_client.align import Aligned
+from cags_client.references import Received
 from cags_common.effects import EffectPlan
 from cags_common.geometry import F32, Camera
 from cags_common.raster.halving import enlarged
@@ -23,10 +26,12 @@ class PresentedFrame:
     rgb: F32  # [H, W, 3] in [0, 1]: what is shown
     drawn: F32  # [h, w, 3] in [0, 1]: the client's own render, of the display's size or of half of it
     aligned: Aligned | None
-    """The aligned reference [h, w], or None where there was none to align or nothing to restore."""
+    """The aligned picture [h, w] that a restorer worked with; None where there was none."""
+    confidence: F32 | None
+    """[h, w] in [0, 1]: how much of what the reference says was used; None where none was."""
     depth: F32 | None  # [h, w] camera-space z; +inf where void. None where nothing needed it
     alpha: F32  # [h, w]
-    reference: ReferencePicture | None
+    reference: Received | None
     """The reference at hand, whether or not the frame's effects use it."""
     lod_mean: float
     """Mean LoD of the splats in view; NaN where none is held."""
@@ -40,7 +45,7 @@ class PresentedFrame:
     share: float = 0.0
     """Media frames after ``frame``, where it is a picture between two of them."""
     tier: str = "none"
-    """The restorer in use, whether or not the frame's effects needed it."""
+    """What is done with references, whether or not the frame's effects needed it."""
 
     @cached_property
     def distorted(self) -> F32:
@@ -49,8 +54,13 @@ class PresentedFrame:
 
     @cached_property
     def aligned_rgb(self) -> F32 | None:
-        """[H, W, 3]: the aligned reference at the display's size. Made when it is first looked at."""
+        """[H, W, 3]: the aligned picture at the display's size. Made when it is first looked at."""
         return None if self.aligned is None else self._whole(self.aligned.rgb)
+
+    @property
+    def correction(self) -> F32 | None:
+        """[H, W, 3] in [0, 1]: what the reference changed in the picture, half of it around grey; None: nothing."""
+        return None if self.confidence is None else np.float32(0.5) + (self.rgb - self.distorted) / 2
 
     def _whole(self, picture: F32) -> F32:
         return picture if picture.shape == self.rgb.shape else enlarged(picture, self.camera, THREADS)

@@ -35,7 +35,8 @@ def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> di
         "bytes_tiles": action.traffic.tiles_bytes,
         "bytes_reference": action.traffic.reference_bytes,
         "reference_frame": reference.frame if reference else None,
-        "aligned_share": _share(presented.aligned.confidence) if presented.aligned else 0.0,
+        "aligned_share": 0.0 if presented.confidence is None else _share(presented.confidence),
+        "reference_kind": "" if presented.reference is None else presented.reference.kind.value,
     }
     if reference is not None:
         there, here = reference.camera.pose, presented.camera.pose

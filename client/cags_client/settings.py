@@ -10,6 +10,7 @@ from cags_common.effects import NEEDED, POLICIES
 from cags_common.geometry import Intrinsics
 from cags_common.settings import check_settings, setting
 from cags_common.splats import MAX_SPLATS
+from cags_protocol.messages import CHROMAS
 
 FULL, HALF, AUTO = RESOLUTIONS = "full", "half", "auto"
 """Pixels that a frame is worked out at (:mod:`cags_client.resolution`)."""
@@ -36,20 +37,21 @@ class ClientSettings:
         "while full takes too long",
         choices=RESOLUTIONS,
     )
-    align: str = setting("auto", "aligner: auto, cpu, fast, reference, unaligned or rotation")
-    erosion: bool = setting(True, "fill occluded pixels of the aligned reference from their clean neighbours")
     restore: str = setting(
-        "affine",
-        "restorer: none, reference, affine, lite, srresnet (or NETWORK@RUNTIME), or auto: what this machine affords",
+        "correct",
+        "what is done with references: correct adds what they say is lacking, none nothing; to compare with: reference "
+        "(the aligned picture alone), srresnet (or NETWORK@RUNTIME)",
     )
-    adapt: str = setting("none", "colour corrections that stay with the splats", choices=("none", "sirt"))
+    align: str = setting("auto", "aligner of pictures for restorers: auto, cpu, fast, reference, unaligned or rotation")
+    erosion: bool = setting(True, "fill occluded pixels of the aligned picture from their clean neighbours")
+    chroma: str = setting("yuv444p", "finest colour sampling of references to ask for", choices=CHROMAS)
     effects: str = setting(
         NEEDED, "work of a frame: what the scene and the moment need, or always everything", choices=POLICIES
     )
     threads: int = setting(2, "threads of a render, and of decoding tiles", low=1, high=256)
     reference_age: int = setting(
         10,
-        "media frames after which a reference is too old to restore from; it fades over the last half",
+        "media frames after which a reference is too old; it fades over the last half",
         low=0,
         high=1000,
     )

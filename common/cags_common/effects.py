@@ -7,16 +7,16 @@ visible fault where a needed effect is taken away). The conditions:
 =============  =========================================================================================================
 view-colour    some splat that is held has a spherical-harmonics coefficient that is not 0; up to the highest such band
 deltas         splats have changed since the frame before
-restoration    a reference is at hand, and colours are still quantised (or the restorer stands in the picture's place)
-adaptation     as restoration, where corrections are kept with the splats
-alignment      the restorer looks at the reference from the client's view
+correction     a reference is at hand that says what is lacking, or from which that can be told
+restoration    a picture is at hand for a restorer of aligned pictures, and colours are still quantised (or the restorer
+               stands in the picture's place)
+alignment      as restoration: such restorers look at the picture from the client's view
 occlusion      as alignment, and the two cameras stand at different places: from one place nothing can be hidden
 erosion        as occlusion, and the restorer looks at the aligned colours (which are filled where a pixel is hidden)
-own-view       the restorer or the adapter compares with the client's splats as the reference sees them
+own-view       as correction, and the reference is a picture: what is lacking is it less the client's own view
+veto           as correction, and splats have changed since the reference was made
 fade           the reference is of another frame than the one on display
-carry          the reference is of another frame, and the restorer does not stand in the picture's place
-stand-in       as restoration, by a restorer that compares: it tells where the splats are not those of the scene
-depth          something is aligned, or somebody looks at the depth picture
+depth          something is corrected or aligned, or somebody looks at the depth picture
 =============  =========================================================================================================
 
 and of a link: ``delay``, ``jitter``, ``loss``, ``queue`` (a bound on it), ``cap`` and ``rate`` (a trace), each where
@@ -44,10 +44,9 @@ class Effect(StrEnum):
     OCCLUSION = "occlusion"
     EROSION = "erosion"
     FADE = "fade"
-    CARRY = "carry"
-    STAND_IN = "stand-in"
     OWN_VIEW = "own-view"
-    ADAPTATION = "adaptation"
+    VETO = "veto"
+    CORRECTION = "correction"
     RESTORATION = "restoration"
 
 
@@ -70,9 +69,8 @@ STAGE_OF = {
     Effect.OCCLUSION: "align",
     Effect.EROSION: "restore",
     Effect.OWN_VIEW: "own",
-    Effect.CARRY: "own",
-    Effect.STAND_IN: "stand-in",
-    Effect.ADAPTATION: "adapt",
+    Effect.VETO: "correct",
+    Effect.CORRECTION: "correct",
     Effect.RESTORATION: "restore",
 }
 """The timed stage of a frame that an effect is a part of (or the whole); ``fade`` is in none of its own."""
@@ -95,17 +93,21 @@ class Situation:
     whole: bool
     """Everything shown is at its highest level: what is left of quantisation is under the reference's own noise."""
     reference: bool
-    """A reference is at hand that is not too old."""
+    """A reference is at hand that is not too old and says something."""
+    picture: bool
+    """It is a picture of the scene."""
     same_place: bool
     """The reference's camera stands where the client's does (whichever way they look)."""
     same_frame: bool
     """The reference is of the frame on display."""
+    corrects: bool
+    """What is lacking is added."""
+    stale: bool
+    """Splats have changed since the reference was made, other than it assumes."""
     restorer: frozenset[Effect]
-    """What the restorer looks at; with nothing it shows the picture as it is."""
+    """What the restorer of aligned pictures looks at; nothing where there is none."""
     replaces: bool
-    """The restorer stands in the picture's place instead of correcting it."""
-    adapts: bool
-    """Colour corrections are kept with the splats."""
+    """That restorer stands in the picture's place instead of correcting it."""
     depth_shown: bool
     """Somebody looks at the depth picture."""
 
@@ -135,29 +137,33 @@ def plan_frame(s: Situation, policy: str = NEEDED) -> EffectPlan:
         on.add(Effect.VIEW_COLOUR)
     if s.changed or always:
         on.add(Effect.DELTAS)
-    if s.reference and (always or s.replaces or not s.whole):
+    if s.reference and s.corrects:
+        on |= _correcting(s, always=always)
+    elif s.reference and s.picture and s.restorer and (always or s.replaces or not s.whole):
         on |= _restoring(s, always=always)
-    if always or s.depth_shown or Effect.ALIGNMENT in on:
+    if always or s.depth_shown or on & {Effect.ALIGNMENT, Effect.CORRECTION}:
         on.add(Effect.DEPTH)
     return EffectPlan(frozenset(on), degree)
 
 
+def _correcting(s: Situation, *, always: bool) -> set[Effect]:
+    """Effects around a reference that says what is lacking."""
+    on = {Effect.CORRECTION}
+    if s.picture:
+        on.add(Effect.OWN_VIEW)
+    if s.stale:
+        on.add(Effect.VETO)
+    if always or not s.same_frame:
+        on.add(Effect.FADE)
+    return on
+
+
 def _restoring(s: Situation, *, always: bool) -> set[Effect]:
-    """Effects around a reference that is to be used."""
-    on: set[Effect] = set()
-    if s.restorer:
-        on |= {Effect.RESTORATION, *(s.restorer - {Effect.EROSION})}
-    if s.adapts:
-        on |= {Effect.ADAPTATION, Effect.OWN_VIEW}
-    if always:
-        on |= {Effect.ALIGNMENT, Effect.OWN_VIEW}
-    if Effect.ALIGNMENT in on and (always or not s.same_place):
+    """Effects around a picture for a restorer."""
+    on = {Effect.RESTORATION, *(s.restorer - {Effect.EROSION})}
+    if always or not s.same_place:
         on |= {Effect.OCCLUSION, *(s.restorer & {Effect.EROSION})}
-    if on and (always or not s.same_frame) and not s.replaces:
-        on |= {Effect.CARRY, Effect.OWN_VIEW}
-    if s.restorer >= {Effect.ALIGNMENT, Effect.OWN_VIEW} and not s.replaces:
-        on.add(Effect.STAND_IN)
-    if Effect.ALIGNMENT in on and (always or not s.same_frame):
+    if always or not s.same_frame:
         on.add(Effect.FADE)
     return on
 

@@ -24,6 +24,7 @@ from cags_protocol.messages import (
     HeldTile,
     Hello,
     KeyframeRequest,
+    Mark,
     Message,
     Notice,
     PoseBatch,
@@ -185,6 +186,8 @@ class ClientSession(Session[ev.ClientEvent]):
                 self._emit(ev.ReferenceReceived(message, payload))
             case FrameEnd():
                 self._emit(ev.FrameEnded(message, payload))
+            case Mark():
+                self._emit(ev.MarkReceived(message))
             case Blob():
                 data = self._blobs.add(message, payload)
                 if data is not None:

@@ -12,6 +12,7 @@ from cags_protocol.messages import (
     FrameEnd,
     HeldTile,
     Hello,
+    Mark,
     Message,
     Notice,
     PoseSample,
@@ -167,7 +168,7 @@ class TileReceived:
 
 @dataclass(frozen=True)
 class ReferenceReceived:
-    """A reference picture (one H.264 access unit)."""
+    """A reference: one H.264 access unit, or nothing."""
 
     message: ReferenceFrame
     payload: memoryview
@@ -179,6 +180,13 @@ class FrameEnded:
 
     message: FrameEnd
     payload: memoryview
+
+
+@dataclass(frozen=True)
+class MarkReceived:
+    """What came before this is the basis of references that name it."""
+
+    message: Mark
 
 
 @dataclass(frozen=True)
@@ -211,5 +219,6 @@ ServerEvent: TypeAlias = (
     | Closed
 )  # fmt: skip
 ClientEvent: TypeAlias = (
-    Welcomed | BlobReceived | TileReceived | ReferenceReceived | FrameEnded | NoticeReceived | Refused | Closed
+    Welcomed | BlobReceived | TileReceived | ReferenceReceived | FrameEnded | MarkReceived | NoticeReceived | Refused
+    | Closed
 )

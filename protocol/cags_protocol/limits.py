@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 """Version spoken by this package. A change that an older peer cannot ignore raises it."""
 
-SUPPORTED_VERSIONS = (2,)
+SUPPORTED_VERSIONS = (3,)
 """Versions that this package can talk to."""
 
 SUBPROTOCOL = "cags.v1"

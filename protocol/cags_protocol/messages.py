@@ -26,7 +26,6 @@ _FRAME = Integer(2**31 - 1)
 _TILE = Integer(2**16 - 1)
 _LOD = Integer(MAX_LODS)
 _SEQ = Integer(2**53)
-_NOISE = Integer(1_000_000)
 _BYTES = Integer(2**53)
 _CRC = Integer(2**32 - 1)
 _CADENCE = Integer(EVERY_FRAME, LEAST_PERMILLE)
@@ -82,13 +81,20 @@ _RANGE = Record(SeqRange, ("first", "last"), (_SEQ, _SEQ))
 
 # ---------------------------------------------------------------------------------------------------- client to server
 
+REFERENCES_WANTED = ANY_REFERENCE, PICTURES_ONLY, NO_REFERENCES = "any", "picture", "none"
+"""Which references a client can use."""
+
+CHROMAS = FULL_CHROMA, HALF_CHROMA = "yuv444p", "yuv420p"
+"""Colour samplings of reference video, the finer one first; a decoder of one takes those after it too."""
+
 
 @dataclass(frozen=True, slots=True)
 class Hello(Message):
     """The first message: who joins, through which camera, and from which media frame.
 
     ``resume`` names an earlier session of this client (empty: none) and ``inventory`` what it still holds of it
-    (:mod:`cags_protocol.inventory`); nothing listed there is sent again.
+    (:mod:`cags_protocol.inventory`); nothing listed there is sent again. ``references`` says which the client can use
+    (``any``: differences too), ``chroma`` the finest colour sampling that its video decoder takes.
     """
 
     TAG = "hello"
@@ -101,6 +107,8 @@ class Hello(Message):
     token: str = wire(_TEXT, "")
     agent: str = wire(_TEXT, "")
     resume: str = wire(_TEXT, "")
+    references: str = wire(Choice(REFERENCES_WANTED), REFERENCES_WANTED[0])
+    chroma: str = wire(Choice(CHROMAS), CHROMAS[0])
     inventory: bytes = b""
 
 
@@ -244,12 +252,24 @@ class TileLayers(Message):
         return out
 
 
+class ReferenceKind(StrEnum):
+    """What a reference says."""
+
+    DIFFERENCE = "difference"
+    """What the client lacks: the true view minus that of the client's splats, companded."""
+    PICTURE = "picture"
+    """The true view."""
+    NOTHING = "nothing"
+    """The client's splats are as good as a reference could make them; there is no payload."""
+
+
 @dataclass(frozen=True, slots=True)
 class ReferenceFrame(Message):
-    """The reference picture of media frame ``frame``, rendered at ``pose`` (T_world_camera): one H.264 access unit.
+    """The reference of media frame ``frame``, made at ``pose`` (T_world_camera): one H.264 access unit.
 
-    ``seq`` counts reference pictures from 1 without gaps; an ``idr`` picture needs none before it. ``noise`` is
-    :meth:`cags_common.video.noise.CodingNoise.packed`, or empty where the server did not measure it.
+    ``seq`` counts pictures from 1 without gaps; an ``idr`` picture needs none before it. ``basis`` is the
+    :class:`Mark` that it assumes, ``knee`` that of a difference's compander
+    (:mod:`cags_common.correction.compander`). One that says nothing has the ``seq`` of the last picture.
     """
 
     TAG = "reference"
@@ -259,7 +279,22 @@ class ReferenceFrame(Message):
     pose: Pose = wire(POSE)  # noqa: RUF009 - the kinds are immutable
     intrinsics: Intrinsics = wire(INTRINSICS)  # noqa: RUF009 - the kinds are immutable
     idr: bool = wire(Flag(), False)
-    noise: tuple[int, ...] = wire(ListOf(_NOISE, 6), ())
+    kind: str = wire(Choice(tuple(ReferenceKind)), ReferenceKind.PICTURE.value)
+    basis: int = wire(_SEQ, 0)
+    knee: float = wire(Real(1e-3, 10.0), 0.1)
+
+
+@dataclass(frozen=True, slots=True)
+class Mark(Message):
+    """What was sent before this on the connection is the basis ``number``: references are made from it.
+
+    Numbers rise by one, from 1. With ``restart`` the client holds nothing of what came before: the answer to a jump by
+    which it forgot everything.
+    """
+
+    TAG = "mark"
+    number: int = wire(_SEQ)
+    restart: bool = wire(Flag(), False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,7 +365,7 @@ class Abandon(Message):
 
 
 CLIENT_MESSAGES: tuple[type[Message], ...] = (Hello, PoseBatch, Ack, Control, KeyframeRequest, Bye, Ping, Pong)
-SERVER_DATA: tuple[type[Message], ...] = (Blob, TileLayers, ReferenceFrame, FrameEnd)
+SERVER_DATA: tuple[type[Message], ...] = (Blob, TileLayers, ReferenceFrame, FrameEnd, Mark)
 SERVER_MESSAGES: tuple[type[Message], ...] = (
     Welcome, Notice, Refusal, Fragment, Abandon, Bye, Ping, Pong, *SERVER_DATA,
 )  # fmt: skip

@@ -1,7 +1,8 @@
 """The server's queue: bounded, ordered by value, cut into fragments, stale data dropped.
 
-Order: reference pictures, then everything else by priority, first come first served within one. The most valuable
-fragment goes next, so a reference picture never waits behind tiles, not even behind the rest of a tile half sent.
+Order: marks, reference pictures, then everything else by priority, first come first served within one. The most
+valuable fragment goes next, so a reference picture never waits behind tiles, not even behind the rest of a tile half
+sent, and between the moment that a mark is queued and its sending nothing else is sent to its end.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 from cags_protocol import limits
 from cags_protocol.encoding import encode, encode_parts
 from cags_protocol.events import Outgoing
-from cags_protocol.messages import Fragment, ReferenceFrame
+from cags_protocol.messages import Fragment, Mark, Message, ReferenceFrame
 
 FRAGMENT_HEADER_BYTES = 96
 """Room left in a packet for the header of a :class:`Fragment`; its fields at their widest take 91 bytes."""
@@ -24,6 +25,9 @@ SLACK_ENTRIES = 64
 """Entries that have left and may stay in the heaps of a queue, besides as many as there are messages in it."""
 
 Rank = tuple[int, int, int]
+
+MARKS, REFERENCES, OTHERS = range(3)
+"""Classes of messages, the most urgent first."""
 
 
 @dataclass(eq=False)
@@ -56,8 +60,8 @@ class Entry:
 
     @property
     def is_reference(self) -> bool:
-        """Whether this is a reference picture."""
-        return self.rank[0] == 0
+        """Whether this is a reference picture, or a mark for one."""
+        return self.rank[0] <= REFERENCES
 
     def chunk(self) -> bytes | memoryview:
         """The bytes of the next fragment."""
@@ -98,7 +102,7 @@ class SendQueue:
         Raises :class:`ProtocolError` for a message that must not travel.
         """
         ident, self._next_ident = self._next_ident, self._next_ident + 1
-        rank = (0 if isinstance(outgoing.message, ReferenceFrame) else 1, outgoing.priority, ident)
+        rank = (_class(outgoing.message), outgoing.priority, ident)
         head, body = encode_parts(outgoing.message, outgoing.payload)
         entry = Entry(ident, outgoing, rank, head, memoryview(body))
         self._replace(entry)
@@ -140,7 +144,7 @@ class SendQueue:
         if not self._heap:
             return None
         best = self._entries[self._heap[0][1]]
-        if best.started or self._started < limits.MAX_PARTIAL_MESSAGES // 2:
+        if best.rank[0] == MARKS or best.started or self._started < limits.MAX_PARTIAL_MESSAGES // 2:
             return best
         return min((e for e in self._entries.values() if e.started), key=lambda e: e.rank)
 
@@ -193,3 +197,9 @@ class SendQueue:
         if len(self._deadlines) > bound:
             self._deadlines = [item for item in self._deadlines if item[1] in self._entries]
             heapq.heapify(self._deadlines)
+
+
+def _class(message: Message) -> int:
+    if isinstance(message, Mark):
+        return MARKS
+    return REFERENCES if isinstance(message, ReferenceFrame) else OTHERS

@@ -103,7 +103,9 @@ class Connection:
         self.session.handle_timer(now_us=now_us)
         if self.streamer is not None and not self.closed and self._needed() is None:
             self._recall(self.streamer, now_us)
-            self._queue(self.streamer.end_opening(now_us) + self.streamer.catch_up(now_us), now_us)
+            outgoing = self.streamer.end_opening(now_us) + self.streamer.catch_up(now_us)
+            self._queue_marks(self.streamer, now_us)
+            self._queue(outgoing, now_us)
         self._settle(now_us)
 
     def next_fetch(self) -> int | None:
@@ -144,6 +146,7 @@ class Connection:
         if self.streamer is None or self.closed or self._needed() is not None:
             return None
         job = self.streamer.begin(now_us)
+        self._queue_marks(self.streamer, now_us)
         if job is not None and self._render_slots is not None:
             self._render_slots.begun(self.name)
             self._rendering = True
@@ -154,7 +157,9 @@ class Connection:
         self._render_ended()
         if self.streamer is not None and not self.closed:
             self._recall(self.streamer, now_us)
-            self._queue(self.streamer.finish(render, now_us), now_us)
+            outgoing = self.streamer.finish(render, now_us)
+            self._queue_marks(self.streamer, now_us)
+            self._queue(outgoing, now_us)
             self._settle(now_us)
 
     def job_failed(self, job: FrameJob) -> None:
@@ -212,6 +217,7 @@ class Connection:
                     self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
                 elif isinstance(event, ev.ControlReceived) and event.control.action == "seek":
                     self.session.cancel(lambda _: True, now_us=now_us)
+                    self._queue_marks(self.streamer, now_us)
 
     def _enforce(self, broken: str | None, now_us: int) -> None:
         if broken is not None:
@@ -255,6 +261,10 @@ class Connection:
         """Take back tiles that waited past the frame that they were chosen for, before the next ones are chosen."""
         self.session.cancel(lambda each: streamer.outdated(each, now_us), now_us=now_us, started=False)
         self._settle(now_us)
+
+    def _queue_marks(self, streamer: Streamer, now_us: int) -> None:
+        for mark in streamer.take_marks():
+            self.session.queue(mark, now_us=now_us)
 
     def _queue(self, outgoing: Iterable[ev.Outgoing], now_us: int) -> None:
         for each in outgoing:

@@ -6,6 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from cags_common.geometry import Pose, angle_between
+from cags_server.ahead import Ahead
 
 MAX_RECORDS = 8192
 """Frames remembered a client (four and a half minutes at 30 fps)."""
@@ -17,6 +18,8 @@ class FrameRecord:
 
     tick: int
     frame: int
+    ahead: Ahead
+    """The frame whose tiles were chosen."""
     planned_us: int  # server clock
     display_us: int  # client clock
     horizon_us: int
@@ -27,6 +30,12 @@ class FrameRecord:
     budget_bytes: int = 0
     tile_bytes: int = 0
     reference_bytes: int = 0
+    reference_kind: str = ""
+    """What the reference says; empty: there was none."""
+    lacking: float = 0.0
+    """Mean squared error of the client's own view from the reference's pose, as far as it was compared."""
+    left: float = 0.0
+    """Of that view once it is corrected."""
     visible_tiles: int = 0
     upgrades: int = 0
     reference_late: bool = False
@@ -54,6 +63,7 @@ class StreamStats:
     bytes_other: int = 0
     bytes_dropped: int = 0
     render_ns: int = 0
+    mirror_ns: int = 0
     encode_ns: int = 0
     bandwidth_bps: float = 0.0
     rtt_us: int = 0

@@ -44,6 +44,7 @@ class Schedule:
         self.pace = Pace()
         """How long reference renders take."""
         self._lead_frames, self._reference_every = settings.lead_frames, settings.reference_every
+        self._tiles_ahead = settings.tiles_ahead
         self._clock = clock
         self._controlled = False
         self._from_tick = 0  # first tick that is neither planned nor skipped
@@ -88,6 +89,18 @@ class Schedule:
         t = self.timeline
         last = tick if t.loop or not t.playing else t.frames - 1 - t.frame
         return min(tick, last) if last >= self._from_tick else tick
+
+    def ahead(self, tick: int) -> int:
+        """The tick whose tiles go out with the reference of ``tick``; at most the last one of the clip."""
+        t, after = self.timeline, tick
+        for _ in range(self._tiles_ahead):
+            after = next_displayed(after + 1, self.cadence_permille)
+        return after if t.loop or not t.playing else max(tick, min(after, t.frames - 1 - t.frame))
+
+    @property
+    def reference_period_us(self) -> float:
+        """Time between two frames that have references."""
+        return self.planned_period_us * self._reference_every
 
     @property
     def planned_period_us(self) -> float:

@@ -9,6 +9,10 @@ from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
 
 
+CLIENT, PLAIN = "client", "plain"
+"""Footprints of references (``reference_footprint``)."""
+
+
 @dataclass(frozen=True)
 class ServerSettings:
     """What one server does for each of its clients."""
@@ -24,25 +28,40 @@ class ServerSettings:
     fov_gain: float = setting(0.7, "factor on the margins of the LSTM field of view", low=0.0, high=10.0)
     abr: str = setting("utility", "how the byte budget is spent on tiles")
     lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
+    references: str = setting(
+        "auto",
+        "what references say: what the client lacks (difference), the scene (picture), auto: whichever leaves less, or "
+        "none",
+        choices=("auto", "difference", "picture", "none"),
+    )
+    reference_footprint: str = setting(
+        CLIENT,
+        "how references are drawn: as the client sees the splats (client), or as any picture of their size (plain)",
+        choices=(CLIENT, PLAIN),
+    )
     reference_every: int = setting(
         1, "media frames for one reference picture; more save rendering and cost quality", low=1, high=30
     )
     reference_width: int = setting(400, "width of reference pictures, pixels (even for yuv420p)", low=16, high=4096)
     reference_height: int = setting(300, "height of reference pictures, pixels (even for yuv420p)", low=16, high=4096)
-    reference_crf: float = setting(20.0, "H.264 quality of reference pictures, lower is better", low=0.0, high=51.0)
-    reference_chroma: str = setting("yuv444p", "colour sampling of references", choices=("yuv420p", "yuv444p"))
+    reference_crf: float = setting(
+        20.0, "best H.264 quality of reference pictures, lower is better; less where the link is slow", low=0.0, high=51
+    )
+    reference_chroma: str = setting(
+        "yuv444p", "finest colour sampling of references; clients may ask for yuv420p", choices=("yuv420p", "yuv444p")
+    )
     reference_kbps: int | None = setting(
         None, "cap of the reference video's rate, kilobits a second; none when not given", low=10, high=1_000_000
     )
     reference_full_size: bool = setting(False, "references as large as the client's display (remote rendering)")
-    reference_share: float | None = setting(
-        None,
-        "share of the link that the reference video may fill; constant quality when not given",
-        low=0.01,
-        high=1,
+    reference_share: float = setting(
+        0.25, "share of the link that the reference video is to take; its quality follows", low=0.01, high=1
     )
     reference_most: float = setting(
         0.5, "share of the link that references may take; beyond it there are fewer of them, 1: never", low=0.01, high=1
+    )
+    tiles_ahead: int = setting(
+        3, "frames by which tiles go before the references that assume them", low=1, high=30
     )
     opening_tiles: bool = setting(True, "send the base layers of the first frame before the play begins")
     rasteriser: str = setting(

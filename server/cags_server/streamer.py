@@ -12,21 +12,23 @@ from collections.abc import Callable, Iterable
 from cags_common.geometry import Camera, Pose
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, HeldTile, Hello, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.messages import Control, FrameEnd, HeldTile, Hello, Mark, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
+from cags_server.ahead import Ahead
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
 from cags_server.fov import widened
 from cags_server.joining import Joining
 from cags_server.library import SceneLibrary
+from cags_server.mirror import Mirror
 from cags_server.pace import MARGIN_US
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.reference import FrameJob, FramePlan, FrameRender
-from cags_server.reference_budget import ReferenceBudget
-from cags_server.reference_encoder import ReferenceEncoder
-from cags_server.reference_video import ReferenceVideo
+from cags_server.reference.budget import ReferenceBudget
+from cags_server.reference.coder import ReferenceCoder
+from cags_server.reference.video import ReferenceVideo
 from cags_server.schedule import Schedule
-from cags_server.settings import ServerSettings
+from cags_server.settings import PLAIN, ServerSettings
 from cags_server.sight import Sight
 from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
@@ -52,7 +54,8 @@ class Streamer:
         self._estimator, self._may_render = estimator, may_render
         self._viewer = Viewer(settings, hello)
         self._policy = create_rate_policy(settings.abr)
-        self._encoder = ReferenceEncoder(settings, hello.intrinsics, library.manifest.fps)
+        self._coder = ReferenceCoder(settings, hello, library.manifest.fps)
+        self._mirror = Mirror(library, settings.render_threads)
         self._tiles = TileSender(library, opening=settings.opening_tiles)
         start = min(hello.start_frame, library.manifest.frames - 1)
         timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
@@ -64,6 +67,8 @@ class Streamer:
         self._sight = Sight(library, settings.visible_px)
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
+        self._marks: list[ev.Outgoing] = []
+        self._damaged = False  # something that was sent did not arrive whole
 
     # ------------------------------------------------------------------------------------------------------- joining
 
@@ -97,8 +102,10 @@ class Streamer:
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles, and the codebooks, from an earlier session: they are not sent again."""
+        held = tuple(inventory)
         self._joining.resumed = True
-        self._tiles.resume(inventory)
+        self._tiles.resume(held)
+        self._mirror.resume(held)
 
     # -------------------------------------------------------------------------------------------------------- events
 
@@ -119,11 +126,15 @@ class Streamer:
                 self._on_control(control, arrival_us)
             case ev.KeyframeRequested(reference_seq):
                 self._video.requested(reference_seq)
+            case ev.Sent(outgoing, _):
+                if isinstance(outgoing.message, TileLayers | FrameEnd):
+                    self._mirror.sent(outgoing.message, outgoing.payload)
             case ev.Delivered(outgoing, _):
                 self._on_settled(outgoing, delivered=True)
-            case ev.Dropped(outgoing, _, sent_bytes, _):
+            case ev.Dropped(outgoing, reason, sent_bytes, _):
                 self.stats.bytes_dropped += sent_bytes
                 self._on_settled(outgoing, delivered=False)
+                self._damaged |= reason == "lost" and isinstance(outgoing.message, TileLayers | FrameEnd)
             case ev.Evicted(tiles):
                 for held in tiles:
                     self._tiles.evicted(held)
@@ -138,6 +149,25 @@ class Streamer:
             self._tiles.go_back(control.frame)
             self._tiles.from_nothing = True
             self._video.broken()
+            self._restart_if_forgotten(control.frame)
+
+    def _restart_if_forgotten(self, frame: int) -> None:
+        """The client is to hold nothing any more: say so, and let the mirror follow."""
+        if self._tiles.forgotten:
+            self._tiles.forgotten = False
+            self._mirror.restart(min(frame, self._library.manifest.frames - 1))
+            self._mark(restart=True)
+
+    def _mark(self, *, restart: bool = False) -> int:
+        """Note what will have been sent before the next message: the basis of references."""
+        number = self._mirror.mark()
+        self._marks.append(ev.Outgoing(Mark(number, restart)))
+        return number
+
+    def take_marks(self) -> list[ev.Outgoing]:
+        """Marks to be queued at once: nothing may be sent to its end before them."""
+        marks, self._marks = self._marks, []
+        return marks
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
         self._budget.settled(outgoing)
@@ -163,20 +193,26 @@ class Streamer:
         if self._schedule.rendering or due_us is None or now_us < due_us or self._between_references(now_us):
             return None
         tick, frame, covered = self._schedule.begin_render(now_us - due_us)
+        if self._damaged:
+            self._damaged = False
+            self._tiles.start_anew()
+            self._restart_if_forgotten(frame)
         plan = self._render_plan = self._plan(tick, frame, covered, now_us)
         self._video.needs_idr = False
-        self._encoder.follow(self._estimator.estimate_bps(now_us))
-        size = self._encoder.width_px, self._encoder.height_px
+        self._coder.follow(self._estimator.estimate_bps(now_us), self._schedule.reference_period_us)
+        size = self._coder.width_px, self._coder.height_px
         intrinsics = widened(self._hello.intrinsics, plan.margins, *size)
         return FrameJob(
             plan=plan,
             library=self._library,
+            mirror=self._mirror if self._coder.compares else None,
             camera=Camera(intrinsics, plan.predicted.pose, self._hello.near),
             client=self._hello.intrinsics,
-            encoder=self._encoder,
+            coder=self._coder,
             visible_px=self._settings.visible_px,
             threads=self._settings.render_threads,
             lingering=self._sight.lingering,
+            plain_footprint=self._settings.reference_footprint == PLAIN,
         )
 
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
@@ -200,9 +236,15 @@ class Streamer:
         else:
             record.reference_late = not between
             self.stats.references_late += record.reference_late
-        self._tiles.enter(frame)
-        visible = self._sight.tiles(frame) if seen else self._tiles_in_view(frame, plan.predicted.pose)
+        ahead = plan.ahead.frame
+        self._enter(ahead)
+        told = seen and self._sight.tells_of(ahead)
+        visible = self._sight.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
         return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
+
+    def _enter(self, frame: int) -> None:
+        self._tiles.enter(frame)
+        self._restart_if_forgotten(frame)
 
     def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
         """Of a frame that is served without a render; the render's own where that is out."""
@@ -211,12 +253,29 @@ class Streamer:
         self._viewer.ensure_pose(now_us)
         display_us = self._schedule.timeline.display_us(tick)
         predicted = self._viewer.predict(display_us)
-        generation = self._schedule.generation
-        return FramePlan(generation, tick, frame, ticks_covered, now_us, display_us, 0, predicted, (0.0, 0.0), False)
+        return FramePlan(
+            generation=self._schedule.generation,
+            tick=tick,
+            frame=frame,
+            ahead=self._ahead(tick, frame),
+            ticks_covered=ticks_covered,
+            planned_us=now_us,
+            display_us=display_us,
+            horizon_us=0,
+            predicted=predicted,
+            margins=(0.0, 0.0),
+            idr=False,
+        )
+
+    def _ahead(self, tick: int, frame: int) -> Ahead:
+        """The frame whose tiles go out with the reference of ``tick``; the same again at the clip's end."""
+        ahead = self._schedule.ahead(tick)
+        then = self._schedule.media_frame(ahead)
+        return Ahead(frame if then is None else then, self._schedule.timeline.display_us(ahead))
 
     def _tiles_in_view(self, frame: int, pose: Pose) -> tuple[VisibleTile, ...]:
         camera = Camera(self._hello.intrinsics, pose, self._hello.near)
-        return self._sight.guessed_tiles(frame, camera, self._encoder.width_px * self._encoder.height_px)
+        return self._sight.guessed_tiles(frame, camera, self._coder.width_px * self._coder.height_px)
 
     def _between_references(self, now_us: int) -> bool:
         """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
@@ -242,6 +301,7 @@ class Streamer:
             generation=self._schedule.generation,
             tick=tick,
             frame=frame,
+            ahead=self._ahead(tick, frame),
             ticks_covered=ticks_covered,
             planned_us=now_us,
             display_us=display_us,
@@ -249,6 +309,7 @@ class Streamer:
             predicted=predicted,
             margins=self._viewer.margins(frame, predicted),
             idr=self._video.needs_idr,
+            basis=self._mark(),
         )
 
     # ----------------------------------------------------------------------------------------------------- finishing
@@ -263,17 +324,18 @@ class Streamer:
         plan = render.plan
         self._schedule.rendering = False
         work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
-        self._schedule.pace.observe(work_us, len(render.access_unit), rate_bps)
+        self._schedule.pace.observe(work_us, len(render.coded.access_unit), rate_bps)
         self.stats.references += 1
         self.stats.render_ns += render.render_ns
+        self.stats.mirror_ns += render.mirror_ns
         self.stats.encode_ns += render.encode_ns
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []
-        self._sight.rendered(plan.frame, render.contribution)
+        self._sight.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
         if not overtaken:
-            self._tiles.enter(plan.frame)
+            self._enter(plan.ahead.frame)
         ahead, self._went_ahead = self._went_ahead, None
         record = ahead if ahead is not None and ahead.tick == plan.tick else self._record(plan)
         record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
@@ -282,7 +344,7 @@ class Streamer:
         if overtaken:  # its tiles, and later ones, have gone ahead
             return out
         out += self._from_nothing(plan, now_us) + self._upgrades(render.visible, record, now_us)
-        self._sight.served(plan.frame, render.contribution, self._tiles.inventory)
+        self._sight.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
         return out
 
     def _from_nothing(self, plan: FramePlan, now_us: int) -> list[ev.Outgoing]:
@@ -294,25 +356,31 @@ class Streamer:
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""
+        if self._coder.kind is None:
+            return []
         if now_us >= self._reference_deadline_us(render.plan.display_us):
             self._video.broken()
             return []
-        record.reference_bytes = len(render.access_unit)
+        coded = render.coded
+        record.reference_bytes, record.reference_kind = len(coded.access_unit), coded.kind.value
+        record.lacking, record.left = coded.before, coded.after
         self._reference_budget.spent(record.reference_bytes)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The tiles that the rate policy chooses for a frame, and the frame's end."""
         camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
-        visible = self._sight.with_ghosts(visible, record.frame, camera, self._tiles)
+        ahead = record.ahead
+        visible = self._sight.with_ghosts(visible, ahead.frame, camera, self._tiles)
         decision = self._decide(visible, record, now_us)
-        deadline_us = self._viewer.clock.to_server(record.display_us) + int(self._settings.tile_deadline_ms * 1000)
-        return self._counted(self._tiles.upgrades(record.frame, decision.upgrades, deadline_us), now_us)
+        deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
+        return self._counted(self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us), now_us)
 
     def _record(self, plan: FramePlan) -> FrameRecord:
         record = FrameRecord(
             tick=plan.tick,
             frame=plan.frame,
+            ahead=plan.ahead,
             planned_us=plan.planned_us,
             display_us=plan.display_us,
             horizon_us=plan.horizon_us,
@@ -328,20 +396,23 @@ class Streamer:
 
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps, allowed_bps = self._estimator.estimate_bps(now_us), self._estimator.allowance_bps(now_us)
-        lead_frames = self._schedule.lead_us(self.stats.rtt_us) / self._schedule.timeline.period_us
-        views = (self._tiles.view(tile, record.frame, lead_frames) for tile in visible)
+        frame, display_us = record.ahead.frame, record.ahead.display_us
+        lead_us = self._schedule.lead_us(self.stats.rtt_us)
+        to_display_us = self._viewer.clock.to_server(display_us) - now_us
+        lead_frames = to_display_us / self._schedule.timeline.period_us
+        views = (self._tiles.view(tile, frame, lead_frames) for tile in visible)
         tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
-        spare_us = self._viewer.clock.to_server(record.display_us) - now_us - MARGIN_US
-        now = (tile for tile in tiles if not tile.depth and tile.frame <= record.frame)
+        spare_us = to_display_us - lead_us - MARGIN_US  # before the reference that is to assume it is made
+        now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
         timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
         room_bytes = max(self._budget.room(record.estimate_bps, period_us), timely_bytes)
         record.budget_bytes = min(earned_bytes, room_bytes)
         decision = self._policy.decide(
             Observation(
-                frame=record.frame,
+                frame=frame,
                 budget_bytes=record.budget_bytes,
                 tiles=tiles,
                 lod_gains_db=self._library.manifest.lod_gains_db,

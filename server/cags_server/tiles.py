@@ -45,6 +45,8 @@ class TileSender:
         self.client_keeps = False
         """Whether the client holds on to a group of frames when it goes back within it."""
         self._group: int | None = None  # of the frame ended last
+        self.forgotten = False
+        """Whether the client is to forget what it holds, and has not been told."""
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles from an earlier session: they are not sent again."""
@@ -125,7 +127,7 @@ class TileSender:
         self.inventory.clear()
         self._staleness.clear()
         self.ended = self._group = None
-        self.from_nothing = True
+        self.from_nothing = self.forgotten = True
 
     def view(self, tile: VisibleTile, frame: int, lead_frames: float) -> TileView:
         """A tile that is visible at ``frame``, planned ``lead_frames`` before its display, as rate policies see it."""

@@ -7,7 +7,7 @@ reference. Coordinates ``x, y`` below are continuous reference pixels in that se
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64, Camera
 from cags_common.settings import check_settings, setting
-from cags_common.video.noise import CodingNoise
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,6 @@ class ReferencePicture:
     camera: Camera
     frame: int
     seq: int = 0
-    noise: CodingNoise = field(default_factory=CodingNoise)
-    """What coding did to it."""
 
     def __post_init__(self) -> None:
         if self.rgb.shape != (self.camera.height_px, self.camera.width_px, 3):

@@ -47,10 +47,10 @@ class ShownFrame:
     frame: int
     camera: Camera
     pictures: Mapping[str, F32]
-    """``restored`` [H, W, 3] and what else there is: ``distorted``, ``aligned``, ``reference`` (any size)."""
+    """``restored`` [H, W, 3] and what else there is: ``distorted``, ``correction``, ``reference`` (any size)."""
     depth: F32 | None = None  # [H, W] camera-space z; non-finite is void
     occluded: NDArray[np.bool_] | None = None  # [H, W] seen here, hidden from the reference
-    confidence: F32 | None = None  # [H, W] in [0, 1]: how much the aligned reference says
+    confidence: F32 | None = None  # [H, W] in [0, 1]: how much the reference says
     reference_camera: Camera | None = None
     stages_ms: Mapping[str, float] = field(default_factory=dict)
     """Time of each stage of the display path."""

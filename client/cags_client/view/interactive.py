@@ -171,6 +171,7 @@ class InteractivePlayer(Player):
         if not keeps:
             self._arrivals.clear()
             self.pipeline.reset(frame)
+            self._restarts_due += not self.away
         self.frame = frame
         self._tell("seek", frame, now_us, now_us)
         if self.playing:

@@ -57,7 +57,7 @@ def occlusion_grid(shown: ShownFrame) -> Grid | None:
 
 
 def confidence_grid(shown: ShownFrame) -> Grid | None:
-    """How much the aligned reference says: bytes [H/4, W/4], 0 nothing to 255 everything."""
+    """How much the reference says: bytes [H/4, W/4], 0 nothing to 255 everything."""
     if shown.confidence is None:
         return None
     return Grid("confidence", _shrunk(np.asarray(shown.confidence * 255.0, dtype=np.uint8)))

@@ -14,8 +14,10 @@ from cags_common.metrics import psnr
 
 U8 = NDArray[np.uint8]
 
-PICTURES = ("restored", "distorted", "aligned", "reference", "truth", "error", "depth")
-"""In the order of the page's menus. ``error`` is the difference of restored and truth, ``depth`` is coloured."""
+PICTURES = ("restored", "distorted", "correction", "reference", "truth", "error", "depth")
+"""In the order of the page's menus. ``correction`` is what the reference changed, ``error`` the difference of restored
+and truth, ``depth`` is coloured.
+"""
 
 NEED_TRUTH = ("truth", "error")
 
@@ -48,7 +50,7 @@ class Gallery:
         """PSNR in dB against the truth, of the pictures that were made with one."""
         if self._truth is None:
             return {}
-        compared = {name: self.shown.pictures.get(name) for name in ("restored", "distorted", "aligned")}
+        compared = {name: self.shown.pictures.get(name) for name in ("restored", "distorted")}
         return {
             f"psnr_{n}_db": round(psnr(image, self._truth), 2) for n, image in compared.items() if image is not None
         }

@@ -14,7 +14,7 @@ from cags_client.app import Playback, Shell, now_us
 from cags_client.dial import Dial
 from cags_client.interrupts import interrupts
 from cags_client.present.base import FrameSink
-from cags_client.restore import RESTORERS, auto
+from cags_client.restore import switchable
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.view.controls import SplatDetail
 from cags_client.view.interactive import InteractivePlayer
@@ -66,7 +66,7 @@ class PlayerControls:
     @property
     def restorers(self) -> tuple[str, ...]:
         """Restorations to choose from."""
-        return (auto.NAME, *RESTORERS)
+        return switchable(self._player.settings.restore)
 
     @property
     def away(self) -> bool:

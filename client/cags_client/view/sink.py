@@ -60,17 +60,17 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
         "distorted": lambda: presented.distorted,
     }
     aligned, reference = presented.aligned, presented.reference
-    if aligned is not None:
-        pictures["aligned"] = lambda: _painted(presented)  # painted when it is looked at, and not before
-    if reference is not None:
-        pictures["reference"] = lambda: reference.rgb
+    if presented.confidence is not None:
+        pictures["correction"] = lambda: _made(presented.correction)  # made when it is looked at, and not before
+    if reference is not None and (coded := reference.coded) is not None:
+        pictures["reference"] = lambda: coded
     return ShownFrame(
         frame=presented.frame,
         camera=presented.camera,
         pictures=_Pictures(pictures),
         depth=presented.depth,
         occluded=None if aligned is None else aligned.occluded,
-        confidence=None if aligned is None else aligned.confidence,
+        confidence=presented.confidence,
         reference_camera=None if reference is None else reference.camera,
         stages_ms=presented.stages_ms,
         stats=figures,
@@ -80,9 +80,9 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
     )
 
 
-def _painted(presented: PresentedFrame) -> F32:
-    assert presented.aligned_rgb is not None
-    return presented.aligned_rgb
+def _made(picture: F32 | None) -> F32:
+    assert picture is not None
+    return picture
 
 
 class _Pictures(Mapping[str, F32]):

@@ -22,12 +22,23 @@ POSE = Pose((0.25, -1.5, 3.0), (0.5, 0.5, -0.5, 0.5))
 CAMERA = Intrinsics(1600, 1200, 1385.5, 1385.5, 800.0, 600.0)
 
 MESSAGES: list[tuple[str, m.Message, bytes]] = [
-    ("hello", m.Hello(2, CAMERA, POSE), b""),
+    ("hello", m.Hello(3, CAMERA, POSE), b""),
     (
         "hello resuming",
-        m.Hello(2, CAMERA, POSE, 0.1, 30, "token", "cags-client 0.1.0", "s-1", pack_inventory([m.HeldTile(30, 2, 5)])),
+        m.Hello(
+            3,
+            CAMERA,
+            POSE,
+            0.1,
+            30,
+            "token",
+            "cags-client 0.1.0",
+            "s-1",
+            inventory=pack_inventory([m.HeldTile(30, 2, 5)]),
+        ),
         b"",
     ),
+    ("hello of a viewer with a plain decoder", m.Hello(3, CAMERA, POSE, references="picture", chroma="yuv420p"), b""),
     ("poses", m.PoseBatch((m.PoseSample(1_000_000, POSE), m.PoseSample(1_027_777, Pose.identity()))), b""),
     ("poses of a client that draws six frames in ten", m.PoseBatch((m.PoseSample(1_000_000, POSE),), 600), b""),
     ("ack", m.Ack((m.SeqRange(9, 12), m.SeqRange(1, 7)), 2**40, 1200, 4096, (m.HeldTile(3, 4, 0),)), b""),
@@ -47,15 +58,14 @@ MESSAGES: list[tuple[str, m.Message, bytes]] = [
         m.TileLayers(31, 9, 0, 3, (2, 0, 1), (0xDEADBEEF, 0, 1)),
         b"\x03\xbb\xcc",
     ),
-    ("reference", m.ReferenceFrame(31, 32, POSE, CAMERA, True), b"\0\0\0\1\x67"),
-    (
-        "reference, its noise measured",
-        m.ReferenceFrame(31, 33, POSE, CAMERA, noise=(2000, 8000, 7000, 15, 50000, 1_000_000)),
-        b"\0\0\1\x41",
-    ),
+    ("reference, a picture", m.ReferenceFrame(31, 32, POSE, CAMERA, True), b"\0\0\0\1\x67"),
+    ("reference, a difference", m.ReferenceFrame(31, 33, POSE, CAMERA, False, "difference", 12, 0.05), b"\0\0\1\x41"),
+    ("reference, nothing to say", m.ReferenceFrame(32, 33, POSE, CAMERA, False, "nothing", 13), b""),
+    ("mark", m.Mark(12), b""),
+    ("mark, after a jump", m.Mark(14, True), b""),
     ("frame end", m.FrameEnd(31), b"\7\0\0\0"),
     ("notice", m.Notice("slow", "the link carries less than the least quality"), b""),
-    ("refusal", m.Refusal("version", "version", "version = 1 is not spoken here; this server speaks 2"), b""),
+    ("refusal", m.Refusal("version", "version", "version = 1 is not spoken here; this server speaks 3"), b""),
     ("fragment, whole", m.Fragment(1, 1), b"whole"),
     ("fragment, part", m.Fragment(2, 2, 8096, 20000), b"part"),
     ("abandon", m.Abandon((2, 3)), b""),
@@ -87,8 +97,8 @@ TILE = {"type": "tile", "frame": 0, "tile": 0, "from_lod": 0, "to_lod": 1}
 
 REFUSED: list[tuple[str, bytes]] = [
     ("an unknown type", raw({"type": "teleport"})),
-    ("another version", raw({"type": "hello", "version": 3, "view": "lightfield"})),
-    ("the version before", raw({**HELLO, "version": 1})),
+    ("another version", raw({"type": "hello", "version": 4, "view": "lightfield"})),
+    ("the version before", raw({**HELLO, "version": 2})),
     ("a missing field", raw({"type": "ping"})),
     ("a float for an integer", raw({"type": "ping", "t_us": 5.0})),
     ("a payload where none belongs", raw({"type": "ping", "t_us": 5}, b"x")),
@@ -108,7 +118,7 @@ def vectors() -> dict[str, object]:
     """Everything a decoder must read or refuse."""
     good = [(name, message, encode(message, payload)) for name, message, payload in MESSAGES] + LATER
     return {
-        "version": 2,
+        "version": 3,
         "read": [
             {
                 "name": name,

@@ -1,7 +1,7 @@
-"""Restoration by small networks: ``lite``, the paper's ``srresnet``, and the baselines with one input.
+"""Restoration by networks: the paper's ``srresnet``, and the baselines with one input.
 
-``create("lite")`` gives a restorer with the weights that come with the program; ``create("lite@openvino")`` runs it by
-another runtime. Nothing here imports torch until a network is made.
+``create("srresnet")`` gives a restorer with the weights that come with the program; ``create("srresnet@openvino")``
+runs it by another runtime. Nothing here imports torch until a network is made.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ __all__ = ["NETWORKS", "Weights", "create", "from_weights"]
 
 yield_cores()
 
-NETWORKS = ("lite", "srresnet", "sr-align-ref", "cr-no-ref")
-"""Networks by name, the tiers first."""
+NETWORKS = ("srresnet", "sr-align-ref", "cr-no-ref")
+"""Networks by name."""
 
 
 def create(spec: str, threads: int | None = None) -> Restorer:
@@ -40,12 +40,10 @@ def create(spec: str, threads: int | None = None) -> Restorer:
 def from_weights(weights: Weights, runtime: str = "", threads: int | None = None) -> Restorer:
     """The restorer that ``weights`` are for (per-scene weights of a bundle, for one). Raises :class:`ConfigError`."""
     from cags_client.restore.networks import runtimes
-    from cags_client.restore.networks.restorer import LiteRestorer, PictureRestorer
+    from cags_client.restore.networks.restorer import PictureRestorer
 
-    ready = runtimes.create(runtime or runtimes.default_for(weights.network), weights, threads)
+    ready = runtimes.create(runtime or runtimes.DEFAULT, weights, threads)
     name = f"{weights.network}@{runtime}" if runtime else weights.network
-    if weights.network == "lite":
-        return LiteRestorer(ready, name, threads)
     return PictureRestorer(ready, name, fall_back=weights.network == "srresnet")
 
 
@@ -64,11 +62,9 @@ def network_of(weights: Weights) -> nn.Module:
 
 
 def _new(name: str) -> nn.Module:
-    from cags_client.restore.networks.lite import Lite
     from cags_client.restore.networks.srresnet import Sees, SrResNet
 
     makers: Mapping[str, Callable[[], nn.Module]] = {
-        "lite": Lite,
         "srresnet": lambda: SrResNet(Sees.BOTH),
         "sr-align-ref": lambda: SrResNet(Sees.REFERENCE),
         "cr-no-ref": lambda: SrResNet(Sees.DISTORTED),

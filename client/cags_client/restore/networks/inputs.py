@@ -6,24 +6,8 @@ import cv2
 import numpy as np
 
 from cags_common.geometry import F32
-from cags_common.video.noise import CodingNoise
 
 _REACH_CELLS = 5
-
-_NO_NOISE = 1e-9
-"""Variance that stands for none."""
-
-
-def noise_features(noise: CodingNoise | F32) -> F32:
-    """The six numbers [..., 6] of coding noise (fine, broad) as a network takes them: decades above 1e-4."""
-    numbers = np.array([*noise.fine, *noise.broad]) if isinstance(noise, CodingNoise) else noise
-    return np.asarray(np.log10(numbers + _NO_NOISE) + 4.0, dtype=np.float32)
-
-
-def even(image: F32) -> F32:
-    """``image`` [h, w, C] with its last row and column repeated where their number is odd."""
-    h, w = image.shape[:2]
-    return np.pad(image, ((0, h % 2), (0, w % 2), (0, 0)), mode="edge") if h % 2 or w % 2 else image
 
 
 def filled(aligned: F32, confidence: F32, distorted: F32) -> F32:

@@ -34,7 +34,7 @@ _SHIPPED = "cags_client.restore.networks.shipped"
 class Weights:
     """Named arrays of one network, and what is known about them."""
 
-    network: str  # registry name: lite, srresnet, ...
+    network: str  # registry name: srresnet, ...
     arrays: Mapping[str, F32]
     about: Mapping[str, Any]  # JSON: shape, command, data, scores
 

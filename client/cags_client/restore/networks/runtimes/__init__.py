@@ -1,7 +1,6 @@
 """What runs a network: a seam of one call, picked by name.
 
-``kernels`` (``lite`` alone) and ``torch`` need nothing more than the program itself; ``openvino`` and ``onnxruntime``
-are the extra ``cags-stream[runtimes]``. All answer the same to 1e-3 (measured: 1e-5 and less).
+``torch`` needs nothing more than the program itself; ``openvino`` and ``onnxruntime`` are the extra ``cags-stream[runtimes]``. All answer the same to 1e-3 (measured: 1e-5 and less).
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
-import cags_kernels
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 
@@ -19,9 +17,7 @@ if TYPE_CHECKING:
     from cags_client.restore.networks.weights import Weights
 
 
-def default_for(network: str) -> str:
-    """Name of the fastest runtime that is at hand for a network."""
-    return "kernels" if network == "lite" and cags_kernels.native_available() else "torch"
+DEFAULT = "torch"
 
 
 class Runtime(Protocol):
@@ -44,12 +40,6 @@ def _network(weights: Weights) -> nn.Module:
     from cags_client.restore.networks import network_of
 
     return network_of(weights)
-
-
-def _kernels(weights: Weights, threads: int | None) -> Runtime:
-    from cags_client.restore.networks.runtimes.native import KernelsRuntime
-
-    return KernelsRuntime(weights, threads)
 
 
 def _torch(weights: Weights, threads: int | None) -> Runtime:
@@ -77,7 +67,6 @@ def _onnxruntime(weights: Weights, threads: int | None) -> Runtime:
 
 
 RUNTIMES: dict[str, Factory] = {
-    "kernels": _kernels,
     "torch": _torch,
     "cuda": _cuda,
     "openvino": _openvino,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cags_protocol import events as ev
-from cags_protocol.messages import ReferenceFrame
-from cags_server.reference import FrameRender
+from cags_protocol.messages import ReferenceFrame, ReferenceKind
+from cags_server.reference.job import FrameRender
 
 
 class ReferenceVideo:
@@ -25,15 +25,19 @@ class ReferenceVideo:
         self.needs_idr = self.needs_idr or self._idr_seq <= last_decoded
 
     def dropped(self, message: ReferenceFrame) -> None:
-        """A picture was not delivered; one from before the newest IDR picture is no loss."""
-        self.needs_idr = self.needs_idr or message.seq >= self._idr_seq
+        """A reference was not delivered; a picture from before the newest IDR picture is no loss."""
+        if message.kind != ReferenceKind.NOTHING:
+            self.needs_idr = self.needs_idr or message.seq >= self._idr_seq
 
     def message(self, render: FrameRender, deadline_us: int) -> ev.Outgoing:
-        """The next picture, to be sent before ``deadline_us`` (server clock)."""
-        self._seq += 1
-        if render.idr:
+        """The next reference, to be sent before ``deadline_us`` (server clock)."""
+        plan, coded = render.plan, render.coded
+        if coded.kind is not ReferenceKind.NOTHING:
+            self._seq += 1
+        if coded.idr:
             self._idr_seq = self._seq
-        pose = render.plan.predicted.pose
-        noise = render.noise.packed() if render.noise is not None else ()
-        message = ReferenceFrame(render.plan.frame, self._seq, pose, render.intrinsics, render.idr, noise)
-        return ev.Outgoing(message, render.access_unit, 0, deadline_us)
+        pose, kind = plan.predicted.pose, coded.kind.value
+        message = ReferenceFrame(
+            plan.frame, self._seq, pose, render.intrinsics, coded.idr, kind, basis=plan.basis, knee=coded.knee
+        )
+        return ev.Outgoing(message, coded.access_unit, 0, deadline_us)

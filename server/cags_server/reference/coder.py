@@ -1,0 +1,297 @@
+"""What a reference says, and its video: the difference that a client lacks, or a picture, whichever leaves less.
+
+A *difference* is the true view minus that of the client's splats. It wins where these are good. Where they are poor and
+change in every frame, their own flicker would be coded, and a *picture* of the scene, which is steady in time, predicts
+better. Both are known here, so both are tried: the kind in use in every reference, the other one from time to time,
+beside it. A change of kind begins a new video, which costs a picture that needs no other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from cags_common.correction.compander import compand, expand
+from cags_common.geometry import F32, Intrinsics
+from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
+from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
+from cags_protocol.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
+from cags_server.settings import ServerSettings
+
+DIFFERENCE, PICTURE, NOTHING = ReferenceKind.DIFFERENCE, ReferenceKind.PICTURE, ReferenceKind.NOTHING
+
+INVISIBLE = (0.3 / 255) ** 2
+"""Mean squared difference under which nothing is sent: a third of a step of a display's 8 bits."""
+
+QUIET = (0.5 / 255) ** 2
+"""Mean squared difference of a block that is left out: coding it would bring as much noise as it takes away."""
+
+BLOCK_PX = 8
+
+LOOKED_AT = 2
+"""Every how many rows and columns of a decoded reference are looked at to see what it leaves."""
+
+STEPS = 1 << 15
+"""Differences that are told apart before they are coded, on either side of none: far more than 8 bits hold."""
+
+KNEES = (0.03, 0.06, 0.12, 0.24)
+"""Of the compander; a new one breaks the prediction from picture to picture, so there are few."""
+
+KNEE_OF_RMS = 2.5
+"""Knee for differences of a given root mean square: measured on six scenes, 0.05 at middle levels, 0.15 at the base."""
+
+KEEP_KNEE = 1.8
+"""A knee in use stays while it is within this factor of the best."""
+
+TRIAL_EVERY, TRIAL_LENGTH = 32, 4
+"""References from one trial of the other kind to the next, and in it. Its first picture, which needs no other, does not
+count.
+"""
+
+BETTER = 0.8
+"""The other kind takes over where its score is less than this share of that in use."""
+
+RATE_EXPONENT = 0.5
+"""Error times bytes to this power is the score of a kind: twice the bytes must bring 1.5 dB."""
+
+CRF_STEP, WORST_CRF = 3.0, 41.0
+
+RATE_WINDOW = 24
+"""References over which the video's rate is looked at before its quality changes."""
+
+ABOVE, BELOW = 1.25, 0.5
+"""Rates, shares of what is asked for, beyond which quality changes by a step."""
+
+RATE_STEP, BUFFER_S, LEAST_BPS = 1.25, 0.1, 50_000
+"""Of a video of constant rate: begun anew when off by more than the factor; kept over so many seconds; at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coded:
+    """A reference on the wire."""
+
+    kind: ReferenceKind
+    access_unit: bytes = b""
+    knee: float = KNEES[-1]
+    idr: bool = False
+    before: float = 0.0
+    """Mean squared error of the client's own view, [0, 1] RGB."""
+    after: float = 0.0
+    """Of that view once it is corrected, seen from the reference's pose."""
+
+
+class _Video:
+    """One stream of pictures and what its decoder makes of them."""
+
+    def __init__(self, encoder: H264Encoder) -> None:
+        self._encoder, self._decoder = encoder, H264Decoder()
+
+    def coded(self, picture: F32, *, idr: bool) -> tuple[bytes, F32]:
+        """The access unit of ``picture`` [h, w, 3] in [0, 1], and the picture that the client will decode."""
+        unit = self._encoder.encode_ycbcr(ycbcr_of_rgb(picture), idr=idr)
+        decoded = self._decoder.decode_ycbcr(unit)
+        assert decoded is not None, "an encoder's first picture is an IDR picture"
+        return unit, rgb_of_ycbcr(decoded)
+
+
+class ReferenceCoder:
+    """The references of one client. Not thread-safe: a client's references are coded one after the other."""
+
+    def __init__(self, settings: ServerSettings, hello: Hello, fps: float) -> None:
+        """``hello`` says what the client can use: its kinds of references, its video decoder, its display's size."""
+        self._settings, self._fps = settings, fps
+        client: Intrinsics = hello.intrinsics
+        full = settings.reference_full_size
+        self.width_px = client.width_px // 2 * 2 if full else settings.reference_width
+        self.height_px = client.height_px // 2 * 2 if full else settings.reference_height
+        self.kinds = _kinds(settings, hello)
+        """What may be sent, the one to begin with first; none: no references at all."""
+        half = hello.chroma == HALF_CHROMA
+        self._chroma = Chroma.HALF if half else Chroma(settings.reference_chroma)
+        self._bps = settings.reference_kbps * 1000 if settings.reference_kbps else None
+        self._crf = settings.reference_crf
+        self._videos: dict[ReferenceKind, _Video] = {}
+        self._trial = _Trial()
+        self._knee = KNEES[-1]
+        self._begin_anew = True
+        self._mean_bytes, self._counted = 0.0, 0
+
+    @property
+    def compares(self) -> bool:
+        """Whether the client's own view is needed."""
+        return DIFFERENCE in self.kinds
+
+    @property
+    def kind(self) -> ReferenceKind | None:
+        """The kind in use; None: no references at all."""
+        return self.kinds[0] if self.kinds else None
+
+    def follow(self, link_bps: float, period_us: float) -> None:
+        """The link carries ``link_bps`` now, and a reference goes every ``period_us``: quality follows."""
+        target_bps = link_bps * self._settings.reference_share
+        if self._settings.reference_full_size:
+            self._follow_at_constant_rate(max(int(target_bps), LEAST_BPS))
+        elif self._counted >= RATE_WINDOW:
+            share = self._mean_bytes * 8e6 / period_us / target_bps
+            best = self._settings.reference_crf
+            if share > ABOVE and self._crf < WORST_CRF:
+                self._recode(min(self._crf + CRF_STEP, WORST_CRF))
+            elif share < BELOW and self._crf > best:
+                self._recode(max(self._crf - CRF_STEP, best))
+
+    def code(self, truth: F32, mirror: F32 | None, *, idr: bool) -> Coded:
+        """The reference of ``truth`` [h, w, 3], the scene, for a client whose own view is ``mirror`` [h, w, 3].
+
+        Both are RGB of the display's range; None: the client holds nothing, or nobody asks. ``idr``: it must need no
+        other.
+        """
+        if not self.kinds:
+            return Coded(NOTHING)
+        truth = np.clip(truth, 0, 1)
+        lack = truth if mirror is None else truth - np.clip(mirror, 0, 1)
+        before = _power(lack)
+        if self.compares and before < INVISIBLE:
+            return Coded(NOTHING, before=before, after=before)
+        kind = self.kinds[0]
+        coded = self._coded(kind, truth, lack, idr=idr or self._begin_anew)
+        coded = replace(coded, before=before)
+        self._begin_anew = False
+        if not coded.idr:
+            self._mean_bytes += (len(coded.access_unit) - self._mean_bytes) / min(self._counted + 1, RATE_WINDOW)
+            self._counted += 1
+        if len(self.kinds) > 1:
+            self._try_other(coded, truth, lack)
+        return coded
+
+    def _coded(self, kind: ReferenceKind, truth: F32, lack: F32, *, idr: bool) -> Coded:
+        video = self._videos.get(kind)
+        if video is None:
+            video, idr = self._videos.setdefault(kind, _Video(self._opened())), True
+        if kind is PICTURE:
+            unit, decoded = video.coded(truth, idr=idr)
+            left = (truth - decoded)[::LOOKED_AT, ::LOOKED_AT]
+            return Coded(kind, unit, self._knee, is_idr(unit), after=_power(left))
+        worth = _without_quiet_blocks(lack)
+        knee = self._knee = _knee(worth, self._knee)
+        unit, decoded = video.coded(_companded(worth, knee), idr=idr)
+        seen = decoded[::LOOKED_AT, ::LOOKED_AT]
+        left = lack[::LOOKED_AT, ::LOOKED_AT] - expand(seen, knee)
+        return Coded(kind, unit, knee, is_idr(unit), after=_power(left))
+
+    def _try_other(self, used: Coded, truth: F32, lack: F32) -> None:
+        """Code the other kind beside the one in use, from time to time, and change over where it is better."""
+        other = self.kinds[1]
+        step = self._trial.step()
+        if step is None:
+            return
+        if step == 0:
+            self._videos.pop(other, None)
+        tried = self._coded(other, truth, lack, idr=step == 0)
+        if step and not used.idr:
+            self._trial.count(used, tried)
+        if self._trial.won:
+            self.kinds = (other, used.kind)
+            self._trial = _Trial()
+            self._begin_anew = True
+
+    def _follow_at_constant_rate(self, wanted_bps: int) -> None:
+        if self._bps is None or not self._bps / RATE_STEP <= wanted_bps <= self._bps * RATE_STEP:
+            self._bps = wanted_bps
+            self._recode(self._crf)
+
+    def _recode(self, crf: float) -> None:
+        """Begin new videos, of another quality or rate."""
+        self._crf = crf
+        self._videos.clear()
+        self._trial = _Trial()
+        self._mean_bytes, self._counted, self._begin_anew = 0.0, 0, True
+
+    def _opened(self) -> H264Encoder:
+        return H264Encoder(
+            self.width_px,
+            self.height_px,
+            self._fps,
+            crf=self._crf,
+            chroma=self._chroma,
+            max_bps=self._bps,
+            buffer_s=BUFFER_S if self._settings.reference_full_size else 0.5,
+        )
+
+
+class _Trial:
+    """A comparison of the two kinds, over a few references every now and then."""
+
+    def __init__(self) -> None:
+        self._at = 0
+        self._used: list[float] = []
+        self._tried: list[float] = []
+
+    def step(self) -> int | None:
+        """Of the trial under way: its picture's number; None between trials. One is soon after a change, and then
+        every :data:`TRIAL_EVERY` references.
+        """
+        at, self._at = self._at, self._at + 1
+        step = (at - TRIAL_LENGTH) % TRIAL_EVERY
+        if step >= TRIAL_LENGTH:
+            return None
+        if step == 0:
+            self._used, self._tried = [], []
+        return step
+
+    def count(self, used: Coded, tried: Coded) -> None:
+        """The two codings of one reference."""
+        for scores, coded in ((self._used, used), (self._tried, tried)):
+            scores.append(np.log(max(coded.after, 1e-9)) + RATE_EXPONENT * np.log(max(len(coded.access_unit), 1)))
+
+    @property
+    def won(self) -> bool:
+        """Whether the other kind is clearly better over a whole trial."""
+        whole = len(self._tried) == TRIAL_LENGTH - 1
+        return whole and float(np.mean(self._tried) - np.mean(self._used)) < np.log(BETTER)
+
+
+def _kinds(settings: ServerSettings, hello: Hello) -> tuple[ReferenceKind, ...]:
+    """What both sides want, the one to begin with first."""
+    wanted = {"auto": (DIFFERENCE, PICTURE), "difference": (DIFFERENCE,), "picture": (PICTURE,), "none": ()}
+    kinds: tuple[ReferenceKind, ...] = wanted[settings.references]
+    if hello.references == NO_REFERENCES:
+        return ()
+    return kinds if hello.references == ANY_REFERENCE else ((PICTURE,) if kinds else ())
+
+
+def _power(picture: F32) -> float:
+    return float(np.mean(np.square(picture)))
+
+
+def _without_quiet_blocks(lack: F32) -> F32:
+    """``lack`` without the blocks in which there is too little to be worth its bits."""
+    height, width = lack.shape[:2]
+    small = -(-width // BLOCK_PX), -(-height // BLOCK_PX)
+    power = cv2.resize(np.square(lack).mean(axis=2), small, interpolation=cv2.INTER_AREA)
+    worth = cv2.resize((power > QUIET).astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(lack * worth[..., None], np.float32)
+
+
+def _knee(lack: F32, current: float) -> float:
+    """The knee for what is left of a difference; ``current`` where that will do."""
+    power = np.square(lack)
+    there = power > 0
+    rms = float(np.sqrt(power.sum() / there.sum())) if there.any() else 0.0
+    best = KNEE_OF_RMS * rms
+    if current / KEEP_KNEE <= best <= current * KEEP_KNEE:
+        return current
+    return min(KNEES, key=lambda knee: abs(np.log(max(best, 1e-6) / knee)))
+
+
+def _companded(lack: F32, knee: float) -> F32:
+    """:func:`~cags_common.correction.compander.compand` by a table: a sixth of the time."""
+    steps = np.rint(lack * STEPS).astype(np.int32) + STEPS
+    return np.asarray(_table(knee)[np.clip(steps, 0, 2 * STEPS)])
+
+
+@lru_cache(maxsize=len(KNEES))
+def _table(knee: float) -> F32:
+    return compand(np.arange(-STEPS, STEPS + 1) / STEPS, knee).astype(np.float32)

@@ -1,0 +1,141 @@
+"""The reference of one planned frame: the only heavy work a client causes, made to run in an executor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cags_common.geometry import F32, Camera, Intrinsics
+from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderOptions
+from cags_server.ahead import Ahead
+from cags_server.library import SceneLibrary
+from cags_server.lingering import Lingering
+from cags_server.mirror import Mirror
+from cags_server.predict.base import PoseDistribution
+from cags_server.reference.coder import Coded, ReferenceCoder
+from cags_server.visible import VisibleTile
+
+MANY_NEW = 0.02
+"""Share of a frame's splats that are new in it from which on it is drawn to see which of them are visible."""
+
+
+@dataclass(frozen=True, slots=True)
+class FramePlan:
+    """What was decided when a frame was begun: ``planned_us`` by the server's clock, ``display_us`` by the client's."""
+
+    generation: int  # counts seeks and the like: what was planned before one is void after it
+    tick: int
+    frame: int
+    ahead: Ahead
+    ticks_covered: int  # 1, and one more for every frame that was skipped for lateness
+    planned_us: int
+    display_us: int
+    horizon_us: int
+    predicted: PoseDistribution
+    margins: tuple[float, float]
+    idr: bool
+    basis: int = 0
+    """Number of the mark that the reference assumes."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRender:
+    """The outcome of a job: the reference on the wire, and what is seen."""
+
+    plan: FramePlan
+    intrinsics: Intrinsics
+    coded: Coded
+    visible: tuple[VisibleTile, ...]
+    contribution: F32  # [capacity] by splat id, to the frame whose tiles are planned
+    render_ns: int
+    mirror_ns: int
+    encode_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class FrameJob:
+    """Renders the unquantised frame as the client would see it, shrunk, and the client's own splats; codes what the
+    client lacks. A client's jobs run in turn.
+    """
+
+    plan: FramePlan
+    library: SceneLibrary
+    mirror: Mirror | None
+    """None where references say nothing of what the client lacks."""
+    camera: Camera
+    client: Intrinsics
+    coder: ReferenceCoder
+    visible_px: float
+    threads: int
+    lingering: Lingering
+    plain_footprint: bool = False
+    """Whether references are drawn as any picture of their size, as in the paper."""
+
+    def run(self, clock_ns: Callable[[], int] | None = None) -> FrameRender:
+        """Do the work; ``clock_ns``, if given, times its parts."""
+        clock = clock_ns or _no_clock
+        started = clock()
+        footprint = Footprint.classic() if self.plain_footprint else self._footprint(self.camera)
+        options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, contribution=True, threads=self.threads)
+        with self.library.scenes.at(self.plan.frame) as scene:
+            view = scene.render(self.camera, options)
+        assert view.contribution is not None
+        contribution = self._contribution_ahead(view.contribution, options)
+        worth = self.lingering.added_to(contribution, self.plan.ahead.frame)
+        visible = self.library.visible_tiles(self.plan.ahead.frame, worth, self.visible_px)
+        rendered = clock()
+        held = self._held(options)
+        mirrored = clock()
+        coded = self.coder.code(view.rgb, held, idr=self.plan.idr)
+        return FrameRender(
+            plan=self.plan,
+            intrinsics=self.camera.intrinsics,
+            coded=coded,
+            visible=visible,
+            contribution=contribution,
+            render_ns=rendered - started,
+            mirror_ns=mirrored - rendered,
+            encode_ns=clock() - mirrored,
+        )
+
+    def _footprint(self, camera: Camera) -> Footprint:
+        return Footprint.of(self.client, camera.intrinsics)
+
+    def _held(self, options: RenderOptions) -> F32 | None:
+        """The client's own view [h, w, 3]; None where it holds nothing, or nobody asks."""
+        scene: RasterScene | None = None
+        if self.mirror is not None:
+            scene = self.mirror.scene_at(self.plan.frame, self.plan.basis)
+        return None if scene is None else scene.render(self.camera, replace(options, contribution=False)).rgb
+
+    def _contribution_ahead(self, contribution: F32, options: RenderOptions) -> F32:
+        """[capacity] what splats contribute to the frame whose tiles are planned: as to this one, unless many are new
+        there. These it is drawn for, with half the pixels a side.
+        """
+        ahead, frame = self.plan.ahead.frame, self.plan.frame
+        if ahead == frame:
+            return contribution
+        if self.library.gof_start(ahead) == self.library.gof_start(frame):
+            owners = self.library.owners(ahead)
+            new = (owners >= 0) & (owners != self.library.owners(frame))
+            if new.sum() <= MANY_NEW * (owners >= 0).sum():
+                return contribution
+        camera = replace(self.camera, intrinsics=_halved(self.camera.intrinsics))
+        options = replace(options, footprint=self._footprint(camera))
+        with self.library.scenes.at(ahead) as scene:
+            view = scene.render(camera, options)
+        assert view.contribution is not None
+        return np.asarray(4 * view.contribution, np.float32)
+
+
+def _halved(intrinsics: Intrinsics) -> Intrinsics:
+    width, height = max(intrinsics.width_px // 2, 1), max(intrinsics.height_px // 2, 1)
+    x, y = width / intrinsics.width_px, height / intrinsics.height_px
+    i = intrinsics
+    return Intrinsics(width, height, i.fx_px * x, i.fy_px * y, i.cx_px * x, i.cy_px * y)
+
+
+def _no_clock() -> int:
+    return 0
