@@ -21,7 +21,7 @@ from cags_common.wake import woken
 from cags_protocol.messages import RefusalCode
 from cags_server.connection import Connection
 from cags_server.quota import ReadingShare
-from cags_server.reference import FrameJob
+from cags_server.reference.job import FrameJob
 
 BATCH_BYTES = 64 * 1024
 """Bytes taken from the session at once; the rest is decided later, when more is known."""

@@ -22,7 +22,7 @@ from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator
 from cags_server.library import SceneLibrary
 from cags_server.quota import ClientQuota, Quotas
 from cags_server.records import StreamStats
-from cags_server.reference import FrameJob, FrameRender
+from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.render_slots import RenderSlots
 from cags_server.settings import ServerSettings
 from cags_server.streamer import Streamer

@@ -23,7 +23,7 @@ from cags_server.library import SceneLibrary
 from cags_server.mirror import Mirror
 from cags_server.pace import MARGIN_US
 from cags_server.records import FrameRecord, StreamStats
-from cags_server.reference import FrameJob, FramePlan, FrameRender
+from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.budget import ReferenceBudget
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.video import ReferenceVideo

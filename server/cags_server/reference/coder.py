@@ -34,7 +34,7 @@ BLOCK_PX = 8
 LOOKED_AT = 2
 """Every how many rows and columns of a decoded reference are looked at to see what it leaves."""
 
-STEPS = 1 << 15
+STEPS = (1 << 15) - 1
 """Differences that are told apart before they are coded, on either side of none: far more than 8 bits hold."""
 
 KNEES = (0.03, 0.06, 0.12, 0.24)
@@ -174,8 +174,8 @@ class ReferenceCoder:
             unit, decoded = video.coded(truth, idr=idr)
             left = (truth - decoded)[::LOOKED_AT, ::LOOKED_AT]
             return Coded(kind, unit, self._knee, is_idr(unit), after=_power(left))
-        worth = _without_quiet_blocks(lack)
-        knee = self._knee = _knee(worth, self._knee)
+        worth, rms = _without_quiet_blocks(lack)
+        knee = self._knee = _knee(rms, self._knee)
         unit, decoded = video.coded(_companded(worth, knee), idr=idr)
         seen = decoded[::LOOKED_AT, ::LOOKED_AT]
         left = lack[::LOOKED_AT, ::LOOKED_AT] - expand(seen, knee)
@@ -263,33 +263,37 @@ def _kinds(settings: ServerSettings, hello: Hello) -> tuple[ReferenceKind, ...]:
 
 
 def _power(picture: F32) -> float:
-    return float(np.mean(np.square(picture)))
+    return cv2.norm(picture, cv2.NORM_L2SQR) / picture.size
 
 
-def _without_quiet_blocks(lack: F32) -> F32:
-    """``lack`` without the blocks in which there is too little to be worth its bits."""
+def _without_quiet_blocks(lack: F32) -> tuple[F32, float]:
+    """``lack`` without the blocks in which there is too little to be worth its bits, and the root mean square of the
+    rest.
+    """
     height, width = lack.shape[:2]
     small = -(-width // BLOCK_PX), -(-height // BLOCK_PX)
-    power = cv2.resize(np.square(lack).mean(axis=2), small, interpolation=cv2.INTER_AREA)
-    worth = cv2.resize((power > QUIET).astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
-    return np.asarray(lack * worth[..., None], np.float32)
+    power = np.einsum("ijk,ijk->ij", lack, lack) / np.float32(3)
+    blocks = np.asarray(cv2.resize(power, small, interpolation=cv2.INTER_AREA))
+    loud = blocks > QUIET
+    if loud.all():
+        return lack, float(np.sqrt(blocks.mean()))
+    rms = float(np.sqrt(blocks[loud].mean())) if loud.any() else 0.0
+    worth = cv2.resize(loud.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
+    return cv2.multiply(lack, cv2.merge([worth] * 3)), rms
 
 
-def _knee(lack: F32, current: float) -> float:
-    """The knee for what is left of a difference; ``current`` where that will do."""
-    power = np.square(lack)
-    there = power > 0
-    rms = float(np.sqrt(power.sum() / there.sum())) if there.any() else 0.0
-    best = KNEE_OF_RMS * rms
+def _knee(rms: float, current: float) -> float:
+    """The knee for differences of root mean square ``rms``; ``current`` where that will do."""
+    best = max(KNEE_OF_RMS * rms, 1e-6)
     if current / KEEP_KNEE <= best <= current * KEEP_KNEE:
         return current
-    return min(KNEES, key=lambda knee: abs(np.log(max(best, 1e-6) / knee)))
+    return min(KNEES, key=lambda knee: abs(np.log(best / knee)))
 
 
 def _companded(lack: F32, knee: float) -> F32:
     """:func:`~cags_common.correction.compander.compand` by a table: a sixth of the time."""
-    steps = np.rint(lack * STEPS).astype(np.int32) + STEPS
-    return np.asarray(_table(knee)[np.clip(steps, 0, 2 * STEPS)])
+    steps = cv2.add(cv2.multiply(lack, float(STEPS)), (STEPS,) * 4).astype(np.uint16)
+    return np.asarray(_table(knee).take(steps))
 
 
 @lru_cache(maxsize=len(KNEES))

@@ -14,7 +14,7 @@ from cags_protocol.inventory import pack_inventory
 from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample, RefusalCode, TileLayers
 from cags_server.bandwidth import MeasuredEstimator
 from cags_server.connection import Connection
-from cags_server.reference import FrameJob, FrameRender
+from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.render_slots import RenderSlots
 from cags_server.streamer import Streamer
 from support.server_scene import SETTINGS, FakeReader, hello, library

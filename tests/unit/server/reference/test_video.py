@@ -8,16 +8,16 @@ from typing import Any
 import pytest
 
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.video.noise import CodingNoise
-from cags_protocol.messages import ReferenceFrame
-from cags_server.reference_video import ReferenceVideo
+from cags_protocol.messages import ReferenceFrame, ReferenceKind
+from cags_server.reference.coder import Coded
+from cags_server.reference.video import ReferenceVideo
 
 INTRINSICS = Intrinsics.of_fov(400, 300, 1.0, 0.8)
 
 
-def send(video: ReferenceVideo, *, idr: bool = False) -> ReferenceFrame:
-    plan = SimpleNamespace(frame=3, predicted=SimpleNamespace(pose=Pose.identity()))
-    render: Any = SimpleNamespace(plan=plan, intrinsics=INTRINSICS, idr=idr, noise=CodingNoise(), access_unit=b"h264")
+def send(video: ReferenceVideo, *, idr: bool = False, kind: ReferenceKind = ReferenceKind.PICTURE) -> ReferenceFrame:
+    plan = SimpleNamespace(frame=3, basis=7, predicted=SimpleNamespace(pose=Pose.identity()))
+    render: Any = SimpleNamespace(plan=plan, intrinsics=INTRINSICS, coded=Coded(kind, b"h264", 0.06, idr))
     video.needs_idr = False
     message = video.message(render, 9).message
     assert isinstance(message, ReferenceFrame)
@@ -28,7 +28,16 @@ def test_the_first_picture_stands_alone_and_numbers_have_no_gap() -> None:
     video = ReferenceVideo()
     assert video.needs_idr
     assert [send(video).seq for _ in range(3)] == [1, 2, 3]
-    assert CodingNoise.of_packed(send(video).noise).fine == pytest.approx(CodingNoise().fine)
+    assert (send(video).basis, send(video).knee) == (7, 0.06)
+
+
+def test_what_says_nothing_is_no_picture() -> None:
+    video = ReferenceVideo()
+    send(video, idr=True)
+    silent = send(video, kind=ReferenceKind.NOTHING)
+    assert (silent.seq, send(video).seq) == (1, 2)
+    video.dropped(silent)
+    assert not video.needs_idr
 
 
 def test_a_dropped_picture_breaks_the_video_unless_an_idr_has_followed_it() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, ReferenceFrame
-from cags_server.reference_budget import BURST_S, ReferenceBudget
+from cags_server.reference.budget import BURST_S, ReferenceBudget
 from support.server_scene import SETTINGS
 from support.streamer_rig import Rig, of
 

@@ -1,0 +1,208 @@
+"""The readable definition of the client's last step (float64): sample what is lacking by depth, and add it.
+
+Kernels and shaders are tested against it, and it serves while there are none. Its steps: the reference is *expanded* to
+what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth);
+each pixel is *projected* into the reference, left out where something nearer hides it (z-test) and faded towards the
+reference's border; the sample is *added*.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.correction.base import (
+    CELL_PX,
+    FAR,
+    VETO_CELL_PX,
+    Corrected,
+    CorrectSettings,
+    Placement,
+    Reference,
+    checked_depth,
+    checked_own,
+    checked_veto,
+)
+from cags_common.correction.compander import expand
+from cags_common.geometry import F32, F64, Camera
+from cags_common.raster.base import RenderedView
+
+LEAST_WEIGHT = 1e-6
+
+
+class ReferenceCorrector:
+    """The definition behind the seam; keeps the own view that came with a picture."""
+
+    name = "reference"
+
+    def __init__(self) -> None:
+        self._held: tuple[Reference, F32] | None = None
+
+    def needs_own(self, reference: Reference) -> bool:
+        """Whether a picture is new."""
+        return reference.picture and (self._held is None or self._held[0] is not reference)
+
+    def correct(
+        self,
+        view: RenderedView,
+        camera: Camera,
+        reference: Reference,
+        own: F32 | None = None,
+        settings: CorrectSettings | None = None,
+        veto: F32 | None = None,
+    ) -> Corrected:
+        """See :class:`.base.Corrector`."""
+        if own is not None:
+            self._held = reference, own
+        elif not self.needs_own(reference) and self._held is not None:
+            own = self._held[1]
+        return correct(view, camera, reference, own, settings, veto)
+
+
+def lacking(reference: Reference, own: F32 | None) -> F64:
+    """What is to be added [h, w, 3] in [-1, 1]; ``own`` is the client's view from the reference camera, for pictures."""
+    if not reference.picture:
+        return expand(reference.coded, reference.knee)
+    if own is None:
+        raise ValueError("a reference that is a picture needs the client's own view of it")
+    lack = np.clip(reference.coded.astype(np.float64), 0, 1) - np.clip(checked_own(own, reference), 0, 1)
+    return np.asarray(lack)
+
+
+def correct(
+    view: RenderedView,
+    camera: Camera,
+    reference: Reference,
+    own: F32 | None = None,
+    settings: CorrectSettings | None = None,
+    veto: F32 | None = None,
+) -> Corrected:
+    """See :class:`.base.Corrector`; nothing is kept between calls."""
+    settings = settings or CorrectSettings()
+    thin = view.alpha < settings.hole_alpha
+    placement = Placement(camera, reference.camera)
+    depth = filled(np.where(thin, np.inf, checked_depth(view, camera).astype(np.float64)))
+    x, y, z, inside = _placed(depth, placement)
+    hidden = _hidden(depth, (x, y, z), inside, placement, settings)
+    width, height = reference.camera.width_px, reference.camera.height_px
+    distance = np.minimum(np.minimum(x, width - x), np.minimum(y, height - y))
+    confidence = np.where(inside & ~hidden, np.clip(distance / max(settings.border_px, 1e-6), 0.0, 1.0), 0.0)
+    if veto is not None:
+        confidence = confidence * (1.0 - np.clip(_spread(checked_veto(veto, camera), camera), 0.0, 1.0))
+    added = confidence[..., None] * _sampled(lacking(reference, own), x, y)
+    rgb = np.clip(view.rgb + added, 0.0, 1.0)
+    return Corrected(rgb.astype(np.float32), confidence.astype(np.float32))
+
+
+def _spread(veto: F32, camera: Camera) -> F64:
+    """``veto`` at every pixel."""
+    if veto.shape == (camera.height_px, camera.width_px):
+        return veto.astype(np.float64)
+    u, v = ((np.arange(n) + 0.5) / VETO_CELL_PX for n in (camera.width_px, camera.height_px))
+    return _bilinear(veto.astype(np.float64), u, v)
+
+
+def filled(depth: F64) -> F64:
+    """``depth`` [H, W] with its holes (+inf) filled from around them; in [1 / FAR, FAR] everywhere."""
+    known = np.isfinite(depth) & (depth >= 1.0 / FAR)
+    weight = known.astype(np.float64)
+    inverse = weight / np.where(known, np.minimum(depth, FAR), 1.0)
+    pixels = _cell_sums(np.ones_like(depth))
+    total = _cell_sums(weight)
+    smooth = _pushed(_cell_sums(inverse) / np.maximum(total, LEAST_WEIGHT), total / pixels)
+    height, width = depth.shape
+    u, v = (np.arange(width) + 0.5) / CELL_PX, (np.arange(height) + 0.5) / CELL_PX
+    around = 1.0 / np.maximum(_bilinear(smooth, u, v), 1.0 / FAR)
+    return np.where(known, np.minimum(depth, FAR), around)
+
+
+def _cell_sums(image: F64) -> F64:
+    """Sums over the cells [ceil(H / 8), ceil(W / 8)]; those at the edge may be smaller."""
+    rows, columns = np.arange(0, image.shape[0], CELL_PX), np.arange(0, image.shape[1], CELL_PX)
+    return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
+
+
+def _pushed(values: F64, weights: F64) -> F64:
+    """``values`` where ``weights`` are 1, and a level of half the size of the same where they are less."""
+    if values.size == 1:
+        return values
+    rows, columns = np.arange(0, values.shape[0], 2), np.arange(0, values.shape[1], 2)
+
+    def summed(image: F64) -> F64:
+        return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
+
+    total = summed(weights)
+    coarse = _pushed(summed(values * weights) / np.maximum(total, LEAST_WEIGHT), np.minimum(total, 1.0))
+    u, v = (np.arange(values.shape[1]) + 0.5) / 2, (np.arange(values.shape[0]) + 0.5) / 2
+    around = _bilinear(coarse, u, v)
+    share = np.minimum(weights, 1.0)
+    return np.asarray(values * share + around * (1 - share))
+
+
+def _bilinear(image: F64, u: F64, v: F64) -> F64:
+    """``image`` [h, w] at the grid of columns ``u`` [W] and rows ``v`` [H]; the edge pixel holds beyond the centres."""
+    fx, fy = np.clip(u - 0.5, 0, image.shape[1] - 1), np.clip(v - 0.5, 0, image.shape[0] - 1)
+    x0, y0 = np.floor(fx).astype(int), np.floor(fy).astype(int)
+    x1, y1 = np.minimum(x0 + 1, image.shape[1] - 1), np.minimum(y0 + 1, image.shape[0] - 1)
+    ax, ay = (fx - x0)[None], (fy - y0)[:, None]
+    top = image[y0][:, x0] * (1 - ax) + image[y0][:, x1] * ax
+    bottom = image[y1][:, x0] * (1 - ax) + image[y1][:, x1] * ax
+    return np.asarray(top * (1 - ay) + bottom * ay)
+
+
+def _placed(depth: F64, placement: Placement) -> tuple[F64, F64, F64, NDArray[np.bool_]]:
+    """x, y, z of each pixel in the reference, and whether it lies in it."""
+    v, u = np.indices(depth.shape) + 0.5
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ placement.matrix[:, :3].T
+    p = rays * depth[..., None] + placement.matrix[:, 3]
+    z = p[..., 2]
+    safe = np.where(z > 0, z, 1.0)
+    x, y = p[..., 0] / safe, p[..., 1] / safe
+    inside = (z > 0) & (x >= 0) & (y >= 0) & (x <= placement.reference.width_px) & (y <= placement.reference.height_px)
+    return np.where(inside, x, 0.0), np.where(inside, y, 0.0), np.where(inside, z, 0.0), inside
+
+
+def _hidden(
+    depth: F64,
+    place: tuple[F64, F64, F64],
+    inside: NDArray[np.bool_],
+    placement: Placement,
+    settings: CorrectSettings,
+) -> NDArray[np.bool_]:
+    """Pixels that the reference does not see: behind the nearest one of the same reference pixel, and apart from it."""
+    x, y, z = place
+    row, column = np.indices(depth.shape)
+    cell = y.astype(np.int64) * (placement.reference.width_px + 1) + x.astype(np.int64)
+    cells = (placement.reference.width_px + 1) * (placement.reference.height_px + 1)
+    sampled = inside & (row % placement.stride == 0) & (column % placement.stride == 0)
+    nearest = np.full(cells, np.inf)
+    np.minimum.at(nearest, cell[sampled], z[sampled])
+    is_nearest = sampled & (z == nearest[cell])
+    first = np.full(cells, depth.size)
+    np.minimum.at(first, cell[is_nearest], np.arange(depth.size).reshape(depth.shape)[is_nearest])
+    sx, sy = placement.cell_px
+    away = (np.abs(column - first[cell] % depth.shape[1]) > sx) | (np.abs(row - first[cell] // depth.shape[1]) > sy)
+    slack = settings.slope_cells * (sx * _slope(depth, 1) + sy * _slope(depth, 0))
+    return np.asarray(inside & away & (z > nearest[cell] * (1 + settings.depth_tolerance) + slack))
+
+
+def _slope(depth: F64, axis: int) -> F64:
+    """The smaller of the depth steps to the two neighbours along an axis; 0 where there is none."""
+    step = np.abs(np.diff(depth, axis=axis))
+    if not step.size:
+        return np.zeros_like(depth)
+    edge = np.full_like(np.take(depth, [0], axis=axis), np.inf)
+    both = np.minimum(np.concatenate([edge, step], axis=axis), np.concatenate([step, edge], axis=axis))
+    return np.asarray(both)
+
+
+def _sampled(image: F64, x: F64, y: F64) -> F64:
+    """``image`` [h, w, 3] at continuous pixels [H, W]; past the outermost centres the edge pixel holds."""
+    h, w = image.shape[:2]
+    fx, fy = np.clip(x - 0.5, 0, w - 1), np.clip(y - 0.5, 0, h - 1)
+    x0, y0 = np.floor(fx).astype(int), np.floor(fy).astype(int)
+    x1, y1 = np.minimum(x0 + 1, w - 1), np.minimum(y0 + 1, h - 1)
+    ax, ay = (fx - x0)[..., None], (fy - y0)[..., None]
+    top = image[y0, x0] * (1 - ax) + image[y0, x1] * ax
+    bottom = image[y1, x0] * (1 - ax) + image[y1, x1] * ax
+    return np.asarray(top * (1 - ay) + bottom * ay)

@@ -1,0 +1,166 @@
+"""What references say: differences, pictures, nothing; which of them; how well, as the link allows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from cags_common.correction.compander import expand
+from cags_common.geometry import F32, Intrinsics, Pose
+from cags_common.video.h264 import H264Decoder, is_idr
+from cags_protocol.limits import PROTOCOL_VERSION
+from cags_protocol.messages import Hello, ReferenceKind
+from cags_server.reference.coder import INVISIBLE, RATE_WINDOW, ReferenceCoder
+from cags_server.settings import ServerSettings
+
+CLIENT = Intrinsics.of_fov(321, 241, 1.0, 0.8)
+HELLO = Hello(PROTOCOL_VERSION, CLIENT, Pose.identity())
+SMALL = ServerSettings(reference_width=96, reference_height=64)
+PERIOD_US = 1e6 / 30
+
+
+def coder(settings: ServerSettings = SMALL, **hello: str) -> ReferenceCoder:
+    return ReferenceCoder(settings, replace(HELLO, **hello), 30)
+
+
+def moving(count: int, size: tuple[int, int] = (64, 96), sigma_px: float = 3.0) -> list[F32]:
+    """Pictures that move, as smooth as ``sigma_px``."""
+    rng = np.random.default_rng(0)
+    wall = cv2.GaussianBlur(rng.random((size[0] + count, size[1], 3), dtype=np.float32), (0, 0), sigma_px)
+    wall = (wall - wall.min()) / (wall.max() - wall.min())
+    return [np.ascontiguousarray(wall[i : i + size[0]]) for i in range(count)]
+
+
+def power(picture: F32) -> float:
+    return float(np.mean(np.square(picture)))
+
+
+def test_references_are_as_large_as_asked() -> None:
+    small, full = coder(ServerSettings()), coder(ServerSettings(reference_full_size=True))
+    assert (small.width_px, small.height_px) == (400, 300)
+    assert (full.width_px, full.height_px) == (320, 240), "even, as 4:2:0 must be"
+
+
+def test_a_difference_brings_a_client_to_the_truth() -> None:
+    truth = moving(3)
+    difference, decoder = coder(replace(SMALL, references="difference", reference_crf=10.0)), H264Decoder()
+    for number, picture in enumerate(truth):
+        mirror = cv2.blur(picture, (9, 9))
+        coded = difference.code(picture, mirror, idr=not number)
+        decoded = decoder.decode(coded.access_unit)
+        assert decoded is not None
+        shown = mirror + expand(decoded, coded.knee)
+        assert power(picture - shown) < power(picture - mirror) / 10
+        assert coded.before == pytest.approx(power(picture - mirror), rel=1e-4)
+        assert coded.after == pytest.approx(power(picture - shown), rel=0.3)  # looked at in a quarter of the pixels
+
+
+def test_for_a_client_that_holds_nothing_the_difference_is_the_scene() -> None:
+    truth, decoder = moving(1)[0], H264Decoder()
+    coded = coder(replace(SMALL, references="difference", reference_crf=5.0)).code(truth, None, idr=True)
+    decoded = decoder.decode(coded.access_unit)
+    assert decoded is not None
+    assert power(truth - expand(decoded, coded.knee)) < 1e-4
+
+
+def test_nothing_is_sent_where_nothing_is_to_be_seen() -> None:
+    one, (truth, later) = coder(), moving(2)
+    coded = one.code(truth, truth + np.float32(0.5 * INVISIBLE**0.5), idr=True)
+    assert coded.kind is ReferenceKind.NOTHING
+    assert not coded.access_unit
+    assert one.code(later, later * 0.8, idr=True).kind is ReferenceKind.DIFFERENCE
+
+
+def test_what_is_alike_costs_nothing_and_stays_alike() -> None:
+    """Where the client holds the truth, a difference that is needed elsewhere changes nothing."""
+    truth, decoder = moving(1)[0], H264Decoder()
+    mirror = truth.copy()
+    mirror[:, 64:] *= 0.5
+    coded = coder(replace(SMALL, references="difference")).code(truth, mirror, idr=True)
+    decoded = decoder.decode(coded.access_unit)
+    assert decoded is not None
+    assert np.all(expand(decoded, coded.knee)[:, :48] == 0)
+
+
+def test_pictures_take_over_where_the_client_flickers_and_differences_where_it_is_good() -> None:
+    rng = np.random.default_rng(1)
+    auto, decoder, kinds = coder(), H264Decoder(), []
+    for number, truth in enumerate([moving(1)[0]] * 120):
+        noise = rng.normal(0, 0.25, (16, 24, 3)).astype(np.float32)
+        poor = np.clip(truth + cv2.resize(noise, (96, 64), interpolation=cv2.INTER_NEAREST), 0, 1)
+        good = np.clip(truth + 0.02 * np.sin(np.arange(96) / 9)[None, :, None], 0, 1).astype(np.float32)
+        coded = auto.code(truth, poor if number < 60 else good, idr=not number)
+        assert decoder.decode(coded.access_unit) is not None, "a change of kind begins a new video"
+        kinds.append(coded.kind)
+    assert kinds[0] is ReferenceKind.DIFFERENCE
+    assert set(kinds[15:60]) == {ReferenceKind.PICTURE}
+    assert kinds[-1] is ReferenceKind.DIFFERENCE
+    assert sum(a is not b for a, b in zip(kinds, kinds[1:], strict=False)) == 2, "no to and fro"
+
+
+@pytest.mark.parametrize(
+    ("settings", "hello", "kinds"),
+    [
+        ("auto", "any", ("difference", "picture")),
+        ("auto", "picture", ("picture",)),
+        ("difference", "picture", ("picture",)),
+        ("picture", "any", ("picture",)),
+        ("none", "any", ()),
+        ("auto", "none", ()),
+    ],
+)
+def test_both_sides_say_what_they_can_use(settings: str, hello: str, kinds: tuple[str, ...]) -> None:
+    assert coder(replace(SMALL, references=settings), references=hello).kinds == kinds
+
+
+def test_without_references_nothing_is_coded() -> None:
+    assert coder(replace(SMALL, references="none")).code(moving(1)[0], None, idr=True).kind is ReferenceKind.NOTHING
+
+
+@pytest.mark.parametrize(("asked", "made"), [("yuv444p", "yuv444p"), ("yuv420p", "yuv420p")])
+def test_the_clients_decoder_decides_on_colour_sampling(asked: str, made: str) -> None:
+    import av
+
+    unit = coder(chroma=asked).code(moving(1)[0], None, idr=True).access_unit
+    frames = av.CodecContext.create("h264", "r")
+    frames.thread_count = 1
+    decoded = [*frames.decode(av.Packet(unit)), *frames.decode(None)]  # type: ignore[attr-defined]
+    assert decoded[0].format.name == made
+
+
+def test_quality_follows_the_link() -> None:
+    one = coder(replace(SMALL, references="picture", reference_crf=18.0))
+    sizes, wanted = [], 350.0
+    slow_bps = wanted * 8e6 / PERIOD_US / 0.25
+    for number, picture in enumerate(moving(220, sigma_px=0.8)):
+        one.follow(slow_bps if number < 140 else 1e8, PERIOD_US)
+        sizes.append(len(one.code(picture, None, idr=not number).access_unit))
+    assert np.mean(sizes[1:RATE_WINDOW]) > 2 * wanted
+    assert np.mean(sizes[120:140]) < 1.3 * wanted, "less where the link is slow"
+    assert np.mean(sizes[210:]) > 1.5 * np.mean(sizes[120:140]), "and again more where it is not"
+
+
+@pytest.mark.parametrize("bps", [300_000, 1_000_000, 4_000_000])
+def test_whole_pictures_keep_to_their_share_of_the_link(bps: int) -> None:
+    """Remote rendering."""
+    one = coder(ServerSettings(reference_full_size=True, reference_share=0.8, references="picture"))
+    noise = np.random.default_rng(0).random((one.height_px + 60, one.width_px, 3)).astype(np.float32)
+    units = []
+    for number in range(60):
+        one.follow(bps, PERIOD_US)
+        units.append(one.code(noise[number : number + one.height_px], None, idr=not number).access_unit)
+    assert sum(map(len, units[15:])) * 8 / 1.5 <= bps, "after the first picture, over a second and a half"
+
+
+def test_a_changed_link_begins_a_new_video_of_whole_pictures() -> None:
+    one = coder(ServerSettings(reference_full_size=True, reference_share=0.5, references="picture"))
+    decoder, begun = H264Decoder(), []
+    for picture, link_bps in zip(moving(6, (240, 320)), (2e6, 2e6, 2.2e6, 8e6, 8e6, 1e6), strict=True):
+        one.follow(link_bps, PERIOD_US)
+        unit = one.code(picture, None, idr=False).access_unit
+        begun.append(is_idr(unit))
+        assert decoder.decode(unit) is not None
+    assert begun == [True, False, False, True, False, True]
