@@ -32,6 +32,8 @@ class DecodeResult:
     """The latest frame whose end was decoded; -1 if none was."""
     dropped: tuple[HeldTile, ...] = ()
     """What had come and was given up for want of memory."""
+    references: bool = False
+    """Whether a reference was decoded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ class Decode:
     def run(self) -> DecodeResult:
         """Decode into the pipeline. A damaged message is left out and reported; the others count."""
         errors: list[DecodeError] = []
-        needs_idr, whole = False, -1
+        needs_idr, whole, references = False, -1, False
         for events in _between_marks(self.events):
             tiles = [(event.message, event.payload) for event in events if isinstance(event, ev.TileReceived)]
             errors += self.pipeline.on_tiles(tiles) + self.pipeline.flush()
@@ -57,6 +59,7 @@ class Decode:
                     match event:
                         case ev.ReferenceReceived(reference, payload):
                             needs_idr = not self.pipeline.on_reference(reference, payload)
+                            references |= not needs_idr
                         case ev.FrameEnded(end, payload):
                             self.pipeline.on_frame_end(end, payload)
                             whole = max(whole, end.frame)
@@ -67,7 +70,8 @@ class Decode:
                 except DecodeError as error:
                     errors.append(error)
                     needs_idr |= isinstance(event, ev.ReferenceReceived)
-        return DecodeResult(tuple(errors), needs_idr, whole, tuple(self.pipeline.take_dropped()))
+        dropped = tuple(self.pipeline.take_dropped())
+        return DecodeResult(tuple(errors), needs_idr, whole, dropped, references)
 
 
 def _between_marks(events: tuple[DataEvent, ...]) -> Iterator[tuple[DataEvent, ...]]:
@@ -92,6 +96,13 @@ class Present:
     traffic: Traffic
     share: float = 0.0
     """Media frames after ``frame``, where it is a picture between two of them."""
+    first: bool = False
+    """Whether it is the first picture, shown before the play begins."""
+
+    @property
+    def media(self) -> bool:
+        """Whether it is a media frame in its turn."""
+        return not (self.share or self.first)
 
     def run(self) -> PresentedFrame:
         """Draw it."""

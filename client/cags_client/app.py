@@ -231,7 +231,7 @@ class Shell:
     async def _present(self, action: Present) -> None:
         presented = await asyncio.get_running_loop().run_in_executor(self._drawer, action.run)
         shown_us = now_us()
-        if action.share:
+        if not action.media:
             await self._show(lambda: self._show_between(presented))
             self.player.done(action, presented, now_us())
             return

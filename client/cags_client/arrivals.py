@@ -31,11 +31,6 @@ class Arrivals:
         """Payloads that wait or are being decoded."""
         return self._waiting_bytes + self._decoding_bytes
 
-    @property
-    def ready(self) -> bool:
-        """Whether something waits and no batch is out."""
-        return bool(self._waiting) and not self.decoding
-
     def add(self, event: DataEvent) -> None:
         """The next in line."""
         self._waiting.append(event)
@@ -46,9 +41,14 @@ class Arrivals:
             case ev.ReferenceReceived(_, payload):
                 self._reference_bytes += len(payload)
 
-    def take(self) -> tuple[DataEvent, ...]:
-        """The next batch; :meth:`decoded` when it is done."""
-        count = min(len(self._waiting), DECODE_BATCH)
+    def take(self, *, tiles: bool = True) -> tuple[DataEvent, ...]:
+        """The next batch, and :meth:`decoded` when it is done; empty while one is out. Without ``tiles`` it ends before
+        the first of these.
+        """
+        count = 0 if self.decoding else min(len(self._waiting), DECODE_BATCH)
+        if not tiles:
+            held = (at for at, event in enumerate(self._waiting) if isinstance(event, ev.TileReceived))
+            count = min(count, next(held, count))
         self.decoding = tuple(self._waiting.popleft() for _ in range(count))
         self._decoding_bytes = sum(map(_size, self.decoding))
         self._waiting_bytes -= self._decoding_bytes

@@ -39,22 +39,22 @@ from cags_protocol.messages import FrameEnd, HeldTile, Mark, ReferenceFrame, Ref
 
 
 class ClientPipeline:
-    """Decodes, stores and draws. ``info`` is the manifest's public part. Raises :class:`DecodeError` for codebooks."""
+    """Decodes, stores and draws. ``info`` is the manifest's public part."""
 
     def __init__(
         self,
         info: Manifest,
-        codebooks: bytes,
         settings: ClientSettings,
         *,
         live: LiveSettings | None = None,
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
+        """Tiles can be decoded once :meth:`on_codebooks` was called; references at once."""
         self.info = info
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self._clock = clock
-        self._store = TileStore(info, tile_codec(info, codebooks), settings.threads)
+        self._store = TileStore(info, None, settings.threads)
         self._marked = self._marked_before = 0  # newest mark of the store; that of connections before this one
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
@@ -75,6 +75,10 @@ class ClientPipeline:
         self._restorer = self._made_restorer()
 
     # -------------------------------------------------------------------------------------------------------- decoding
+
+    def on_codebooks(self, data: bytes) -> None:
+        """What tiles need to be decoded. Raises :class:`DecodeError`."""
+        self._store.codec = tile_codec(self.info, data)
 
     def on_tiles(self, tiles: Sequence[tuple[TileLayers, memoryview]]) -> list[DecodeError]:
         """Decode layers of tiles; what is wrong with those that are left out. What was held stays."""

@@ -24,6 +24,8 @@ class PlayStats:
     bytes_other: int = 0
     first_byte_us: int | None = None
     last_byte_us: int = 0
+    first_picture_us: int | None = None
+    """When the first picture had been drawn, of a reference or of the first frame."""
     started_us: int | None = None
     """When the first frame was due."""
     reconnects: int = 0

@@ -85,6 +85,7 @@ class Player:
         self._arrivals = Arrivals()
         self._restarts_due = 0  # jumps by which everything was forgotten, and of which the server has not heard
         self._presenting, self._next_frame = False, settings.start_frame
+        self._preview_due = False  # a reference is there, and no picture was shown yet
         self._cadence = Cadence(settings.start_frame)
         self._between = Between(settings.interpolate, settings.display_rate)
         self._due_us: int | None = None
@@ -101,7 +102,7 @@ class Player:
         self.stats.last_byte_us = now_us
         self._session.receive(data, now_us=now_us)
         self._pump(now_us)
-        if self.pipeline is None and self.backed_up:
+        if self._codebooks is None and self.backed_up:
             self._fail(NetworkError("the server sends tiles without the codebooks that they need"))
 
     @property
@@ -176,8 +177,10 @@ class Player:
         """Work to do now, or None. At most one Decode and one Present are out at a time."""
         if self.finished or self.pipeline is None:
             return None
-        if self._arrivals.ready:
-            return Decode(self._arrivals.take(), self.pipeline)
+        if batch := self._arrivals.take(tiles=self._codebooks is not None):
+            return Decode(batch, self.pipeline)
+        if self._preview_due and not self._presenting:
+            return self._present_first(now_us)
         if self._due_us is not None and now_us >= self._due_us and not self._presenting:
             return self._present(now_us)
         if not self._presenting and (moment := self._between.take(now_us)) is not None:
@@ -189,12 +192,13 @@ class Player:
         if isinstance(action, Present):
             assert isinstance(result, PresentedFrame)
             self._presented(action, result, now_us)
-            if not action.share and self._next_frame >= self._end_frame:
+            if action.media and self._next_frame >= self._end_frame:
                 self._finish(now_us)
             return
         assert isinstance(result, DecodeResult)
         self._arrivals.decoded()
         self.stats.decode_errors += len(result.errors)
+        self._preview_due |= result.references and self.stats.first_picture_us is None
         self._session.report_evictions(result.dropped)
         if result.needs_idr:
             self._ask_idr(action.pipeline.last_reference_seq, now_us)
@@ -206,6 +210,10 @@ class Player:
     def _presented(self, action: Present, result: PresentedFrame, now_us: int) -> None:
         """Count a picture; those between media frames apart."""
         self._presenting = False
+        if self.stats.first_picture_us is None:
+            self.stats.first_picture_us = now_us
+        if action.first:
+            return
         self._between.drawn(now_us)
         if action.share:
             self.stats.interpolated += 1
@@ -293,8 +301,13 @@ class Player:
     def _on_codebooks(self, data: bytes, now_us: int) -> None:
         if self.pipeline is not None and data != self._codebooks:
             self._fail(NetworkError("the server streams another encoding of the scene now; start the client again"))
-        self._codebooks = data
-        self._open(now_us)
+        first, self._codebooks = self._codebooks is None, data
+        if first and self.pipeline is not None:
+            try:
+                self.pipeline.on_codebooks(data)
+            except CagsError as error:
+                self._fail(error)
+            self._take_weights()
 
     def _hello(self, frame: int, pose: Pose) -> Hello:
         """With what is held, once there is a decoder for it."""
@@ -315,21 +328,10 @@ class Player:
         return Control("play", frame, self._frame_due_us(frame))
 
     def _open(self, now_us: int) -> None:
-        """Make the pipeline once manifest and codebooks are there."""
-        if self.info is None or self._codebooks is None or self.pipeline is not None:
+        """Make the pipeline once the manifest is there; the codebooks follow."""
+        if self.info is None or self.pipeline is not None:
             return
-        try:
-            self.pipeline = ClientPipeline(
-                self.info,
-                self._codebooks,
-                self.settings,
-                live=self.live,
-                clock=self._clock,
-            )
-        except CagsError as error:
-            self._fail(error)
-            return
-        self._take_weights()
+        self.pipeline = ClientPipeline(self.info, self.settings, live=self.live, clock=self._clock)
         last = self.info.frames
         if self.settings.duration is not None:
             last = min(last, self.settings.start_frame + max(1, round(self.settings.duration * self.info.fps)))
@@ -378,6 +380,13 @@ class Player:
             self._between.begin(due_us, self._frame_due_us(following), following - frame)
         self._between.drawing(now_us)
         return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._arrivals.traffic())
+
+    def _present_first(self, now_us: int) -> Present:
+        """The first picture, before the first frame has come whole: of a reference, and of what there is besides."""
+        assert self.pipeline is not None
+        self._presenting, self._preview_due = True, False
+        frame, pose = self.settings.start_frame, self._viewpoint.pose_at(now_us)
+        return Present(frame, now_us, pose, self.pipeline, Traffic(), first=True)
 
     def _present_between(self, moment: Moment, now_us: int) -> Present:
         """A picture of what moves, before the next media frame is due."""

@@ -142,6 +142,11 @@ class Schedule:
             return False
         return seen and self.next_tick < self._rendered_tick + self._reference_every
 
+    @property
+    def begun(self) -> bool:
+        """Whether the viewer has said when to play."""
+        return self._controlled
+
     def begin_render(self, late_us: int) -> tuple[int, int, int]:
         """Begin to render the newest frame that is due; its tick, media frame and how many ticks it covers.
 

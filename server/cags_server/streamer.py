@@ -8,6 +8,7 @@ Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 from cags_common.geometry import Camera, Pose
 from cags_common.tile_kinds import TileKind
@@ -34,6 +35,10 @@ from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
 from cags_server.viewer import Viewer
 from cags_server.visible import VisibleTile
+
+
+GREETING_DEADLINE_US = 2_000_000
+"""After so long a first picture is of no use: tiles have come."""
 
 
 class Streamer:
@@ -68,6 +73,8 @@ class Streamer:
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
         self._marks: list[ev.Outgoing] = []
+        self._joined_us = 0
+        self._greets = False  # a first picture is due, before the viewer says when to play
         self._damaged = False  # something that was sent did not arrive whole
 
     # ------------------------------------------------------------------------------------------------------- joining
@@ -80,6 +87,7 @@ class Streamer:
     def opening(self, now_us: int) -> list[ev.Outgoing]:
         """What a client gets first (:class:`~cags_server.joining.Joining`): enough to begin to play."""
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
+        self._greets, self._joined_us = not self._joining.resumed, now_us
         return self._counted(self._joining.messages(self._schedule.timeline.frame, camera, now_us), now_us)
 
     @property
@@ -182,6 +190,8 @@ class Streamer:
 
     def next_due_us(self) -> int | None:
         """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
+        if self._greets:
+            return self._joined_us
         return self._schedule.next_due_us(self.stats.rtt_us, seen=self._next_is_seen())
 
     def begin(self, now_us: int) -> FrameJob | None:
@@ -189,6 +199,8 @@ class Streamer:
 
         Frames that became due before it and were not begun are skipped: their references would come too late.
         """
+        if self._greets:
+            return self._greeting(now_us)
         due_us = self.next_due_us()
         if self._schedule.rendering or due_us is None or now_us < due_us or self._between_references(now_us):
             return None
@@ -198,6 +210,18 @@ class Streamer:
             self._tiles.start_anew()
             self._restart_if_forgotten(frame)
         plan = self._render_plan = self._plan(tick, frame, covered, now_us)
+        return self._job(plan, now_us)
+
+    def _greeting(self, now_us: int) -> FrameJob | None:
+        """The first picture, of what a client sees that has just joined: it comes before the first tile."""
+        self._greets = False
+        if self._coder.kind is None or self._schedule.begun or not self._may_render(now_us):
+            return None
+        self._schedule.rendering = True
+        plan = self._plan(0, self._schedule.timeline.frame, 1, now_us)
+        return self._job(replace(plan, greets=True), now_us)
+
+    def _job(self, plan: FramePlan, now_us: int) -> FrameJob:
         self._video.needs_idr = False
         self._coder.follow(self._estimator.estimate_bps(now_us), self._schedule.reference_period_us)
         size = self._coder.width_px, self._coder.height_px
@@ -332,6 +356,8 @@ class Streamer:
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []
+        if plan.greets:
+            return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
         self._sight.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
         if not overtaken:

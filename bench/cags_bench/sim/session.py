@@ -76,6 +76,9 @@ class Scenario:
             raise ConfigError(f"estimator = {self.estimator!r} must be one of {', '.join(ESTIMATORS)}")
 
 
+FIRST_SCORES = "psnr_restored_db", "lpips_restored"
+
+
 @dataclass
 class SessionResult:
     """Records of the presented frames, and their summary."""
@@ -113,6 +116,7 @@ class _Simulation:
         self.world = World(self.server, self.player, *self._directions(), self._work, alarm=self._alarm_us)
         self.truth = BundleTruth(str(scenario.bundle), scenario.client) if scenario.scored else None
         self.frames: list[dict[str, Any]] = []
+        self._first: dict[str, float] = {}  # scores of the first picture, where it came before the first frame
         self._flicker = FlickerScore()
         self._lpips = _lpips(scenario)
         self._watch: Watcher | None = None
@@ -206,8 +210,10 @@ class _Simulation:
         if self._drawing is None or self._drawing[0] > now_us:
             return False
         (_, action, result), self._drawing = self._drawing, None
-        if not action.share:
+        if action.media:
             self._record(action, result, now_us)
+        elif action.first and self.truth is not None:
+            self._first = self._scored(result, *self.truth(result.frame, result.camera))
         self.player.done(action, result, now_us)
         return True
 
@@ -234,13 +240,14 @@ class _Simulation:
 
     def _summary(self) -> dict[str, Any]:
         out = summary(self.frames, self.player.stats)
-        started_us = self.player.stats.started_us or 0
         if self.scenario.scored:
             dropped_bytes = self.dropped_bytes + self.server.stats.bytes_dropped
             out["wasted_bytes"] = self.usage.wasted_bytes(dropped_bytes)
             out["wasted_share"] = out["wasted_bytes"] / max(self.usage.arrived_bytes + dropped_bytes, 1)
         out["fps"] = self.reader.manifest.fps
-        out["first_picture_ms"] = started_us / 1e3
+        out["first_picture_ms"] = (self.player.stats.first_picture_us or 0) / 1e3
+        out["first_frame_ms"] = (self.player.stats.started_us or 0) / 1e3
+        out |= {f"first_{name}": self._first[name] for name in FIRST_SCORES if name in self._first}
         out["link_effects"] = sorted(self.world.down.link.effects)
         out["capacity_mbps"] = self.trace.mean_bps(0, max(self.world.now_us, 1)) / 1e6
         return out

@@ -38,6 +38,8 @@ class FramePlan:
     idr: bool
     basis: int = 0
     """Number of the mark that the reference assumes."""
+    greets: bool = False
+    """Whether it is the first picture of a client that has just joined, and no frame in its turn."""
 
 
 @dataclass(frozen=True, eq=False)
