@@ -1,123 +1,72 @@
-"""The readable definition of the client's frame (float64): draw, sample what is lacking by depth, add.
+"""The readable definition of the client's last step (float64): sample what is lacking by depth, and add it.
 
-The shaders are tested against it, and it serves while there is no device. Its steps: the reference is *expanded* to
+Kernels and shaders are tested against it, and it serves while there are none. Its steps: the reference is *expanded* to
 what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth);
 each pixel is *projected* into the reference, left out where something nearer hides it (z-test) and faded towards the
-reference's border; the sample is *added*. This is PRPA (post-render perspective alignment) as the client's last step.
+reference's border; the sample is *added*.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.correction.base import (
+    CELL_PX,
+    FAR,
+    VETO_CELL_PX,
+    Corrected,
+    CorrectSettings,
+    Placement,
+    Reference,
+    checked_depth,
+    checked_own,
+    checked_veto,
+)
+from cags_common.correction.compander import expand
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import RenderedView
-from cags_common.settings import check_settings, setting
-
-CELL_PX = 8
-"""Side of the cells whose mean depth fills holes."""
-
-FAR = 1e6
-"""Depth where nothing is known anywhere, world units."""
 
 LEAST_WEIGHT = 1e-6
 
 
-@dataclass(frozen=True)
-class CorrectSettings:
-    """How what is lacking is brought to the client's view."""
+class ReferenceCorrector:
+    """The definition behind the seam; keeps the own view that came with a picture."""
 
-    depth_tolerance: float = setting(
-        0.03, "a pixel is hidden where it lies this share of the depth behind what the reference shows", low=0, high=1
-    )
-    slope_cells: float = setting(
-        1.0, "depth change over this many reference pixels of the surface's own slope hides nothing", low=0, high=8
-    )
-    border_px: float = setting(3.0, "corrections fade over this many reference pixels at the border", low=0, high=64)
-    hole_alpha: float = setting(0.3, "pixels of less opacity take their depth from around them", low=0, high=1)
+    name = "reference"
 
-    def __post_init__(self) -> None:
-        check_settings(self)
+    def __init__(self) -> None:
+        self._held: tuple[Reference, F32] | None = None
 
+    def needs_own(self, reference: Reference) -> bool:
+        """Whether a picture is new."""
+        return reference.picture and (self._held is None or self._held[0] is not reference)
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """What a server sent of a view, decoded."""
-
-    coded: F32  # [h, w, 3] in [0, 1]
-    camera: Camera
-    picture: bool = False
-    """A picture of the scene, from which the client subtracts its own view; else a companded difference."""
-    knee: float = 0.1
-    """Differences below it are coded about linearly."""
-
-    def __post_init__(self) -> None:
-        size = self.camera.height_px, self.camera.width_px, 3
-        if self.coded.shape != size:
-            raise ValueError(f"reference of shape {self.coded.shape} under a camera of {size[1]}x{size[0]}")
-        if not 0 < self.knee < math.inf:
-            raise ValueError(f"knee = {self.knee} must be positive; 0.05 to 0.15 suit")
-
-
-@dataclass(frozen=True, eq=False)
-class Corrected:
-    """A frame to show."""
-
-    rgb: F32  # [H, W, 3] in [0, 1]
-    confidence: F32  # [H, W] in [0, 1]: how much of what the reference says was added
-
-
-@dataclass(frozen=True)
-class Placement:
-    """How a client's pixels lie in a reference: ``(x z, y z, z) = D m (u, v, 1) + b`` for pixel (u, v) of depth D."""
-
-    camera: Camera
-    reference: Camera
-
-    @cached_property
-    def matrix(self) -> F64:
-        """m and b [3, 4]."""
-        k_client, k_reference = _pinhole(self.camera), _pinhole(self.reference)
-        to_reference = k_reference @ self.reference.pose.rotation_matrix.T
-        shift = np.asarray(self.camera.pose.position) - np.asarray(self.reference.pose.position)
-        m = to_reference @ self.camera.pose.rotation_matrix @ np.linalg.inv(k_client)
-        return np.concatenate([m, (to_reference @ shift)[:, None]], axis=1)
-
-    @property
-    def cell_px(self) -> tuple[float, float]:
-        """Client pixels a reference pixel along x and y, in angle at the images' centres."""
-        client, other = self.camera.intrinsics, self.reference.intrinsics
-        return client.fx_px / other.fx_px, client.fy_px / other.fy_px
-
-    @property
-    def stride(self) -> int:
-        """Every how many pixels the client's view is sampled for what hides what: twice a reference pixel."""
-        return max(1, int(min(self.cell_px) / 2))
-
-
-def compand(lack: NDArray[np.floating], knee: float) -> F64:
-    """A difference in [-1, 1] in [0, 1]; 0.5 is none. Odd, fine about none: asinh with its knee at ``knee``."""
-    coded = np.arcsinh(np.asarray(lack, np.float64) / knee) / np.arcsinh(1 / knee) / 2 + 0.5
-    return np.asarray(np.clip(coded, 0.0, 1.0))
-
-
-def expand(coded: NDArray[np.floating], knee: float) -> F64:
-    """:func:`compand` undone."""
-    return np.asarray(np.sinh((np.asarray(coded, np.float64) - 0.5) * 2 * np.arcsinh(1 / knee)) * knee)
+    def correct(
+        self,
+        view: RenderedView,
+        camera: Camera,
+        reference: Reference,
+        own: F32 | None = None,
+        settings: CorrectSettings | None = None,
+        veto: F32 | None = None,
+    ) -> Corrected:
+        """See :class:`.base.Corrector`."""
+        if own is not None:
+            self._held = reference, own
+        elif not self.needs_own(reference) and self._held is not None:
+            own = self._held[1]
+        return correct(view, camera, reference, own, settings, veto)
 
 
 def lacking(reference: Reference, own: F32 | None) -> F64:
-    """What is to be added [h, w, 3]; ``own`` is the client's view from the reference camera, for pictures."""
+    """What is to be added [h, w, 3] in [-1, 1]; ``own`` is the client's view from the reference camera, for pictures."""
     if not reference.picture:
         return expand(reference.coded, reference.knee)
     if own is None:
         raise ValueError("a reference that is a picture needs the client's own view of it")
-    return np.asarray(reference.coded.astype(np.float64) - np.clip(own, 0.0, 1.0))
+    lack = np.clip(reference.coded.astype(np.float64), 0, 1) - np.clip(checked_own(own, reference), 0, 1)
+    return np.asarray(lack)
 
 
 def correct(
@@ -126,35 +75,45 @@ def correct(
     reference: Reference,
     own: F32 | None = None,
     settings: CorrectSettings | None = None,
+    veto: F32 | None = None,
 ) -> Corrected:
-    """The frame of ``view`` (with its depth), drawn from ``camera``, with what ``reference`` says is lacking."""
+    """See :class:`.base.Corrector`; nothing is kept between calls."""
     settings = settings or CorrectSettings()
-    assert view.depth is not None
     thin = view.alpha < settings.hole_alpha
     placement = Placement(camera, reference.camera)
-    depth = filled(np.where(thin, np.inf, view.depth.astype(np.float64)))
+    depth = filled(np.where(thin, np.inf, checked_depth(view, camera).astype(np.float64)))
     x, y, z, inside = _placed(depth, placement)
     hidden = _hidden(depth, (x, y, z), inside, placement, settings)
     width, height = reference.camera.width_px, reference.camera.height_px
     distance = np.minimum(np.minimum(x, width - x), np.minimum(y, height - y))
     confidence = np.where(inside & ~hidden, np.clip(distance / max(settings.border_px, 1e-6), 0.0, 1.0), 0.0)
+    if veto is not None:
+        confidence = confidence * (1.0 - np.clip(_spread(checked_veto(veto, camera), camera), 0.0, 1.0))
     added = confidence[..., None] * _sampled(lacking(reference, own), x, y)
     rgb = np.clip(view.rgb + added, 0.0, 1.0)
     return Corrected(rgb.astype(np.float32), confidence.astype(np.float32))
 
 
+def _spread(veto: F32, camera: Camera) -> F64:
+    """``veto`` at every pixel."""
+    if veto.shape == (camera.height_px, camera.width_px):
+        return veto.astype(np.float64)
+    u, v = ((np.arange(n) + 0.5) / VETO_CELL_PX for n in (camera.width_px, camera.height_px))
+    return _bilinear(veto.astype(np.float64), u, v)
+
+
 def filled(depth: F64) -> F64:
-    """``depth`` [H, W] with its holes (+inf) filled from around them; finite everywhere."""
-    known = np.isfinite(depth) & (depth > 0)
+    """``depth`` [H, W] with its holes (+inf) filled from around them; in [1 / FAR, FAR] everywhere."""
+    known = np.isfinite(depth) & (depth >= 1.0 / FAR)
     weight = known.astype(np.float64)
-    inverse = weight / np.where(known, depth, 1.0)
+    inverse = weight / np.where(known, np.minimum(depth, FAR), 1.0)
     pixels = _cell_sums(np.ones_like(depth))
     total = _cell_sums(weight)
     smooth = _pushed(_cell_sums(inverse) / np.maximum(total, LEAST_WEIGHT), total / pixels)
     height, width = depth.shape
     u, v = (np.arange(width) + 0.5) / CELL_PX, (np.arange(height) + 0.5) / CELL_PX
     around = 1.0 / np.maximum(_bilinear(smooth, u, v), 1.0 / FAR)
-    return np.where(known, depth, around)
+    return np.where(known, np.minimum(depth, FAR), around)
 
 
 def _cell_sums(image: F64) -> F64:
@@ -247,8 +206,3 @@ def _sampled(image: F64, x: F64, y: F64) -> F64:
     top = image[y0, x0] * (1 - ax) + image[y0, x1] * ax
     bottom = image[y1, x0] * (1 - ax) + image[y1, x1] * ax
     return np.asarray(top * (1 - ay) + bottom * ay)
-
-
-def _pinhole(camera: Camera) -> F64:
-    i = camera.intrinsics
-    return np.array([[i.fx_px, 0.0, i.cx_px], [0.0, i.fy_px, i.cy_px], [0.0, 0.0, 1.0]])

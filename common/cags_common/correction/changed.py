@@ -1,0 +1,97 @@
+"""Where a view shows splats that changed: what a reference says about them is not true any more."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.correction.base import VETO_CELL_PX, veto_shape
+from cags_common.geometry import F32, F64, Camera
+
+SLABS = 48
+"""Steps of depth, equal in their logarithm, by which splats are told from what hides them."""
+
+
+def changed_cells(
+    positions: NDArray[np.floating],
+    radii: NDArray[np.floating],
+    camera: Camera,
+    depth: F32,
+    tolerance: float = 0.1,
+) -> F32:
+    """A veto for :meth:`.base.Corrector.correct` [ceil(H / 16), ceil(W / 16)]: 1 where a changed splat is seen, else 0.
+
+    ``positions`` [N, 3] (world) and ``radii`` [N] (world units, of spheres that hold them) are those of the splats that
+    changed; ``depth`` [H, W] is that of the view from ``camera``. A splat is seen in a cell where its near side lies no
+    further than the cell's farthest depth, by ``tolerance`` of it and a step of a logarithmic scale (holes are infinitely
+    far): what is in doubt counts as seen. The cost grows with N and with the number of cells, not with splats' sizes.
+
+    Raises ``ValueError`` for shapes that do not fit.
+    """
+    size = camera.height_px, camera.width_px
+    if depth.shape != size:
+        raise ValueError(f"depth of shape {depth.shape} under a camera of {size[1]}x{size[0]}")
+    if positions.shape != (len(radii), 3) or radii.ndim != 1:
+        raise ValueError(f"positions of shape {positions.shape} and radii of shape {radii.shape}: [N, 3] and [N] wanted")
+    shape = veto_shape(camera)
+    near, boxes = _boxes(np.asarray(positions, np.float64), np.asarray(radii, np.float64), camera, shape)
+    if not len(near):
+        return np.zeros(shape, np.float32)
+    edges = _slab_edges(depth)
+    reach = np.searchsorted(edges, _farthest(depth) * (1 + tolerance), side="right")  # slabs up to this one are in front
+    slab = np.searchsorted(edges, near, side="right")
+    covered = np.cumsum(_coverage(slab, boxes, shape), axis=0)  # of this slab and all nearer ones
+    seen: NDArray[np.bool_] = np.take_along_axis(covered, reach[None], axis=0)[0] > 0
+    return seen.astype(np.float32)
+
+
+def _boxes(positions: F64, radii: F64, camera: Camera, shape: tuple[int, int]) -> tuple[F64, NDArray[np.int64]]:
+    """Depths of the near sides, and first and last cell [M, 4] (rows, then columns), of the spheres in the image."""
+    rotation, shift = camera.world_to_camera
+    x, y, z = (positions @ rotation.T + shift).T
+    in_front = (z + radii > camera.near) & (radii > 0)
+    x, y, z, radii = x[in_front], y[in_front], z[in_front], radii[in_front]
+    near = np.maximum(z - radii, camera.near)
+    i = camera.intrinsics
+    spans = []
+    for at, focal, centre, cells in ((y, i.fy_px, i.cy_px, shape[0]), (x, i.fx_px, i.cx_px, shape[1])):
+        # each side's extreme is at the near or at the far side of the sphere
+        low, high = at - radii, at + radii
+        first = np.minimum(low / near, low / (z + radii)) * focal + centre
+        last = np.maximum(high / near, high / (z + radii)) * focal + centre
+        spans.append((np.floor(first / VETO_CELL_PX), np.floor(last / VETO_CELL_PX), cells))
+    visible = np.ones(len(z), bool)
+    for first, last, cells in spans:
+        visible &= (last >= 0) & (first < cells)
+    clipped = [np.clip(side, 0, cells - 1) for first, last, cells in spans for side in (first, last)]
+    return near[visible], np.stack(clipped, axis=1)[visible].astype(np.int64)
+
+
+def _farthest(depth: F32) -> F64:
+    """Farthest depth of each cell; +inf where it has a hole."""
+    open_at = np.where(depth > 0, depth, np.inf)
+    rows, columns = np.arange(0, depth.shape[0], VETO_CELL_PX), np.arange(0, depth.shape[1], VETO_CELL_PX)
+    far = np.maximum.reduceat(np.maximum.reduceat(open_at, rows, axis=0), columns, axis=1)
+    return far.astype(np.float64)
+
+
+def _slab_edges(depth: F32) -> F64:
+    """Rising depths [SLABS - 1] between the slabs."""
+    known = depth[::4, ::4]
+    known = known[np.isfinite(known) & (known > 0)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (1.0, 1.0)
+    return np.geomspace(low, high * 1.5, SLABS - 1)
+
+
+def _coverage(slab: NDArray[np.int64], boxes: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """How many boxes cover each cell [SLABS, rows, columns] (summed-area differences: four corners a box)."""
+    rows, columns = shape[0] + 1, shape[1] + 1
+    top, bottom, left, right = boxes.T
+    bottom, right = bottom + 1, right + 1
+    plane = slab * rows
+    plus = np.concatenate([(plane + top) * columns + left, (plane + bottom) * columns + right])
+    minus = np.concatenate([(plane + top) * columns + right, (plane + bottom) * columns + left])
+    cells = SLABS * rows * columns
+    steps = np.bincount(plus, minlength=cells) - np.bincount(minus, minlength=cells)
+    counts = steps.reshape(SLABS, rows, columns).cumsum(axis=1).cumsum(axis=2)
+    return np.asarray(counts[:, :-1, :-1])
