@@ -1,9 +1,4 @@
-"""References of another media frame, carried to the frame on display.
-
-A reference shows the scene of its own frame t_r; what is wrong in the client's splats is *reference - own view as
-of t_r*. Against the splats of a later frame it would show what has moved, not what is wrong: a moving part would be
-painted where it was. So the client draws its splats from the reference's camera twice, as of t_r (undoing the changes
-of content since, :class:`~cags_client.past.SplatPast`) and as of now, and hands on the reference as it would look now,
+"""References of another media frame, carried to the frame on display, by the client's own views of both:
 
     carried = own_now + (1 - b) w (reference - own_then) + b (reference - own_now),
     w = min(A, B) / (min(A, B) + CAUTION * C),    b = max(0, 1 - B / A),
@@ -16,25 +11,20 @@ more like the reference than those of then do (b), they had been out of date, an
 Last, no correction may stand out: what the client was not sent in time it cannot know to have moved, and a reference is
 right about that for its own frame alone. Where min(A, B) is more than PLAUSIBLE / age times its median, which
 quantisation seldom is and a misplaced part is by far, the correction falls in proportion.
-
-Everything behind (alignment, its z-test, restoration, the adapter) then works on one frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 import cags_kernels
 from cags_client.align import ReferencePicture
-from cags_client.gof_store import GofStore
-from cags_client.past import EarlierGroups
 from cags_common.geometry import F32
-from cags_common.raster.base import Rasteriser, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
+from cags_common.store.gof_store import GofStore
 
 RADIUS_PX = 2
 """Radius, in reference pixels, of the local powers: that of the closed form's local fit."""
@@ -93,16 +83,12 @@ def _local_power(picture: F32) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class OnDisplay:
-    """What the client holds at the moment, and two numbers by which to tell whether that has changed."""
+    """What the client holds at the moment, and a number by which to tell whether that has changed."""
 
     scene: RasterScene
     store: GofStore
     changes: int
     """Counts every change of the scene."""
-    corrections: int
-    """Counts the changes of its colours by the adapter."""
-    restore: Callable[[NDArray[np.intp]], None]
-    """Brings rows of the scene back to what is on display."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,18 +104,10 @@ class _View:
 
 
 class ReferenceViews:
-    """The client's splats from a reference's camera, as of now and as of its frame: drawn anew where they changed."""
+    """The client's splats from a reference's camera: drawn anew where they changed."""
 
-    def __init__(self, rasteriser: Rasteriser, earlier: EarlierGroups) -> None:
-        self._rasteriser, self._earlier = rasteriser, earlier
+    def __init__(self) -> None:
         self._now: _View | None = None
-        self._then: _View | None = None
-
-    def usable(self, reference: ReferencePicture, store: GofStore) -> bool:
-        """Whether the client can still tell what it would have seen at the reference's frame."""
-        if self._then is not None and self._then.reference is reference:
-            return True
-        return store.past.knows(reference.frame) or self._earlier.knows(reference.frame)
 
     def now(self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions) -> RenderedView:
         """As the scene is. A reference's first view has the splats' contributions, which take a fifth of its time."""
@@ -138,46 +116,4 @@ class ReferenceViews:
             first = self._now is None or self._now.reference is not reference
             picture = held.scene.render(reference.camera, replace(options, contribution=first))
             self._now = _View(reference, key, picture)
-            if held.store.past.knows(reference.frame) and not held.store.past.changed_since(reference.frame):
-                self._then = _View(reference, self._quality(held, options), self._now.picture)
         return self._now.picture
-
-    def carried(
-        self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions
-    ) -> tuple[ReferencePicture, RenderedView]:
-        """``reference`` as it would look now, and the client's own view of that. Only for a :meth:`usable` one.
-
-        No other thread may draw the scene meanwhile.
-        """
-        own = self.now(reference, held, options)
-        then = self._as_of_reference(reference, held, options)
-        age = max(held.store.shown_frame - reference.frame, 1)
-        return replace(reference, rgb=carried(reference.rgb, then.rgb, own.rgb, age, options.threads)), own
-
-    def _as_of_reference(self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions) -> RenderedView:
-        key, known = self._quality(held, options), held.store.past.knows(reference.frame)
-        then = self._then
-        if then is None or then.reference is not reference or (known and then.key != key):
-            draw = self._undone if known else self._of_earlier_group
-            then = self._then = _View(reference, key, draw(reference, held, options))
-        return then.picture
-
-    def _undone(self, reference: ReferencePicture, held: OnDisplay, options: RenderOptions) -> RenderedView:
-        then = held.store.past.as_of(reference.frame, held.store.splats)
-        assert then is not None, "now() keeps the view of a reference after which nothing has changed"
-        held.scene.move(then.moved, then.scene, options.threads)
-        held.scene.update(then.rows, then.splats)
-        try:
-            return held.scene.render(reference.camera, options)
-        finally:
-            held.scene.move(then.moved, held.store.splats, options.threads)
-            held.restore(then.rows)
-
-    def _of_earlier_group(self, reference: ReferencePicture, _: OnDisplay, options: RenderOptions) -> RenderedView:
-        scene = self._rasteriser.load(self._earlier.as_of(reference.frame))
-        return scene.render(reference.camera, options)
-
-    @staticmethod
-    def _quality(held: OnDisplay, options: RenderOptions) -> tuple[int | RenderOptions, ...]:
-        """What a view as of some frame depends on: how well the splats are held, not which frame is on display."""
-        return (held.store.improved, held.corrections, options)

@@ -12,15 +12,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cags_client import align, restore
 from cags_client.adapt import AdapterStep, SirtAdapter
 from cags_client.align import Aligned, AlignSettings, ReferencePicture
 from cags_client.carry import OnDisplay, ReferenceViews
 from cags_client.expected import Veils
-from cags_client.gof_store import Committed, GofStore
-from cags_client.opening import Arrival
 from cags_client.presented import PresentedFrame
 from cags_client.references import References
 from cags_client.resolution import Resolutions
@@ -29,17 +26,20 @@ from cags_client.restore.networks.weights import Weights
 from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
 from cags_client.standin import Drawn, StandIn
 from cags_client.stopwatch import Stopwatch
-from cags_client.tile_store import TileStore
 from cags_common import raster
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import tile_codec
 from cags_common.effects import Effect, EffectPlan, Situation, held_sh_degree, plan_frame
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
+from cags_common.held_tile import HeldTile
 from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.halving import enlarged, halved
-from cags_protocol.messages import FrameEnd, HeldTile, ReferenceFrame, TileLayers
+from cags_common.store.gof_store import Committed, GofStore
+from cags_common.store.tile_decode import Arrival
+from cags_common.store.tile_store import TileStore
+from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 
 
 class ClientPipeline:
@@ -70,9 +70,9 @@ class ClientPipeline:
         self._adapter: SirtAdapter | None = None
         self._background = background
         self._adapting: Future[AdapterStep] | None = None  # of the scene as it is; seen from the next frame on
-        self._views = ReferenceViews(self._rasteriser, self._store.earlier)
+        self._views = ReferenceViews()
         self._veils = Veils(self._rasteriser, info.lod_gains_db)
-        self._changes = self._corrections = 0  # of the scene, and of its colours alone
+        self._changes = 0  # of the scene
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._stand_in = StandIn(self._aligner, settings.threads)
@@ -176,7 +176,7 @@ class ClientPipeline:
         with watch("update"):
             store, committed = self._committed(frame, share)
             scene = self._updated(store, committed)
-        reference = self._reference(frame, store)
+        reference = self._reference(frame)
         situation = self._situation(store, committed, (frame + share, camera), reference)
         plan = plan_frame(situation, self.settings.effects)
         half = self._resolutions.chosen(self.live.resolution) == HALF
@@ -214,7 +214,7 @@ class ClientPipeline:
 
     def _committed(self, frame: int, share: float) -> tuple[GofStore, Committed]:
         moved = self._store.move(frame, share) if share else None
-        return moved or self._store.commit(frame, self.settings.reference_age if self._compares else 0)
+        return moved or self._store.commit(frame)
 
     def _situation(
         self, store: GofStore, committed: Committed, view: tuple[float, Camera], reference: ReferencePicture | None
@@ -235,17 +235,9 @@ class ClientPipeline:
             depth_shown=self.live.depth_shown,
         )
 
-    def _reference(self, frame: int, store: GofStore) -> ReferencePicture | None:
-        """The reference to use: one that can be compared with what the client held at its frame."""
-        reference = self._references.newest(frame, self.settings.reference_age)
-        if reference is None or self._replaces or self._views.usable(reference, store):
-            return reference
-        return None
-
-    @property
-    def _compares(self) -> bool:
-        """Whether references are compared with the client's own splats, as of their own frames."""
-        return self._adapter is not None or (bool(self._restorer.needs) and not self._replaces)
+    def _reference(self, frame: int) -> ReferencePicture | None:
+        """The reference to use."""
+        return self._references.newest(frame, self.settings.reference_age)
 
     @property
     def _replaces(self) -> bool:
@@ -280,7 +272,7 @@ class ClientPipeline:
         depth, options = drawn.view.depth, self._reference_options(plan, reference)
         if Effect.OWN_VIEW in plan:
             with watch("own"):
-                reference, own = self._seen_from(plan, reference, drawn, options)
+                own = self._views.now(reference, self._held(drawn), options)
         if Effect.ALIGNMENT in plan and depth is not None:
             with watch("align"):
                 occlusion, colours = Effect.OCCLUSION in plan, Effect.EROSION in self._restorer.needs
@@ -300,23 +292,8 @@ class ClientPipeline:
                 shown = self._stand_in.paint(shown, mine, reference, own, self._freshness(reference, frame))
         return aligned, own, shown
 
-    def _seen_from(
-        self, plan: EffectPlan, reference: ReferencePicture, drawn: _Drawn, options: RenderOptions
-    ) -> tuple[ReferencePicture, RenderedView]:
-        """The reference, carried to the frame on display, and the client's own view of it."""
-        if Effect.CARRY not in plan:
-            return reference, self._views.now(reference, self._held(drawn), options)
-        self._adapted(drawn.store, must_end=True)
-        return self._views.carried(reference, self._held(drawn), options)
-
     def _held(self, drawn: _Drawn) -> OnDisplay:
-        def restore_rows(rows: NDArray[np.intp]) -> None:
-            splats = drawn.store.splats.take(rows)
-            if self._adapter is not None:
-                splats = replace(splats, sh0=self._adapter.corrected(splats.sh0, rows))
-            drawn.scene.update(rows, splats)
-
-        return OnDisplay(drawn.scene, drawn.store, self._changes, self._corrections, restore_rows)
+        return OnDisplay(drawn.scene, drawn.store, self._changes)
 
     def _begun(
         self, adapter: SirtAdapter, work: tuple[RasterScene, ReferencePicture, RenderedView, RenderOptions]
@@ -334,7 +311,6 @@ class ClientPipeline:
             return
         if self._adapter.apply(self._scene, store.splats, step.result()):
             self._changes += 1
-            self._corrections += 1
         self._adapting = None
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:

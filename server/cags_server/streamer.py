@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from cags_common.geometry import Camera, Pose
+from cags_common.held_tile import HeldTile
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, HeldTile, Hello, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.messages import Control, Hello, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
