@@ -10,8 +10,8 @@ from cags_client.pipeline import ClientPipeline
 from cags_client.presented import PresentedFrame
 from cags_common.errors import DecodeError
 from cags_common.geometry import Pose
+from cags_common.held_tile import HeldTile
 from cags_protocol import events as ev
-from cags_protocol.messages import HeldTile
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Decode:
                             self.pipeline.on_frame_end(end, payload)
                             whole = max(whole, end.frame)
                         case ev.MarkReceived(mark):
-                            self.pipeline.on_mark(mark)
+                            errors += self.pipeline.on_mark(mark)
                         case Restarted():
                             self.pipeline.restarted()
                 except DecodeError as error:
