@@ -168,6 +168,15 @@ class TileStore:
         self._check(frame)
         return self._manifest.capacity[self._manifest.gof_of(frame)]
 
+    def reaches(self, frame: int) -> bool:
+        """Whether ``frame`` can still be committed: its group is not past."""
+        return self._manifest.gof_of(frame) >= self._oldest
+
+    @property
+    def nbytes(self) -> int:
+        """What the splats by id take."""
+        return sum(store.nbytes for store in self._stores())
+
     def in_group(self, frame: int) -> bool:
         """Whether ``frame`` is of the group on display."""
         return self._manifest.gof_of(frame) == self._oldest
