@@ -131,5 +131,5 @@ def test_expected_errors_are_drawn_once_for_a_camera_and_a_state_of_the_scene() 
     veils = Veils(raster.create("auto"), GAINS_DB)
     first = veils.expected(CAMERA, held, RenderOptions())
     assert veils.expected(CAMERA, held, RenderOptions()) is first
-    changed = OnDisplay(held.scene, held.store, 1, 0, held.restore)
+    changed = OnDisplay(held.scene, held.store, 1)
     assert veils.expected(CAMERA, changed, RenderOptions()) is not first
