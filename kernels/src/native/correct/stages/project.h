@@ -61,7 +61,7 @@ struct Between {
 };
 
 // `values` [rows, columns] at the height of a row of pixels, with one more on both sides.
-inline void line_of(const float* values, int columns, const Between& at, float* line) {
+inline void line_of(const float* values, int columns, const Between& at, float* __restrict line) {
   const float *top = values + int64_t{at.above} * columns, *low = values + int64_t{at.below} * columns;
   for (int i = 0; i < columns; i++) line[i] = top[i] + (low[i] - top[i]) * at.share;
   line[-1] = line[0], line[columns] = line[columns - 1];
