@@ -1,4 +1,4 @@
-"""Builds the kernels with the address and undefined-behaviour sanitizers and runs the tests of drawing and correction on them.
+"""Builds the kernels with the address and undefined-behaviour sanitizers and runs drawing and correction tests on them.
 
     python tests/property/raster/sanitized.py [pytest arguments]
 
