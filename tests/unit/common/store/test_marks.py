@@ -195,6 +195,22 @@ def test_of_what_is_held_an_inventory_may_say_less(store: TileStore) -> None:
     assert xs(store, 1)[:2] == [5, pytest.approx(7, abs=0.1)]
 
 
+@pytest.mark.parametrize(("said", "bits"), [(None, 1), (2, 3)])
+def test_layers_of_a_replaced_tile_go_over_where_the_inventory_says_so(
+    store: TileStore, said: int | None, bits: int
+) -> None:
+    for frame in range(2):
+        store.add(frame, 0, 0, [base([0], 5 + frame)])
+        store.end(frame, removed())
+    store.commit(1)
+    store.add(0, 0, 1, [layer(1, 1)])
+    assert HeldTile(0, 0, 1) in store.held()
+    store.restarted(None if said is None else [HeldTile(0, 0, said)])
+    store.end(0, removed())
+    gof, _ = store.commit(0)
+    assert (gof.splats.means[0, 0], gof.splats.sh0[0, 0]) == (5, bits)
+
+
 def test_what_was_given_up_may_come_again_over_another_connection(
     store: TileStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
