@@ -70,7 +70,7 @@ fewer.
 ABOVE, FAR_ABOVE, BELOW, FAR_BELOW = 1.25, 1.8, 0.5, 0.3
 """Rates, shares of what is asked for, beyond which quality changes."""
 
-KEY_SHARE = 6.0
+KEY_SHARE = 2.5
 """Pictures that need no other may take so many times what a picture is to take: their quality is chosen for that."""
 
 RATE_STEP, BUFFER_S, LEAST_BPS = 1.25, 0.1, 50_000
@@ -122,7 +122,7 @@ class ReferenceCoder:
         self._bps = settings.reference_kbps * 1000 if settings.reference_kbps else None
         self._crf = settings.reference_crf
         self._videos: dict[ReferenceKind, _Video] = {}
-        self._trial = _Trial()
+        self._trial = _Trial(first=TRIAL_LENGTH)
         self._knee = KNEES[-1]
         self._begin_anew = True
         self._mean_bytes, self._counted = 0.0, 0
@@ -252,18 +252,19 @@ class ReferenceCoder:
 class _Trial:
     """A comparison of the two kinds, over a few references every now and then."""
 
-    def __init__(self) -> None:
-        self._at = 0
+    def __init__(self, first: int = TRIAL_EVERY) -> None:
+        """The ``first`` reference is the first of a trial."""
+        self._at = -first
         self._used: list[float] = []
         self._tried: list[float] = []
 
     def step(self) -> int | None:
-        """Of the trial under way: its picture's number; None between trials. One is soon after a change, and then
-        every :data:`TRIAL_EVERY` references.
+        """Of the trial under way: its picture's number; None between trials, which come every :data:`TRIAL_EVERY`
+        references.
         """
         at, self._at = self._at, self._at + 1
-        step = (at - TRIAL_LENGTH) % TRIAL_EVERY
-        if step >= TRIAL_LENGTH:
+        step = at % TRIAL_EVERY
+        if at < 0 or step >= TRIAL_LENGTH:
             return None
         if step == 0:
             self._used, self._tried = [], []
