@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.correction import oracle
+from cags_common.correction.base import CELL_PX, Corrected, CorrectSettings, Placement, Reference
+from cags_common.correction.compander import compand
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, Footprint, RenderedView, RenderOptions
 from cags_common.raster.checks import check_camera
-from cags_gpu import definition
-from cags_gpu.definition import Corrected, CorrectSettings, Placement, Reference
 from cags_gpu.device import Handle
 from cags_gpu.graph import Counts, Dispatch, buffer_bytes, build, encode
 from cags_gpu.layout import COMPAND, CORRECTION
@@ -59,7 +60,7 @@ def corrected(
 class CodedReference:
     """What a server makes of a view for a client."""
 
-    coded: F32  # [h, w, 3] in [0, 1]: the companded difference; 0.5 where nothing is lacking
+    coded: F32  # [h, w, 3] in [0, 1]: the companded difference; compander.ZERO where nothing is lacking
     truth: RenderedView  # without depth; with contributions where asked for
     mirror: F32  # [h, w, 3] the client's copy
 
@@ -74,7 +75,7 @@ def coded_reference(
     def on_cpu(_: object) -> CodedReference:
         views = [scene.render(camera, flat) for scene in (truth, mirror)]
         lack = np.clip(views[0].rgb, 0, 1) - np.clip(views[1].rgb, 0, 1)
-        return CodedReference(definition.compand(lack, knee).astype(np.float32), views[0], views[1].rgb)
+        return CodedReference(compand(lack, knee).astype(np.float32), views[0], views[1].rgb)
 
     if not (len(truth) and len(mirror)):
         return on_cpu(None)
@@ -135,7 +136,7 @@ class _Frame:
         if self.reference is None:
             return Corrected(np.clip(view.rgb, 0, 1), np.zeros(view.alpha.shape, np.float32))
         own = scene.render(self.reference.camera, self._own_drawing).rgb if self.reference.picture else None
-        return definition.correct(view, self.camera, self.reference, own, self.settings)
+        return oracle.correct(view, self.camera, self.reference, own, self.settings)
 
     def on_device(self, scene: ResidentScene) -> Pixels:
         height, width = self.camera.height_px, self.camera.width_px
@@ -216,7 +217,7 @@ class _Frame:
             slope_cells=settings.slope_cells,
             border=settings.border_px,
             knee=self.reference.knee,
-            grid=(-(-size[0] // definition.CELL_PX), -(-size[1] // definition.CELL_PX)),
+            grid=(-(-size[0] // CELL_PX), -(-size[1] // CELL_PX)),
             kind=int(self.reference.picture),
         )
 

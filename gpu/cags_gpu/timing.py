@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cags_common.correction import Placement
 from cags_common.geometry import Camera
 from cags_common.raster.base import Exactness, RenderOptions
-from cags_gpu.definition import Placement
 from cags_gpu.graph import Dispatch, encode, record
 from cags_gpu.layout import TILE_PX
 from cags_gpu.scene import ResidentScene

@@ -13,13 +13,14 @@ import numpy as np
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.raster.cases import interleaved, size_text, view_of
 from cags_bench.raster.command import RasterSettings
+from cags_common.correction import Reference, compand
+from cags_common.correction.oracle import correct
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster import Exactness, RasterScene, RenderedView, RenderOptions, create
 from cags_common.raster.cpu import BOUNDS
 from cags_common.splats import Splats
 from cags_encoder.scenes import FrameSource, open_scene
 from cags_gpu.correct import corrected
-from cags_gpu.definition import Reference, compand, correct
 from cags_gpu.device import choose
 from cags_gpu.raster import GpuScene
 from cags_gpu.timing import frame_counts

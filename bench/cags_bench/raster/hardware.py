@@ -14,11 +14,12 @@ import numpy as np
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.raster.cases import REFERENCE_SIZE, size_text, view_of
 from cags_bench.raster.command import RasterSettings
+from cags_common.correction import Reference
+from cags_common.correction.compander import ZERO
 from cags_common.raster import Footprint, RenderOptions, create
 from cags_common.splats import Splats
 from cags_encoder.scenes import FrameSource, open_scene
 from cags_gpu.correct import coded_reference, shown
-from cags_gpu.definition import Reference
 from cags_gpu.device import choose
 from cags_gpu.raster import GpuScene
 from cags_gpu.timing import frame_times_ms
@@ -61,7 +62,7 @@ def client_lines(settings: RasterSettings, source: FrameSource, splats: Splats, 
     size = settings.size_list[-1]
     camera, options = view_of(source, *size), RenderOptions()
     there = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
-    grey = Reference(np.full((there.height_px, there.width_px, 3), 0.5, np.float32), there, knee=KNEE)
+    grey = Reference(np.full((there.height_px, there.width_px, 3), ZERO, np.float32), there, knee=KNEE)
     stages: dict[str, Callable[[], object]] = {
         "drawn and shown": lambda: shown(scene, camera, options, None),
         "whole frame": lambda: shown(scene, camera, options, grey),

@@ -24,21 +24,25 @@ override FLOATS: bool = false;
 const CELL = 8u;         // pixels a side of the grid that fills holes in the depth
 const VOID = 0x7f800000u;
 const OUTSIDE = 0xffffffffu;
-const FAR = 1e6;         // depth where nothing is known anywhere, world units
+const FAR = 1e6;         // depth where nothing is known anywhere, and the largest that counts, world units
+const LEAST_DEPTH = 0x358637bdu;  // bits of 1 / FAR: what is nearer is not known
 const LEAST_WEIGHT = 1e-6;
+const ZERO = 110.0 / 219.0; const SPAN = 109.0 / 219.0; const STILL = 1e-5;  // see cags_common.correction.compander
 
-fn known(bits: u32) -> bool { return bits > 0u && bits < VOID; }
+fn known(bits: u32) -> bool { return bits >= LEAST_DEPTH && bits < VOID; }
 
 // What the reference says is lacking: the compander undone, or the picture less the client's own view of it.
 @compute @workgroup_size(16, 16) fn expand(@builtin(global_invocation_id) id: vec3<u32>) {
   if (any(id.xy >= job.reference)) { return; }
   let i = id.y * job.reference.x + id.x;
   let p = vec3(coded[3u * i], coded[3u * i + 1u], coded[3u * i + 2u]);
-  var difference = p;
+  var difference: vec3<f32>;
   if (job.kind == 1u) {
-    difference -= clamp(own[i].xyz, vec3(0.0), vec3(1.0));
+    difference = clamp(p, vec3(0.0), vec3(1.0)) - clamp(own[i].xyz, vec3(0.0), vec3(1.0));
   } else {
-    difference = sinh((p - 0.5) * 2.0 * asinh(1.0 / job.knee)) * job.knee;
+    let away = p - ZERO;
+    let turned = clamp(away / SPAN, vec3(-1.0), vec3(1.0)) * asinh(1.0 / job.knee);
+    difference = select(sinh(turned) * job.knee, vec3(0.0), abs(away) <= vec3(STILL));
   }
   lack[i] = vec4(difference, 0.0);
 }
@@ -52,7 +56,7 @@ fn known(bits: u32) -> bool { return bits > 0u && bits < VOID; }
     for (var x = id.x * CELL; x < end.x; x++) {
       let i = y * job.size.x + x;
       if (known(depth[i])) {
-        sum += vec2(1.0 / bitcast<f32>(depth[i]), 1.0);
+        sum += vec2(1.0 / min(bitcast<f32>(depth[i]), FAR), 1.0);
       }
     }
   }
@@ -133,6 +137,7 @@ fn placed(pixel: vec2<u32>, d: f32) -> Place {
     let cell = (vec2<f32>(id.xy) + 0.5) / f32(CELL);
     bits = bitcast<u32>(1.0 / max(sampled_cell(0u, job.grid, cell), 1.0 / FAR));
   }
+  bits = bitcast<u32>(min(bitcast<f32>(bits), FAR));
   filled[i] = bits;
   let p = placed(id.xy, bitcast<f32>(bits));
   var there = OUTSIDE;

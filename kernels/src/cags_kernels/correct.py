@@ -1,0 +1,135 @@
+"""The C interface of the client's last step (``cags_common.correction``): numpy arrays in and out, the GIL released."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_kernels.buffers import BufferPool
+from cags_kernels.library import check, library
+
+F32: TypeAlias = NDArray[np.float32]
+F64: TypeAlias = NDArray[np.float64]
+I16: TypeAlias = NDArray[np.int16]
+
+_Pointer, _int32, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
+
+LANES = 4
+"""Of a pixel of what is lacking: red, green, blue, and one that is 0."""
+
+UNIT = 32767
+"""What a difference of 1 is there."""
+
+VETO_CELL_PX = 16
+"""Side of the cells of a coarse veto."""
+
+
+class _LackInput(ctypes.Structure):
+    _fields_ = [
+        *((name, _Pointer) for name in ("coded", "own")),
+        *((name, _int32) for name in ("width", "height")),
+        ("knee", _float),
+        ("threads", _int32),
+    ]
+
+
+class _AddInput(ctypes.Structure):
+    _fields_ = [
+        *((name, _Pointer) for name in ("rgb", "alpha", "depth", "lack", "veto")),
+        *((name, _int32) for name in ("width", "height", "reference_width", "reference_height")),
+        ("m", _float * 9),
+        ("b", _float * 3),
+        *((name, _float) for name in ("cell_x", "cell_y")),
+        ("stride", _int32),
+        *((name, _float) for name in ("depth_tolerance", "slope_cells", "border_px", "hole_alpha")),
+        *((name, _int32) for name in ("coarse_veto", "threads")),
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnView:
+    """A client's own view."""
+
+    rgb: F32  # [H, W, 3]
+    alpha: F32  # [H, W]
+    depth: F32  # [H, W]; what is not finite or not positive is a hole
+
+
+@dataclass(frozen=True, eq=False)
+class AddParameters:
+    """See ``cags_common.correction.base``: ``Placement`` and ``CorrectSettings``."""
+
+    matrix: F64  # [3, 4]
+    cell_px: tuple[float, float]
+    stride: int
+    depth_tolerance: float
+    slope_cells: float
+    border_px: float
+    hole_alpha: float
+    threads: int
+
+
+_buffers = BufferPool()
+
+
+def lack(coded: F32, own: F32 | None, knee: float, threads: int) -> I16:
+    """What a reference says is lacking, ready to be sampled [h + 2, w + 2, 4]: its edge repeated once around it.
+
+    ``coded`` [h, w, 3] is a difference companded with ``knee``, or a picture where ``own`` [h, w, 3], the client's own
+    view, is given. Raises ``KernelError`` and, for arrays that do not fit, ``ValueError``.
+    """
+    height, width = coded.shape[:2]
+    coded = _checked(coded, (height, width, 3))
+    own = None if own is None else _checked(own, coded.shape)
+    out = np.empty((height + 2, width + 2, LANES), np.int16)
+    given = _LackInput(_address(coded), _address(own), width, height, knee, threads)
+    check(library().cags_lack(ctypes.byref(given), _address(out)), "lack")
+    return out
+
+
+def add(view: DrawnView, lacking: I16, veto: F32 | None, parameters: AddParameters) -> tuple[F32, F32]:
+    """The frame [H, W, 3] in [0, 1] and the confidence [H, W]: ``view`` with what :func:`lack` made added.
+
+    ``veto`` is [H, W] or [ceil(H / 16), ceil(W / 16)]. Raises ``KernelError`` and, for arrays that do not fit,
+    ``ValueError``.
+    """
+    height, width = view.depth.shape
+    rgb, alpha = _checked(view.rgb, (height, width, 3)), _checked(view.alpha, (height, width))
+    depth = _checked(view.depth, (height, width))
+    if lacking.dtype != np.int16 or lacking.ndim != 3 or lacking.shape[2] != LANES or not lacking.flags.c_contiguous:
+        raise ValueError(f"what is lacking as {lacking.dtype} of shape {lacking.shape}, expected int16 as lack() makes it")
+    veto, coarse = _checked_veto(veto, (height, width))
+    p = parameters
+    given = _AddInput(
+        *map(_address, (rgb, alpha, depth, lacking, veto)),
+        *(width, height, lacking.shape[1] - 2, lacking.shape[0] - 2),
+        (_float * 9)(*np.ravel(p.matrix[:, :3])),
+        (_float * 3)(*p.matrix[:, 3]),
+        *(*p.cell_px, p.stride, p.depth_tolerance, p.slope_cells, p.border_px, p.hole_alpha),
+        *(coarse, p.threads),
+    )
+    shown, confidence = _buffers.empty((height, width, 3)), _buffers.empty((height, width))
+    check(library().cags_add_lack(ctypes.byref(given), _address(shown), _address(confidence)), "add")
+    return shown, confidence
+
+
+def _checked_veto(veto: F32 | None, shape: tuple[int, int]) -> tuple[F32 | None, bool]:
+    if veto is None:
+        return None, False
+    coarse = veto.shape != shape
+    wanted = (-(-shape[0] // VETO_CELL_PX), -(-shape[1] // VETO_CELL_PX)) if coarse else shape
+    return _checked(veto, wanted), coarse
+
+
+def _checked(array: F32, shape: tuple[int, ...]) -> F32:
+    if array.shape != shape:
+        raise ValueError(f"array of shape {array.shape}, expected {shape}")
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _address(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
+    return _Pointer(None if array is None else array.ctypes.data)

@@ -1,0 +1,65 @@
+// The stages of the correction, in the variant for one instruction set.
+#pragma once
+#include "correct/cags_correct.h"
+
+#include <cstddef>
+#include <cstdint>
+
+namespace cags::correct {
+
+constexpr int kCell = 8;         // pixels a side of the cells that fill holes: a vector's lanes
+constexpr int kVetoCell = 16;    // pixels a side of a coarse veto's cells
+constexpr int kRun = 64;         // pixels worked on at a time: what is known of them stays in the nearest cache
+constexpr int kLanes = 4;        // red, green, blue, nothing
+constexpr float kUnit = 32767;   // of what is lacking
+constexpr float kFar = 1e6f;     // depth where nothing is known anywhere, and the largest that counts
+constexpr float kLeastDepth = 1e-6f;  // what is nearer is not known
+constexpr int64_t kLeastStreamed = 400'000;  // pixels of a view too large for the caches
+
+// Depth (bits of a positive float) and place (row and column) of the nearest client pixel in a reference pixel: the least is
+// the nearest, and of equally near ones the first.
+using Nearest = uint64_t;
+constexpr Nearest kNobody = 0x7f800000ffffffffull;  // at infinity
+
+inline size_t rounded_up(int count, int unit) { return size_t(count + unit - 1) / unit * unit; }
+
+// Inverse depth of cells [rows, columns].
+struct Cells {
+  float* inverse;
+  float* weight;  // share of the cell's pixels whose depth is known
+  int rows, columns;
+};
+
+// Floats of a worker's scratch for a row of a view, and its parts.
+struct Line {
+  static size_t floats(int width) { return 5 * (rounded_up(width, kRun) + 2 * kCell); }
+  Line(float* memory, int width) : part(rounded_up(width, kRun) + 2 * kCell) {
+    depth = memory, sums = depth + part, counts = sums + part, around = counts + part + kCell, keep = memory + 4 * part + kCell;
+  }
+  size_t part;
+  float *depth, *sums, *counts;
+  float *around, *keep;  // one cell more on both sides
+};
+
+struct Occlusion {
+  const Nearest* nearest;  // [reference_height + 1, reference_width + 1]
+  const float* limit;      // the same: depth behind which a pixel may be hidden
+};
+
+struct Stages {
+  // One row of what is lacking, without its border above and below.
+  void (*expand)(const CagsLackInput&, int row, int16_t* to);
+  // One row of cells: means of inverse depth, and the pixels of known depth that are nearest. Returns whether there are holes.
+  bool (*survey)(const CagsAddInput&, int row, const Line&, const Cells&, Nearest*);
+  // One row of cells: the pixels in holes that are nearest.
+  void (*patch)(const CagsAddInput&, int row, const Line&, const Cells&, Nearest*);
+  // One row of cells: the frame. `holes`: whether it has any.
+  void (*finish)(const CagsAddInput&, int row, bool holes, const Line&, const Cells&, const Occlusion&, float* shown, float* confidence);
+};
+
+extern const Stages stages_portable;
+#ifdef CAGS_X86
+extern const Stages stages_avx2, stages_avx512;
+#endif
+
+}  // namespace cags::correct

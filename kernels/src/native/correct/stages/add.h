@@ -1,0 +1,195 @@
+// The frame: what is lacking, sampled where the reference shows it, and added.
+#pragma once
+#include "correct/stages/occlude.h"
+
+#include <cmath>
+#include <cstdlib>
+
+namespace cags::correct {
+namespace {
+
+// Of a run of pixels: where their taps begin, the weights between them, and what they are tested by.
+struct Taps {
+  int32_t first[kRun], cell[kRun];
+  float ax[kRun], ay[kRun], z[kRun], confidence[kRun];
+};
+
+// Depth of one pixel, holes filled.
+inline float depth_at(const CagsAddInput& in, const Cells& cells, int row, int column) {
+  const int64_t at = int64_t{row} * in.width + column;
+  const float depth = in.depth[at];
+  if (!(in.alpha[at] < in.hole_alpha) && depth >= kLeastDepth && depth <= std::numeric_limits<float>::max()) return std::min(depth, kFar);
+  const Between y(row, kCell, cells.rows), x(column, kCell, cells.columns);
+  const float *top = cells.inverse + int64_t{y.above} * cells.columns, *low = cells.inverse + int64_t{y.below} * cells.columns;
+  const float before = top[x.above] + (low[x.above] - top[x.above]) * y.share;
+  const float after = top[x.below] + (low[x.below] - top[x.below]) * y.share;
+  return 1.0f / std::max(before + (after - before) * x.share, 1.0f / kFar);
+}
+
+// The smaller of the steps to the two neighbours along an axis; 0 where there is none.
+inline float slope(const CagsAddInput& in, const Cells& cells, int row, int column, int down, int across) {
+  const float here = depth_at(in, cells, row, column);
+  float least = std::numeric_limits<float>::infinity();
+  for (const int side : {-1, 1}) {
+    const int r = row + side * down, c = column + side * across;
+    if (r < 0 || c < 0 || r >= in.height || c >= in.width) continue;
+    least = std::min(least, std::fabs(here - depth_at(in, cells, r, c)));
+  }
+  return least < std::numeric_limits<float>::infinity() ? least : 0.0f;
+}
+
+// Whether a pixel that lies `behind` its reference pixel's limit is hidden: behind even by the surface's own slope, and not
+// within one reference pixel of the nearest in the client's view too, where the reference sees both.
+inline bool hidden(const CagsAddInput& in, const Cells& cells, int row, int column, float behind, Nearest nearest) {
+  const uint32_t place = static_cast<uint32_t>(nearest);
+  const int rows_away = std::abs(row - static_cast<int>(place >> 16)), columns_away = std::abs(column - static_cast<int>(place & 0xffff));
+  if (static_cast<float>(columns_away) <= in.cell_x && static_cast<float>(rows_away) <= in.cell_y) return false;
+  const float across = slope(in, cells, row, column, 0, 1), down = slope(in, cells, row, column, 1, 0);
+  return behind > in.slope_cells * (in.cell_x * across + in.cell_y * down);
+}
+
+// Returns whether any pixel of the run lies in the reference.
+inline bool place(const CagsAddInput& in, const Projection& project, int first, int count, const float* depth, Taps& taps) {
+  const float fade = 1.0f / std::max(in.border_px, 1e-6f);
+  const int across = in.reference_width + 1, wide = in.reference_width + 2;
+  uint32_t any = 0;
+  for (int i = 0; i < count; i += kCell) {
+    const Placed p = project(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
+    any |= bits(p.inside);
+    const Eight distance = lesser(lesser(p.x, project.right - p.x), lesser(p.y, project.bottom - p.y));
+    store(taps.confidence + i, keep(p.inside, clamped(distance * fade, 0, 1)));
+    store(taps.z + i, p.z);
+    store(taps.cell + i, truncated(p.y) * across + truncated(p.x));
+    // in the padded picture, whose pixel (1, 1) is the picture's (0, 0)
+    const Eight x = p.x + 0.5f, y = p.y + 0.5f;
+    const EightInts ix = truncated(x), iy = truncated(y);
+    store(taps.first + i, kLanes * (iy * wide + ix));
+    store(taps.ax + i, x - __builtin_convertvector(ix, Eight));
+    store(taps.ay + i, y - __builtin_convertvector(iy, Eight));
+  }
+  return any;
+}
+
+inline void hide(const CagsAddInput& in, const Cells& cells, const Occlusion& occlusion, int row, int first, int count, Taps& taps) {
+  float limit[kRun];
+  for (int i = 0; i < count; i++) limit[i] = occlusion.limit[taps.cell[i]];
+  uint64_t doubtful = 0;
+  for (int i = 0; i < count; i += kCell) doubtful |= uint64_t{bits(load(taps.z + i) > load(limit + i))} << i;
+  if (count < kRun) doubtful &= (uint64_t{1} << count) - 1;
+  for (; doubtful; doubtful &= doubtful - 1) {
+    const int i = std::countr_zero(doubtful);
+    const float behind = taps.z[i] - limit[i];
+    if (hidden(in, cells, row, first + i, behind, occlusion.nearest[taps.cell[i]])) taps.confidence[i] = 0.0f;
+  }
+}
+
+// The two neighbours left and right of a tap, which lie side by side, at its height.
+inline Eight beside(const int16_t* lack, int pitch, float ay) {
+  const Eight top = __builtin_convertvector(__builtin_convertvector(load<EightShorts>(lack), EightInts), Eight);
+  const Eight low = __builtin_convertvector(__builtin_convertvector(load<EightShorts>(lack + pitch), EightInts), Eight);
+  return top + (low - top) * ay;
+}
+
+// Two pixels' samples, one in each half.
+inline Eight sampled(const int16_t* lack, int pitch, const Taps& taps, int i, int j) {
+  const Eight a = beside(lack + taps.first[i], pitch, taps.ay[i]), b = beside(lack + taps.first[j], pitch, taps.ay[j]);
+  const Eight left = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11);
+  const Eight right = __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+  return left + (right - left) * halves(taps.ax[i], taps.ax[j]);
+}
+
+inline Eight pair_of(const float* low, const float* high) {
+  float both[8];
+  std::memcpy(both, low, sizeof(Four)), std::memcpy(both + 4, high, sizeof(Four));
+  return load(both);
+}
+
+// `rgb` and `out` are runs of whole pixels and four floats more.
+inline void add_run(const CagsAddInput& in, const Taps& taps, int count, const float* rgb, float* out) {
+  const int pitch = kLanes * (in.reference_width + 2);
+  for (int i = 0; i < count; i += 2) {
+    const int j = std::min(i + 1, count - 1);
+    const Eight certain = halves(taps.confidence[i], taps.confidence[j]) * (1.0f / kUnit);
+    const Eight shown = clamped(pair_of(rgb + 3 * i, rgb + 3 * i + 3) + certain * sampled(in.lack, pitch, taps, i, j), 0, 1);
+    std::memcpy(out + 3 * i, &shown, sizeof(Four));
+    std::memcpy(out + 3 * i + 3, reinterpret_cast<const char*>(&shown) + sizeof(Four), sizeof(Four));
+  }
+}
+
+inline void clip_run(const float* rgb, int values, float* out) {
+  for (int i = 0; i < values; i += 8) store(out + i, clamped(load(rgb + i), 0, 1));
+}
+
+// Copies past the caches where `streams` and the addresses allow it.
+inline void put(float* to, const float* from, int count, [[maybe_unused]] bool streams) {
+#if defined(__AVX2__)
+  if (streams && reinterpret_cast<uintptr_t>(to) % sizeof(Eight) == 0) {
+    const int whole = count / 8 * 8;
+    for (int i = 0; i < whole; i += 8) _mm256_stream_ps(to + i, __m256(load(from + i)));
+    to += whole, from += whole, count -= whole;
+  }
+#endif
+  std::memcpy(to, from, count * sizeof(float));
+}
+
+// What a veto leaves of a row's confidence.
+inline void keep_of(const CagsAddInput& in, int row, const Line& line) {
+  if (!in.coarse_veto) {
+    const float* veto = in.veto + int64_t{row} * in.width;
+    for (int i = 0; i < in.width; i++) line.keep[i] = 1.0f - std::min(std::max(veto[i], 0.0f), 1.0f);
+    return;
+  }
+  const int columns = (in.width + kVetoCell - 1) / kVetoCell, rows = (in.height + kVetoCell - 1) / kVetoCell;
+  line_of(in.veto, columns, Between(row, kVetoCell, rows), line.around);
+  for (int i = 0; i < in.width; i += kCell) {
+    const int cell = i / kVetoCell, before = i % kVetoCell ? cell : cell - 1;  // the centre left of these eight pixels
+    const Eight share = (kSteps + (i % kVetoCell ? 0.5f : kCell + 0.5f)) * (1.0f / kVetoCell);
+    const float left = line.around[before], right = line.around[before + 1];
+    store(line.keep + i, 1.0f - clamped(left + (right - left) * share, 0, 1));
+  }
+}
+
+void finish(const CagsAddInput& in, int cell_row, bool holes, const Line& line, const Cells& cells, const Occlusion& occlusion, float* shown,
+            float* confidence) {
+  const bool streams = int64_t{in.width} * in.height >= kLeastStreamed;
+  Taps taps;
+  float colours[3 * kRun + 8], rest[3 * kRun + 8] = {};
+  for (int r = 0; r < rows_of(in, cell_row); r++) {
+    const int row = cell_row * kCell + r;
+    const Projection project(in, row);
+    if (holes) fill_row<false>(in, row, line, cells);
+    if (in.veto) keep_of(in, row, line);
+    for (int first = 0; first < in.width; first += kRun) {
+      const int count = std::min(kRun, in.width - first);
+      const int64_t start = int64_t{row} * in.width + first;
+      const float *rgb = in.rgb + 3 * start, *depth = holes ? line.depth + first : in.depth + start;
+      const bool last = start + kRun + 3 > int64_t{in.width} * in.height;  // a vector might reach beyond the picture
+      if (last || count < kRun) {
+        std::memcpy(rest, rgb, 3 * count * sizeof(float));
+        rgb = rest;
+      }
+      if (!holes && count < kRun) {
+        std::fill_n(line.depth, kRun, 0.0f);
+        std::copy_n(depth, count, line.depth);
+        depth = line.depth;
+      }
+      if (place(in, project, first, count, depth, taps)) {
+        hide(in, cells, occlusion, row, first, count, taps);
+        if (in.veto) {
+          for (int i = 0; i < count; i++) taps.confidence[i] *= line.keep[first + i];
+        }
+        add_run(in, taps, count, rgb, colours);
+      } else {
+        clip_run(rgb, 3 * count, colours);
+      }
+      put(shown + 3 * start, colours, 3 * count, streams);
+      put(confidence + start, taps.confidence, count, streams);
+    }
+  }
+#if defined(__x86_64__)
+  if (streams) __builtin_ia32_sfence();
+#endif
+}
+
+}  // namespace
+}  // namespace cags::correct

@@ -1,0 +1,106 @@
+// What is nearest in each reference pixel.
+#pragma once
+#include "correct/stages/project.h"
+
+#include <bit>
+
+namespace cags::correct {
+namespace {
+
+// The pixels of `line` [width] that are looked at (every stride-th; a depth of 0 is none) claim the reference pixels that
+// they lie in.
+template <int kStride>
+inline void claim(const CagsAddInput& in, int row, const float* line, Nearest* nearest) {
+  const int stride = kStride ? kStride : in.stride, across = in.reference_width + 1;
+  const int count = (in.width + stride - 1) / stride, nowhere = across * (in.reference_height + 1);
+  const Projection project(in, row);
+  const uint32_t place = static_cast<uint32_t>(row) << 16;
+  uint32_t z[kCell], cell[kCell];
+  for (int first = 0; first < count; first += kCell) {
+    Eight depth = {};
+    const int here = std::min(kCell, count - first);
+    if (stride == 1) {
+      depth = load(line + first);  // lines are padded by zeros
+    } else {
+      for (int i = 0; i < here; i++) depth[i] = line[(first + i) * stride];
+    }
+    const Placed p = project((kSteps + static_cast<float>(first)) * static_cast<float>(stride) + 0.5f, depth);
+    if (!bits(p.inside)) continue;
+    const EightInts at = truncated(p.y) * across + truncated(p.x);
+    store(cell, (p.inside & at) | (~p.inside & nowhere));  // one more that nobody looks at
+    store(z, p.z);
+    for (int i = 0; i < kCell; i++) {
+      const Nearest mine = (Nearest{z[i]} << 32) | (place + static_cast<uint32_t>((first + i) * stride));
+      nearest[cell[i]] = std::min(nearest[cell[i]], mine);
+    }
+  }
+}
+
+inline void claim_row(const CagsAddInput& in, int row, const float* line, Nearest* nearest) {
+  switch (in.stride) {
+    case 1: return claim<1>(in, row, line, nearest);
+    case 2: return claim<2>(in, row, line, nearest);
+    default: return claim<0>(in, row, line, nearest);
+  }
+}
+
+inline int rows_of(const CagsAddInput& in, int cell_row) { return std::min(kCell, in.height - cell_row * kCell); }
+
+bool survey(const CagsAddInput& in, int cell_row, const Line& line, const Cells& cells, Nearest* nearest) {
+  const int rows = rows_of(in, cell_row);
+  std::fill_n(line.sums, line.part, 0.0f);
+  std::fill_n(line.counts, line.part, 0.0f);
+  for (int r = 0; r < rows; r++) {
+    const int row = cell_row * kCell + r;
+    for (int first = 0; first < in.width; first += kRun) {
+      const Pixels pixels(in, row, first, std::min(kRun, in.width - first));
+      for (int i = 0; i < kRun; i += kCell) {
+        const Known known = known_of(in, pixels, i);
+        const int at = first + i;
+        store(line.depth + at, keep(known.is, known.depth));
+        store(line.sums + at, load(line.sums + at) + keep(known.is, 1.0f / known.depth));
+        store(line.counts + at, load(line.counts + at) + keep(known.is, all(1.0f)));
+      }
+    }
+    if (row % in.stride == 0) claim_row(in, row, line.depth, nearest);
+  }
+  bool holes = false;
+  float *inverse = cells.inverse + int64_t{cell_row} * cells.columns, *weight = cells.weight + int64_t{cell_row} * cells.columns;
+  for (int i = 0; i < cells.columns; i++) {
+    const float known = sum(load(line.counts + i * kCell)), most = static_cast<float>(rows * std::min(kCell, in.width - i * kCell));
+    inverse[i] = sum(load(line.sums + i * kCell)) / std::max(known, 1e-6f);
+    weight[i] = known / most;
+    holes |= known < most;
+  }
+  return holes;
+}
+
+// Depth of a row: of all pixels, or of those in holes alone, and 0 elsewhere.
+template <bool kHolesAlone>
+inline void fill_row(const CagsAddInput& in, int row, const Line& line, const Cells& cells) {
+  line_of(cells.inverse, cells.columns, Between(row, kCell, cells.rows), line.around);
+  for (int first = 0; first < in.width; first += kRun) {
+    const int count = std::min(kRun, in.width - first);
+    const Pixels pixels(in, row, first, count);
+    for (int i = 0; i < kRun; i += kCell) {
+      const Known known = known_of(in, pixels, i);
+      const Eight seen = kHolesAlone ? Eight{} : known.depth;
+      Eight depth = keep(known.is, seen);
+      if (i < count && bits(~known.is)) depth = select(known.is, seen, around(line.around, (first + i) / kCell));
+      store(line.depth + first + i, depth);
+    }
+  }
+  for (int i = in.width; i < static_cast<int>(rounded_up(in.width, kCell)); i++) line.depth[i] = 0.0f;
+}
+
+void patch(const CagsAddInput& in, int cell_row, const Line& line, const Cells& cells, Nearest* nearest) {
+  for (int r = 0; r < rows_of(in, cell_row); r++) {
+    const int row = cell_row * kCell + r;
+    if (row % in.stride) continue;
+    fill_row<true>(in, row, line, cells);
+    claim_row(in, row, line.depth, nearest);
+  }
+}
+
+}  // namespace
+}  // namespace cags::correct
