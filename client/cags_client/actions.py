@@ -10,8 +10,8 @@ from cags_client.pipeline import ClientPipeline
 from cags_client.presented import PresentedFrame
 from cags_common.errors import DecodeError
 from cags_common.geometry import Pose
+from cags_common.held_tile import HeldTile
 from cags_protocol import events as ev
-from cags_protocol.messages import HeldTile
 
 
 @dataclass(frozen=True)

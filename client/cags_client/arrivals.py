@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Iterable
 
 from cags_client.actions import DataEvent, Restarted, Traffic
+from cags_common.held_tile import HeldTile
 from cags_protocol import events as ev
-from cags_protocol.messages import HeldTile
 
 DECODE_BATCH = 32
 """Messages decoded in one go: enough to dequantise a tile once for all its layers, few enough to stay prompt."""

@@ -29,13 +29,14 @@ from cags_common.correction import Corrected, CorrectSettings
 from cags_common.effects import Effect, EffectPlan, Situation, held_sh_degree, plan_frame
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
+from cags_common.held_tile import HeldTile
 from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.halving import enlarged, halved
 from cags_common.store.gof_store import Committed, GofStore
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
-from cags_protocol.messages import FrameEnd, HeldTile, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 
 class ClientPipeline:

@@ -7,10 +7,12 @@ rate policies and the client, and differ here alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.dequantise import Dequantiser
 from cags_common.errors import BundleError, DecodeError
@@ -72,6 +74,19 @@ class TileDecoder(Protocol):
         """
         ...
 
+    @property
+    def grows(self) -> bool:
+        """Whether a further level may bring more splats."""
+        ...
+
+    def fork(self) -> TileDecoder:
+        """Another decoder of what has come; what is added to one of the two does not change the other."""
+        ...
+
+    def reduced(self, lods: int) -> TileDecoder:
+        """Another decoder, of LoDs 0 .. ``lods`` - 1 alone, which have come; of a whole tile, of what is there."""
+        ...
+
     def dequantise(self, into: Splats | None = None) -> Splats:
         """The splats [n] in the order of :attr:`ids`; in the arrays of ``into`` [n] where it is given."""
         ...
@@ -116,6 +131,73 @@ class MotionTile:
         while (level := self._waiting.pop(self._decoder.levels, None)) is not None:
             self._decoder.add_level(level)
         return self._decoder.levels > before
+
+    def fork(self) -> MotionTile:
+        """Another tile of what has come; what is added to one of the two does not change the other."""
+        other = copy(self)
+        other._decoder, other._waiting = self._decoder.fork(), dict(self._waiting)
+        return other
+
+
+class MotionDecoder(Protocol):
+    """A chunk of motion as far as it has come. Not thread-safe."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def looks(self) -> tuple[int, int]:
+        """Media frame and tile of the looks that move."""
+        ...
+
+    @property
+    def chunk(self) -> Chunk:
+        """The motion, at the levels there are; :meth:`add_layer` changes it in place."""
+        ...
+
+    @property
+    def lod(self) -> int:
+        """Highest level up to which everything has come."""
+        ...
+
+    def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
+        """Take level ``lod`` >= 1; whether the motion changed. Raises :class:`DecodeError`."""
+        ...
+
+    def fork(self) -> MotionDecoder:
+        """Another decoder of what has come; what is added to one of the two does not change the other."""
+        ...
+
+
+class UpdateDecoder(Protocol):
+    """An update as far as it has come. Not thread-safe."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def ids(self) -> Ids:
+        """Ids [n] of the splats of which anything changes, ascending."""
+        ...
+
+    @property
+    def lod(self) -> int:
+        """Highest LoD up to which everything has come."""
+        ...
+
+    def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
+        """Take LoD ``lod`` >= 1; whether :meth:`values` changed. Raises :class:`DecodeError`."""
+        ...
+
+    def values(self) -> dict[str, tuple[NDArray[np.intp], F32]]:
+        """Column of :class:`Splats` -> (ids [m], values [m, ...]) at the depths there are."""
+        ...
+
+    def fork(self) -> UpdateDecoder:
+        """Another decoder of what has come; what is added to one of the two does not change the other."""
+        ...
+
+    def reduced(self, lods: int) -> UpdateDecoder:
+        """Another decoder, of LoDs 0 .. ``lods`` - 1 alone, all of which have come."""
+        ...
 
 
 AnyTile: TypeAlias = "TileDecoder | MotionTile | UpdateState"

@@ -2,7 +2,8 @@
 
 The rules, whatever the order in which tiles are written:
 
-- the newest looks win, splat by splat (a tile of looks of a later frame holds whole splats);
+- the newest looks win, splat by splat (a tile of looks of a later frame holds whole splats); of two tiles of one frame
+  that hold the same splat, the one of the lower number;
 - an enhancement layer changes only the splats that its own tile still owns;
 - an update changes single attributes; the newest update of an attribute wins, until looks of a later frame come (two
   updates of one frame never change the same attribute of a splat);
@@ -15,7 +16,6 @@ Client, server and encoder use this class, so that each knows what another shows
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -105,18 +105,11 @@ class SplatBuffer:
         sh_degree: int,
         *,
         on_replaced: Callable[[Slot], None] = lambda slot: None,
-        before_change: Callable[[int, Rows], None] = lambda frame, rows: None,
-        before_move: Callable[[int, Rows], None] = lambda frame, rows: None,
         threads: int = 1,
     ) -> None:
-        """``on_replaced`` hears of each tile of which nothing is shown any more, ``before_change(frame, rows)`` of rows
-        that are about to be replaced or removed by media frame ``frame``, ``before_move(frame, rows)`` of rows of which
-        only :data:`MOVING_COLUMNS` are about to change, on the way to ``frame``. Motion is evaluated on ``threads``.
-        """
+        """``on_replaced`` hears of each tile of which nothing is shown any more. Motion is evaluated on ``threads``."""
         self._capacity, self._sh_degree, self._threads = capacity, sh_degree, threads
-        self._on_replaced, self._before_change, self._before_move = on_replaced, before_change, before_move
-        self.improved = 0
-        """Times that layers made splats better without a change of what they show."""
+        self._on_replaced = on_replaced
         self.slots: list[Slot] = []
         """Every tile of looks that was added, by :attr:`Slot.index`."""
         self._by_key: dict[Key, Slot] = {}
@@ -178,8 +171,7 @@ class SplatBuffer:
         gone: Ids = ids[self._source[ids] < frame]
         self._release(gone)
         self.owner[gone] = -1
-        self._before_change(frame, gone.astype(np.intp))
-        self.splats.logit_opacities[gone] = self._still["logit_opacities"][gone] = ABSENT_LOGIT
+        self.splats.logit_opacities[gone] = ABSENT_LOGIT  # what an update says of splats that are to come stays
         return gone
 
     def write(self, slot: Slot, lod: int, ids: Ids, splats: Splats) -> Ids:
@@ -187,12 +179,11 @@ class SplatBuffer:
         slot.ids, slot.rows = ids, None
         mine = self.owner[ids] == slot.index
         newer = (self._source[ids] < slot.frame) & (self._removed_at[ids] <= slot.frame)
+        newer |= self._of_later_tiles(slot, ids)
         claimed = ids[newer & ~mine]
         self._release(claimed)
         self.owner[claimed], self._source[claimed] = slot.index, slot.frame
         slot.owned += len(claimed)
-        self._before_change(slot.frame, claimed.astype(np.intp))
-        self.improved += bool(mine.any())
         write = np.nonzero(mine | newer)[0]
         rows: Ids = ids.take(write)
         self._put(slot, rows, splats if len(write) == len(ids) else splats.take(write))
@@ -200,6 +191,16 @@ class SplatBuffer:
         if not slot.owned:
             self._on_replaced(slot)
         return rows
+
+    def _of_later_tiles(self, slot: Slot, ids: Ids) -> NDArray[np.bool_]:
+        """Which of ``ids`` are shown from tiles of the frame of ``slot`` with a higher number."""
+        contested: NDArray[np.bool_] = (
+            (self._source[ids] == slot.frame) & (self.owner[ids] >= 0) & (self.owner[ids] != slot.index)
+        )
+        if contested.any():
+            tiles = np.array([self.slots[owner].key[1] for owner in self.owner[ids[contested]]])
+            contested[contested] = tiles > slot.key[1]
+        return contested
 
     def _put(self, slot: Slot, rows: Ids, splats: Splats) -> None:
         """Looks of ``slot``; what updates of its frame and of later ones changed stays."""
@@ -209,6 +210,7 @@ class SplatBuffer:
             keep = self._updated[name][rows] >= slot.frame if name in self._updated else None
             if keep is not None and keep.any():
                 base[rows[~keep]] = values[~keep]
+                self._updated[name][rows[~keep]] = -1
             else:
                 base[rows] = values
                 if keep is not None:
@@ -241,9 +243,6 @@ class SplatBuffer:
         """Take an update of media frame ``frame``: column -> (ids [m], values [m, ...]); the rows that changed."""
         taken = {column: self._takes(frame, column, ids) for column, (ids, _) in values.items()}
         ids_of = {column: values[column][0][takes] for column, takes in taken.items()}
-        newer = [ids[self._updated[column][ids] < frame] for column, ids in ids_of.items()]
-        self._before_change(frame, self._shown(_union(newer)))
-        self.improved += any(len(new) < len(ids) for new, ids in zip(newer, ids_of.values(), strict=True))
         out = self._shown(_union(list(ids_of.values())))
         moving = np.array([i for i in np.unique(self.owner[out]) if self._touch(self.slots[i])], np.intp)
         for column, ids in ids_of.items():
@@ -324,7 +323,6 @@ class SplatBuffer:
             return np.zeros(0, np.intp)
         listed = np.concatenate([tile.rows for tile in tiles])
         rows: Rows = listed[listed >= 0].astype(np.intp)
-        self._before_move(math.ceil(time), rows)
         shown = Looks(*(getattr(self.splats, name) for name in MOVING_COLUMNS))
         move_rows(tiles, Looks(*self._still.values()), shown, self._threads)
         return rows

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
 
 from cags_common.dequantise import Dequantiser, FreshLayers
 from cags_common.errors import DecodeError
@@ -80,6 +83,33 @@ class TileState:
         bits = self._books[item.attribute].layer_bits[item.layer]
         self._waiting[item.attribute, item.layer] = decode_layer(payload, len(self), bits)
         return self._absorb(item.attribute)
+
+    @property
+    def grows(self) -> bool:
+        """Whether a further level may bring more splats: never, all come with the base."""
+        return False
+
+    def fork(self) -> TileState:
+        """Another state of what has come; what is added to one of the two does not change the other."""
+        other = copy(self)
+        other._fresh = {name: list(parts) for name, parts in self._fresh.items()}
+        other._depth, other._waiting = dict(self._depth), dict(self._waiting)
+        return other
+
+    def reduced(self, lods: int) -> TileState:
+        """Another state, of LoDs 0 .. ``lods`` - 1 alone, all of which have come."""
+        other = self.fork()
+        other._waiting.clear()
+        codes = None if self._codes is None else self._codes.copy()
+        for row, name in enumerate(self._depth):
+            depth = max((item.layer for item in self._order[: lods - 1] if item.attribute == name), default=0)
+            merged = self._depth[name] + 1 - len(self._fresh[name])  # layers that the codes hold
+            other._fresh[name] = self._fresh[name][: max(depth + 1 - merged, 0)]
+            other._depth[name] = depth
+            if codes is not None:
+                codes[row] >>= np.uint32(sum(self._books[name].layer_bits[depth + 1 : merged]))
+        other._codes = codes
+        return other
 
     def dequantise(self, into: Splats | None = None) -> Splats:
         """The tile's splats [n] at the depths there are, in the order of ``base.ids``; in ``into`` if given."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +86,22 @@ class UpdateState:
         bits = self._books[item.attribute].layer_bits[item.layer]
         self._waiting[item.attribute, item.layer] = decode_layer(payload, count, bits)
         return self._absorb(item.attribute)
+
+    def fork(self) -> UpdateState:
+        """Another state of what has come; what is added to one of the two does not change the other."""
+        other = copy(self)
+        other._codes, other._depth, other._waiting = dict(self._codes), dict(self._depth), dict(self._waiting)
+        return other
+
+    def reduced(self, lods: int) -> UpdateState:
+        """Another state, of LoDs 0 .. ``lods`` - 1 alone, all of which have come."""
+        other = self.fork()
+        other._waiting.clear()
+        for name, held in self._depth.items():
+            wanted = 1 + max((item.layer for item in self._order[: lods - 1] if item.attribute == name), default=0)
+            depth = other._depth[name] = min(wanted, held)
+            other._codes[name] = self._codes[name] >> np.uint32(sum(self._books[name].layer_bits[depth:held]))
+        return other
 
     def _absorb(self, name: str) -> bool:
         before = self._depth[name]

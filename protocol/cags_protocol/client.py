@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from cags_common.errors import ProtocolError
+from cags_common.held_tile import HeldTile
 from cags_protocol import events as ev
 from cags_protocol import limits
 from cags_protocol.assembly import Assembler, ReceivedPackets
@@ -21,7 +22,6 @@ from cags_protocol.messages import (
     Control,
     Fragment,
     FrameEnd,
-    HeldTile,
     Hello,
     KeyframeRequest,
     Mark,

@@ -6,11 +6,11 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from cags_common.held_tile import HeldTile
 from cags_protocol.cadence import EVERY_FRAME
 from cags_protocol.messages import (
     Control,
     FrameEnd,
-    HeldTile,
     Hello,
     Mark,
     Message,

@@ -9,8 +9,8 @@ import struct
 from collections.abc import Iterable
 
 from cags_common.errors import ProtocolError
+from cags_common.held_tile import HeldTile
 from cags_common.lod import MAX_LODS
-from cags_protocol.messages import HeldTile
 
 _TILE = struct.Struct("<IHB")
 

@@ -14,6 +14,7 @@ from enum import StrEnum
 from typing import ClassVar
 
 from cags_common.geometry import DEFAULT_NEAR, Intrinsics, Pose
+from cags_common.held_tile import HeldTile
 from cags_common.lod import MAX_LODS
 from cags_protocol import limits
 from cags_protocol.cadence import EVERY_FRAME, LEAST_PERMILLE
@@ -52,15 +53,6 @@ class PoseSample:
 
     t_us: int
     pose: Pose
-
-
-@dataclass(frozen=True, slots=True)
-class HeldTile:
-    """A client holds LoDs 0 .. ``lods`` - 1 of a tile of a media frame; ``lods`` = 0: nothing of it."""
-
-    frame: int
-    tile: int
-    lods: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from cags_common.geometry import Camera, Pose
+from cags_common.held_tile import HeldTile
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, FrameEnd, HeldTile, Hello, Mark, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.ahead import Ahead
 from cags_server.bandwidth.base import BandwidthEstimator

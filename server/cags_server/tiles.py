@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.geometry import Camera
+from cags_common.held_tile import HeldTile
 from cags_common.packing import encode_ids
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, HeldTile, TileLayers
+from cags_protocol.messages import FrameEnd, TileLayers
 from cags_server.abr import TileView, Upgrade
 from cags_server.inventory import ClientInventory
 from cags_server.library import SceneLibrary

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cags_client.gof_store import GofStore
-from cags_client.tile_store import TileStore
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
 from cags_common.codecs import TILE_CODECS
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.packing import decode_ids
 from cags_common.splats import Splats
+from cags_common.store.gof_store import GofStore
+from cags_common.store.tile_store import TileStore
 from cags_encoder import EncodeSettings, encode
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, TileLayers

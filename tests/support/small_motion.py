@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cags_client.opening import Arrival
 from cags_common.bundle import BundleReader, BundleWriter, TilePayloads
 from cags_common.bundle.manifest import Manifest, MotionSteps
 from cags_common.motion.chunk import Blocks, encode
+from cags_common.store.tile_decode import Arrival
 from cags_common.tile_kinds import TileKind
 from cags_common.tiles import PositionGrid, encode_base, encode_layer
 from cags_common.updates import encode_update

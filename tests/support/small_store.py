@@ -6,10 +6,10 @@ import itertools
 
 import numpy as np
 
-from cags_client.tile_store import TileStore
 from cags_common.bundle.manifest import Manifest
 from cags_common.lod import LodLayer
 from cags_common.motion.apply import ABSENT_LOGIT
+from cags_common.store.tile_store import TileStore
 from cags_common.svq import Codebook, CodebookSet
 from cags_common.tiles import PositionGrid, encode_base, encode_layer
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from cags_bench.codec.ablation import Variant
 from cags_bench.codec.views import Judge
-from cags_client.opening import OpenTile, TileOpener
 from cags_common.bundle import Manifest
 from cags_common.codecs import tile_codec
 from cags_common.errors import DecodeError
 from cags_common.morton import tile_ranges
 from cags_common.raster import create
 from cags_common.splats import Splats
+from cags_common.store.tile_decode import OpenTile, TileOpener
 from cags_common.tiles import KEY_TILE_SPLATS, position_bytes
 from cags_encoder.measuring import VIEWS, measure
 from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,6 +114,24 @@ class DensityTile:
         if self._lod > before:
             self._merge()
         return self._lod > before
+
+    @property
+    def grows(self) -> bool:
+        """Whether a further level may bring more splats."""
+        return self._lod + 1 < len(self._gains)
+
+    def fork(self) -> DensityTile:
+        """Another tile of what has come; what is added to one of the two does not change the other."""
+        other = copy(self)
+        other._chunks = dict(self._chunks)
+        return other
+
+    def reduced(self, lods: int) -> DensityTile:
+        """Another tile, of levels 0 .. ``lods`` - 1 alone, all of which have come."""
+        other = copy(self)
+        other._chunks, other._lod = {level: self._chunks[level] for level in range(lods)}, lods - 1
+        other._merge()
+        return other
 
     def dequantise(self, into: Splats | None = None) -> Splats:
         """The splats that are there, [m], compensated for those that are not."""

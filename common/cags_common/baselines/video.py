@@ -10,6 +10,7 @@ on their own. Positions, of which V3 codes a high and a low byte without loss, g
 from __future__ import annotations
 
 import struct
+from copy import copy
 
 import numpy as np
 
@@ -77,6 +78,20 @@ class VideoTile:
         if self._lod != lod or not np.array_equal(held, self._head.ids):
             raise DecodeError(f"tile: quality {self._lod} is of another tile, or was sent as {lod}")
         return True
+
+    @property
+    def grows(self) -> bool:
+        """Whether a further quality may bring more splats: never."""
+        return False
+
+    def fork(self) -> VideoTile:
+        """Another tile of what has come; what is added to one of the two does not change the other."""
+        return copy(self)
+
+    def reduced(self, lods: int) -> VideoTile:
+        """Another tile of what has come: nothing is left of the qualities below it."""
+        del lods
+        return copy(self)
 
     def dequantise(self, into: Splats | None = None) -> Splats:
         """The tile's splats [n]."""

@@ -8,6 +8,7 @@ rigid bodies, and coarse residuals; each further level refines the residuals by 
 from __future__ import annotations
 
 import struct
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -194,6 +195,13 @@ class ChunkDecoder:
     def looks(self) -> tuple[int, int]:
         """Media frame and tile of the looks that move."""
         return self.chunk.looks
+
+    def fork(self) -> ChunkDecoder:
+        """Another decoder of what has come; what is added to one of the two does not change the other."""
+        other = copy(self)
+        moves, turns = (None if part is None else part.copy() for part in (self.chunk.moves, self.chunk.turns))
+        other.chunk = replace(self.chunk, moves=moves, turns=turns)
+        return other
 
     def add_level(self, payload: bytes | memoryview) -> None:
         """Take the next level. Raises :class:`DecodeError`, and then nothing is changed."""

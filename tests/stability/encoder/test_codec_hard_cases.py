@@ -13,13 +13,13 @@ import faiss
 import numpy as np
 import pytest
 
-from cags_client.opening import OpenTile, TileOpener
 from cags_common.attributes import split_attributes
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import tile_codec
 from cags_common.errors import SceneError
 from cags_common.morton import morton_order, tile_ranges
 from cags_common.splats import Splats
+from cags_common.store.tile_decode import OpenTile, TileOpener
 from cags_common.svq import MAX_STAGE_BITS
 from cags_encoder import EncodeSettings
 from cags_encoder.quantiser.configs import LOGIT_RANGE, QuantiserConfig, layered

@@ -20,11 +20,12 @@ from cags_client.settings import ClientSettings
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, NetworkError
 from cags_common.geometry import Pose
+from cags_common.held_tile import HeldTile
 from cags_common.transport import MemoryTransport, memory_pair
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
 from cags_protocol.encoding import encode
-from cags_protocol.messages import Fragment, HeldTile, TileLayers, Welcome
+from cags_protocol.messages import Fragment, TileLayers, Welcome
 from support.small_store import books, manifest
 
 MANIFEST = Manifest("t", 30.0, 3, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())
@@ -94,7 +95,7 @@ def test_what_was_given_up_for_want_of_memory_is_told_to_the_server(monkeypatch:
     told = list[HeldTile]()
     monkeypatch.setattr(client.player._session, "report_evictions", told.extend)
     pipe = ClientPipeline(manifest(), books().to_bytes(), ClientSettings())
-    monkeypatch.setattr("cags_client.waiting.MAX_WAITING_BYTES", 100)
+    monkeypatch.setattr("cags_common.store.reorder_buffer.MAX_WAITING_BYTES", 100)
     late = [ev.TileReceived(TileLayers(0, n, 1, 2, (60,), (0,)), memoryview(bytes(60))) for n in range(3)]
     decode = Decode(tuple(late), pipe)
     client.player.done(decode, decode.run(), now_us())

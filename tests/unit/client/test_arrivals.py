@@ -5,8 +5,9 @@ from __future__ import annotations
 from cags_client.actions import Restarted, Traffic
 from cags_client.arrivals import DECODE_BATCH, Arrivals
 from cags_common.geometry import Intrinsics, Pose
+from cags_common.held_tile import HeldTile
 from cags_protocol import events as ev
-from cags_protocol.messages import HeldTile, ReferenceFrame, TileLayers
+from cags_protocol.messages import ReferenceFrame, TileLayers
 
 
 def tile(number: int, from_lod: int = 0, to_lod: int = 1, size: int = 10) -> ev.TileReceived:

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from cags_client.carry import OnDisplay
 from cags_client.expected import Veils
 from cags_client.restore.veil import CERTAIN, STARTS, plausible, suspicion
-from cags_client.shown import Shown
 from cags_common import raster
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster.base import RenderOptions
 from cags_common.splats import Splats
+from cags_common.store.shown import Shown
 
 CAMERA = Camera(Intrinsics.of_fov(64, 48, 1.0, 0.8), Pose.identity())
 GAINS_DB = (6.0, 14.0)
@@ -38,7 +38,7 @@ def scene_of(depths: list[float], sizes: list[float], lods: list[int]) -> OnDisp
     splats = Splats(means, quats, scales, np.full(n, 8.0, np.float32), np.zeros((n, 3), np.float32), rest)
     tiles = tuple(SimpleNamespace(shown_lod=lod) for lod in lods)
     store = SimpleNamespace(splats=splats, shown=Shown(np.arange(n, dtype=np.int32), tiles))  # type: ignore[arg-type]
-    return OnDisplay(None, store, 0, 0, lambda rows: None)  # type: ignore[arg-type]
+    return OnDisplay(None, store, 0)  # type: ignore[arg-type]
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=20))

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
+from cags_common.held_tile import HeldTile
 from cags_protocol.encoding import decode, encode
 from cags_protocol.fields import Integer, ListOf, Record
-from cags_protocol.messages import Ack, HeldTile, SeqRange
+from cags_protocol.messages import Ack, SeqRange
 
 
 @dataclass(frozen=True)

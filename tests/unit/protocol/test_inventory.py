@@ -3,11 +3,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
+from cags_common.held_tile import HeldTile
 from cags_common.lod import MAX_LODS
 from cags_protocol.encoding import decode, encode
 from cags_protocol.inventory import MAX_INVENTORY_TILES, pack_inventory, unpack_inventory
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from cags_protocol.messages import HeldTile
 from support.wire_pair import hello
 
 TILES = st.builds(HeldTile, st.integers(0, 2**31 - 1), st.integers(0, 2**16 - 1), st.integers(1, MAX_LODS))

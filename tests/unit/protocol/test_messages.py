@@ -6,6 +6,7 @@ import pytest
 
 from cags_common.errors import ProtocolError
 from cags_common.geometry import Intrinsics, Pose
+from cags_common.held_tile import HeldTile
 from cags_protocol import limits
 from cags_protocol import messages as m
 from cags_protocol.encoding import DamagedError, VersionError, decode, encode, printable
@@ -17,7 +18,7 @@ CAMERA = Intrinsics.of_fov(400, 300, 1.0, 0.8)
 EXAMPLES: list[tuple[m.Message, bytes]] = [
     (hello(token="secret", start_frame=7, inventory=b"\1\2"), b""),
     (m.PoseBatch((m.PoseSample(1, POSE), m.PoseSample(2, Pose.identity()))), b""),
-    (m.Ack((m.SeqRange(5, 9), m.SeqRange(1, 3)), 77, 5, 100, (m.HeldTile(1, 2, 3),)), b""),
+    (m.Ack((m.SeqRange(5, 9), m.SeqRange(1, 3)), 77, 5, 100, (HeldTile(1, 2, 3),)), b""),
     (m.Control("seek", 12, 99, 0.5, True), b""),
     (m.KeyframeRequest(4), b""),
     (m.Bye("done"), b""),

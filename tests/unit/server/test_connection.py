@@ -7,11 +7,12 @@ from dataclasses import replace
 import pytest
 
 from cags_common.geometry import Intrinsics, Pose
+from cags_common.held_tile import HeldTile
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
 from cags_protocol.encoding import encode
 from cags_protocol.inventory import pack_inventory
-from cags_protocol.messages import Control, FrameEnd, HeldTile, PoseSample, RefusalCode, TileLayers
+from cags_protocol.messages import Control, FrameEnd, PoseSample, RefusalCode, TileLayers
 from cags_server.bandwidth import MeasuredEstimator
 from cags_server.connection import Connection
 from cags_server.reference.job import FrameJob, FrameRender

@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 
 from cags_common.geometry import Pose
+from cags_common.held_tile import HeldTile
 from cags_common.video.h264 import H264Decoder
 from cags_protocol import events as ev
-from cags_protocol.messages import Blob, FrameEnd, HeldTile, ReferenceFrame, TileLayers
+from cags_protocol.messages import Blob, FrameEnd, ReferenceFrame, TileLayers
 from cags_server.bandwidth import MeasuredEstimator
 from cags_server.budget import MESSAGE_OVERHEAD_BYTES
 from cags_server.settings import ServerSettings

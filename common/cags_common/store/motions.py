@@ -1,4 +1,4 @@
-"""Tiles of motion and of updates that a client holds of one group of frames, besides its looks.
+"""Tiles of motion and of updates of one group of frames, besides its looks.
 
 A chunk of motion is decoded while it may be shown. Once a later chunk of the same looks is, or nothing of the looks is
 left, only its payloads stay, which are small, for showing earlier frames again. A chunk that comes before the looks
@@ -7,21 +7,32 @@ that it moves waits undecoded, for it can be checked against nothing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.shown import Held
-from cags_client.waiting import Key
-from cags_common.codecs import MotionTile
+from cags_common.codecs import MotionDecoder, TileDecoder, UpdateDecoder
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
-from cags_common.motion.chunk import LEVELS, Chunk, read_looks
+from cags_common.motion.apply import Steps
+from cags_common.motion.chunk import LEVELS, Chunk
 from cags_common.splats import Ids, Splats
-from cags_common.updates import UpdateState
+from cags_common.store.shown import Held
+from cags_common.store.tile_decode import First, Key, Opener, OpenMotion
+from cags_common.store.versions import Version, Versions
+
+
+@dataclass(frozen=True, slots=True)
+class KeptPayload:
+    """A level of motion, and the last mark that came before it."""
+
+    since: int
+    data: bytes | memoryview
 
 
 @dataclass(eq=False)
@@ -30,9 +41,9 @@ class HeldMotion:
 
     key: Key
     looks: Key
-    state: MotionTile | None
+    versions: Versions[MotionDecoder] | None
     """None once it is past."""
-    payloads: dict[int, bytes]
+    payloads: dict[int, KeptPayload]
     """By level."""
     shown_lod: int = -1
 
@@ -41,19 +52,21 @@ class HeldMotion:
         """Levels that are held, from the lowest on without a gap."""
         return next((level for level in range(LEVELS) if level not in self.payloads), LEVELS)
 
-    @property
-    def bytes(self) -> int:
-        """Of all payloads."""
-        return sum(map(len, self.payloads.values()))
-
-    def opened(self) -> MotionTile:
-        """Decoded anew from the payloads, but for levels that are damaged. Raises :class:`DecodeError`."""
-        state = MotionTile(self.payloads[0])
-        for level, payload in sorted(self.payloads.items()):
+    def opened(self, opener: Opener, floor: float) -> Versions[MotionDecoder] | DecodeError:
+        """Decoded anew from the payloads, but for levels that are damaged; what came before mark ``floor`` as one."""
+        first, *_ = opener.opened([First(self.key, 0, memoryview(self.payloads[0].data))])
+        if isinstance(first, DecodeError):
+            return first
+        assert isinstance(first, OpenMotion)
+        since = self.payloads[0].since
+        versions = Versions(first.state, since)
+        for level, kept in sorted(self.payloads.items(), key=lambda item: (item[1].since, item[0])):
             if level:
+                at = kept.since if kept.since >= floor else since
                 with suppress(DecodeError):
-                    state.add_layer(level, payload)
-        return state
+                    versions.writable(at).add_layer(level, kept.data)
+                    versions.touch()
+        return versions
 
 
 @dataclass(eq=False)
@@ -61,7 +74,7 @@ class HeldUpdate:
     """One update: what is decoded of it."""
 
     key: Key
-    state: UpdateState
+    versions: Versions[UpdateDecoder]
     shown_lod: int = -1
     ids_of: dict[str, NDArray[np.intp]] = field(default_factory=dict)
     """Column of splats -> ids that it changes; known once it is shown."""
@@ -69,60 +82,71 @@ class HeldUpdate:
     @property
     def lods(self) -> int:
         """Levels that are decoded, from the base on without a gap."""
-        return self.state.lod + 1
+        return self.versions.newest.lod + 1
 
 
 AnyHeld: TypeAlias = Held | HeldMotion | HeldUpdate
 UpdateValues: TypeAlias = dict[str, tuple[NDArray[np.intp], F32]]
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
+class LooksValue:
+    """The splats of a tile of looks."""
+
+    ids: Ids  # [n]
+    splats: Splats  # [n]
+    steps: Steps | None
+    """Units of their motion; None in bundles without any."""
+    grows: bool
+    """Whether further levels may bring more splats."""
+
+
+@dataclass(frozen=True, eq=False)
 class Staged:
-    """A tile that the display may show, at the levels that there were."""
+    """A tile that the display may show, at the levels that there were before the mark after ``since``."""
 
     held: AnyHeld
+    since: int
     lod: int
-    value: tuple[Ids, Splats] | UpdateValues | Chunk
+    value: LooksValue | UpdateValues | Chunk
 
 
-def staged_from(held: AnyHeld) -> Staged | None:
-    """What is to be shown of a tile, at the levels there are; None for motion that is past."""
+def to_stage(held: AnyHeld) -> list[Callable[[], Staged]]:
+    """Makes of what is to be staged of a tile, a version each; none of motion that is past.
+
+    What they make never changes, for nothing is added to a version that was handed out.
+    """
     if isinstance(held, Held):
-        state = held.tile.state
-        return Staged(held, state.lod, (state.ids, state.dequantise()))
+        return [partial(_staged_looks, held, version) for version in held.versions.fresh()]
     if isinstance(held, HeldUpdate):
-        return Staged(held, held.state.lod, held.state.values())
-    motion = held.state
-    if motion is None:
-        return None
-    chunk = motion.chunk
-    if motion.lod < LEVELS - 1:  # a further level is added in place, while this may be on display
-        moves, turns = (None if part is None else part.copy() for part in (chunk.moves, chunk.turns))
-        chunk = replace(chunk, moves=moves, turns=turns)
-    return Staged(held, motion.lod, chunk)
+        return [partial(_staged_update, held, version) for version in held.versions.fresh()]
+    return [partial(_staged_motion, held, v) for v in held.versions.fresh()] if held.versions is not None else []
 
 
-def reopened(held: HeldMotion) -> MotionTile | DecodeError:
-    """The tile decoded from its payloads, or why it cannot be."""
-    try:
-        return held.opened()
-    except DecodeError as error:
-        return error
+def staged(make: Callable[[], Staged]) -> Staged:
+    """What ``make`` makes."""
+    return make()
+
+
+def _staged_looks(held: Held, version: Version[TileDecoder]) -> Staged:
+    state = version.handed_out()
+    splats = state.dequantise()
+    return Staged(held, version.since, state.lod, LooksValue(state.ids, splats, state.steps, state.grows))
+
+
+def _staged_update(held: HeldUpdate, version: Version[UpdateDecoder]) -> Staged:
+    state = version.handed_out()
+    return Staged(held, version.since, state.lod, state.values())
+
+
+def _staged_motion(held: HeldMotion, version: Version[MotionDecoder]) -> Staged:
+    state = version.handed_out()
+    return Staged(held, version.since, state.lod, state.chunk)
 
 
 def named(key: Key) -> str:
     """The tile in an error."""
     return f"tile {key[1]} of frame {key[0]}"
-
-
-def looks_of(payload: memoryview | None) -> Key | None:
-    """The looks that LoD 0 of a tile of motion moves; None where there is none, or it cannot be read."""
-    if payload is None:
-        return None
-    try:
-        return read_looks(payload)
-    except DecodeError:
-        return None
 
 
 class Motions:

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cags_client import waiting
-from cags_client.waiting import WaitingLayers
+from cags_common.store import reorder_buffer as waiting
+from cags_common.store.reorder_buffer import WaitingLayers
 
 KEYS = st.tuples(st.integers(0, 2), st.integers(0, 2))
 STEPS = st.lists(st.tuples(KEYS, st.integers(1, 8), st.binary(max_size=30), st.booleans()), max_size=60)

@@ -1,37 +1,34 @@
-"""What the client holds of one group of frames: tiles at any depth, in any order of arrival.
+"""What is held of one group of frames: tiles at any depth, in any order of arrival.
 
-Tiles are decoded when they arrive (:mod:`cags_client.gof_tiles`); :meth:`GofStore.commit` makes them visible, all of a
-frame's at once, when that frame is shown (:mod:`cags_common.splat_buffer` has the rules by which looks, updates and
-motion become one array of splats). Each group of frames has ids, and a store, of its own. Showing an earlier frame of
-the group replays what is held, so a loop or a jump back asks the network for nothing.
+Tiles are decoded when they arrive (:mod:`cags_common.store.gof_tiles`); :meth:`GofStore.commit` makes them visible, all
+of a frame's at once, when that frame is shown (:mod:`cags_common.splat_buffer` has the rules by which looks, updates
+and motion become one array of splats). What is shown depends on what came up to a mark and on the frame alone: not on
+how arrivals were batched, nor on what was committed before. Each group of frames has ids, and a store, of its own.
+Showing an earlier frame of the group replays what is held, so a loop or a jump back asks the network for nothing.
 """
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.gof_tiles import GofTiles
-from cags_client.motions import HeldMotion, HeldUpdate, Staged
-from cags_client.opening import Arrival, TileOpener
-from cags_client.past import SplatPast
-from cags_client.shown import Held, Shown
-from cags_client.waiting import Key
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.errors import DecodeError
+from cags_common.held_tile import HeldTile
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.motion.chunk import Chunk
 from cags_common.splat_buffer import Slot, SplatBuffer
 from cags_common.splats import Ids, Splats
-from cags_protocol.messages import HeldTile
-
-REPLAY_AHEAD = 8
-"""Frames ahead of the display whose kept tiles are dequantised off the display path."""
+from cags_common.store.gof_tiles import GofTiles
+from cags_common.store.motions import HeldMotion, HeldUpdate, LooksValue, Staged
+from cags_common.store.shown import Held, Shown
+from cags_common.store.tile_decode import Arrival, Key, Opener
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,43 +60,49 @@ class Committed:
         return self.fresh or len(self.rows) > 0 or len(self.moved) > 0
 
 
+@dataclass(frozen=True, slots=True)
+class _End:
+    """The end of a frame, and the last mark that came before it."""
+
+    mark: int
+    removed: Ids
+
+
 class GofStore:
     """One group of frames. One thread may add and flush while another commits, which never waits for a decoder."""
 
-    def __init__(self, manifest: Manifest, gof: int, opener: TileOpener) -> None:
+    def __init__(self, manifest: Manifest, gof: int, opener: Opener, mark: int = 0) -> None:
+        """``mark`` is the last that came."""
+        self._manifest, self._gof, self._opener = manifest, gof, opener
         self.capacity = manifest.capacity[gof]
         frames, self._top_lod = manifest.gof_frames(gof), manifest.lods - 1
-        self.past = SplatPast(frames.start)
-        """What the splats on display were a few frames ago."""
         self._buffer = SplatBuffer(
-            self.capacity,
-            manifest.sh_degree,
-            on_replaced=self._replaced,
-            before_change=lambda frame, rows: self.past.record(frame, rows, self._buffer.splats),
-            before_move=lambda frame, rows: self.past.record(frame, rows, self._buffer.splats, moved=True),
-            threads=opener.threads,
+            self.capacity, manifest.sh_degree, on_replaced=self._replaced, threads=opener.threads
         )
         layered, in_motion = manifest.codec != WHOLE_TILES_CODEC, manifest.motion is not None
-        self._tiles = GofTiles(frames, self.capacity, opener, layered=layered, in_motion=in_motion)
+        self._tiles = GofTiles(frames, self.capacity, opener, layered=layered, in_motion=in_motion, mark=mark)
         self._shown: list[Held] = []
         self._coarse: dict[Key, HeldMotion | HeldUpdate] = {}  # shown below its highest level
-        self._shown_frame = -1
+        self._shown_frame = self._horizon = -1
         self.whole = False
         """Whether the end of the frame on display had come when it was committed."""
+        self.begun = False
+        """Whether looks of any frame up to the one on display have been shown."""
         self._rewound = False
-        self._ends: dict[int, Ids] = {}  # not yet shown
-        self._ended: dict[int, Ids] = {}
+        self._ends: set[int] = set()  # not yet shown
+        self._ended: dict[int, _End] = {}
         self._lock = threading.Lock()
+
+    def resumed(self, inventory: Mapping[Key, int] | None) -> GofStore:
+        """Another store, of so many LoDs of each tile (None: of what :meth:`held` says), without ends of frames."""
+        other = GofStore(self._manifest, self._gof, self._opener, self._tiles.mark)
+        other._tiles = self._tiles.resumed(inventory)
+        return other
 
     @property
     def splats(self) -> Splats:
         """Those on display; rows are splat ids. They change with :meth:`commit` and :meth:`move`."""
         return self._buffer.splats
-
-    @property
-    def improved(self) -> int:
-        """Times that layers made splats on display better without a change of what they show."""
-        return self._buffer.improved
 
     @property
     def keeps(self) -> bool:
@@ -116,7 +119,11 @@ class GofStore:
         """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that are
         left out.
         """
-        return self._tiles.flush(self._shown_frame, self._shown_frame + REPLAY_AHEAD)
+        return self._tiles.flush()
+
+    def mark(self, number: int) -> None:
+        """What comes from now on belongs to later marks. After :meth:`flush`, in the same thread."""
+        self._tiles.mark = number
 
     def take_dropped(self) -> list[HeldTile]:
         """What had come and was given up since the last call, for want of memory: the server may send it again."""
@@ -127,20 +134,26 @@ class GofStore:
         self._tiles.check_ids(removed, f"removed ids of frame {frame}")
         with self._lock:
             if frame not in self._ended:
-                self._ends[frame] = self._ended[frame] = removed
+                self._ended[frame] = _End(self._tiles.mark, removed)
+                self._ends.add(frame)
 
     # ----------------------------------------------------------------------------------------- display (display thread)
 
-    def commit(self, frame: int) -> Changes:
-        """Show what has come for frames up to ``frame``, where it is at ``frame``."""
+    def commit(self, frame: int, basis: int | None = None) -> Changes:
+        """Show what has come up to mark ``basis`` (None: everything) for frames up to ``frame``, where it is then.
+
+        What a frame at or before it showed of later marks stays; a frame before the one on display shows the basis
+        alone.
+        """
+        limit = math.inf if basis is None else basis
+        horizon = self._newest_end(frame, limit)
         if frame < self._shown_frame:
-            self._rewind()
-            self.past.restart(frame)
-        self._shown_frame = frame
-        self.past.advance(frame)
-        horizon, ends, self.whole = self._due(frame)
+            self._rewind(horizon, limit)
+        self._shown_frame, self._horizon = frame, max(self._horizon, horizon)
+        ends = self._due(horizon, limit)
+        self.whole = self._horizon >= frame and frame in self._ended
         self._tiles.stage_unless_decoding(horizon)
-        updates = self._tiles.due(horizon)
+        updates = self._tiles.due(horizon, limit)
         touched = np.zeros(self.capacity, dtype=bool)
         if self._rewound:
             touched[:], self._rewound = True, False
@@ -164,19 +177,21 @@ class GofStore:
         """The rows that change by it; motion changes none before all of it is evaluated."""
         held, value = staged.held, staged.value
         if isinstance(held, Held):
-            assert isinstance(value, tuple)
+            assert isinstance(value, LooksValue)
+            held.steps, held.grows = value.steps, value.grows
+            self.begun |= len(value.ids) > 0
             if held.index < 0:
                 held.index = len(self._buffer.slots)
                 self._buffer.add(held)
                 self._shown.append(held)
-            return self._buffer.write(held, staged.lod, *value)
+            return self._buffer.write(held, staged.lod, value.ids, value.splats)
         held.shown_lod, top = staged.lod, MOTION_LEVELS - 1
         rows = np.zeros(0, np.intp)
         if isinstance(held, HeldUpdate):
             assert isinstance(value, dict)
             held.ids_of, top = {column: ids for column, (ids, _) in value.items()}, self._top_lod
             rows = self._buffer.update(held.key[0], value)
-        elif held.state is not None:
+        elif held.versions is not None:
             assert isinstance(value, Chunk)
             self._buffer.set_motion(held.looks, held.key[0], value)
         if staged.lod < top:
@@ -185,28 +200,33 @@ class GofStore:
             self._coarse.pop(held.key, None)
         return rows
 
-    def _due(self, frame: int) -> tuple[int, list[tuple[int, Ids]], bool]:
-        """The newest frame up to ``frame`` that has ended, removals to be shown, and whether ``frame`` has ended."""
+    def _newest_end(self, frame: int, limit: float) -> int:
+        """The newest frame up to ``frame`` whose end came before mark ``limit``; -1 where none did."""
         with self._lock:
-            horizon = max((f for f in self._ended if f <= frame), default=-1)
-            frames = sorted(f for f in self._ends if f <= horizon)
-            return horizon, [(f, self._ends.pop(f)) for f in frames], frame in self._ended
+            return max((f for f, end in self._ended.items() if f <= frame and end.mark < limit), default=-1)
 
-    def _rewind(self) -> None:
+    def _due(self, horizon: int, limit: float) -> list[tuple[int, Ids]]:
+        """Removals to be shown, of frames up to ``horizon`` whose ends came before mark ``limit``."""
+        with self._lock:
+            frames = sorted(f for f in self._ends if f <= horizon and self._ended[f].mark < limit)
+            self._ends.difference_update(frames)
+            return [(f, self._ended[f].removed) for f in frames]
+
+    def _rewind(self, horizon: int, limit: float) -> None:
         """Back to an empty picture; everything held waits to be shown again, in order."""
         self._buffer.clear()
-        for looks in self._tiles.rewind():
+        for looks in self._tiles.rewind(horizon, limit):
             self._buffer.drop_motion(looks)
         self._coarse.clear()
         with self._lock:
-            self._ends = dict(self._ended)
-        self._rewound = True
+            self._ends = set(self._ended)
+        self._rewound, self.begun, self._horizon = True, False, -1
 
     def _replaced(self, slot: Slot) -> None:
         """Nothing of a tile is shown any more."""
-        if slot.replaced:
-            return
         assert isinstance(slot, Held)
+        if slot.replaced or slot.grows:
+            return
         self._buffer.drop_motion(slot.key)
         self._forget(self._tiles.replaced(slot))
 

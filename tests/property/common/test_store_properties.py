@@ -9,11 +9,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cags_client.gof_store import GofStore
-from cags_client.tile_store import TileStore
 from cags_common.bundle import BundlePlayer, DecodedFrame
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import LEVELS
+from cags_common.store.gof_store import GofStore
+from cags_common.store.tile_store import TileStore
 from support.small_motion import Clip, moving, random_frames, written
 from support.small_store import manifest
 
@@ -42,7 +42,7 @@ def played(rng: np.random.Generator, clip: Clip, store: TileStore, last: int) ->
                 store.end(event, NONE)
         if rng.random() < 0.5:
             shown = int(rng.integers(0, last + 1)) if rng.random() < 0.2 else min(shown + 1, last)
-            store.commit(shown, span=3)
+            store.commit(shown)
     assert not store.flush()
 
 

@@ -7,17 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cags_client.opening import OpenTile
-from cags_client.shown import Held, Shown
 from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.store.shown import Held, Shown
+from cags_common.store.tile_decode import Sphere
+from cags_common.store.versions import Versions
 
 CAMERA = Camera(Intrinsics.of_fov(40, 30, 0.5, 0.4), Pose.identity())
 AHEAD, BEHIND = (0.0, 0.0, 5.0), (0.0, 0.0, -5.0)
 
 
 def held(index: int, owned: int, lod: int, at: tuple[float, float, float] = AHEAD) -> Held:
-    tile = OpenTile(SimpleNamespace(), np.array(at, np.float32), 0.1)  # type: ignore[arg-type]
-    return Held(index=index, key=(0, index), tile=tile, owned=owned, shown_lod=lod)
+    sphere, versions = Sphere(np.array(at, np.float32), 0.1), Versions(SimpleNamespace(), 0)  # type: ignore[type-var]
+    return Held(index=index, key=(0, index), sphere=sphere, versions=versions, owned=owned, shown_lod=lod)
 
 
 def shown(*tiles: Held) -> Shown:

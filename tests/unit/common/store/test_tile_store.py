@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cags_client.tile_store import TileStore
 from cags_common.codecs import SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_protocol.messages import HeldTile
+from cags_common.store.tile_store import TileStore
 from support.small_store import CAPACITY, base, books, layer, manifest, removed, xs
 
 
@@ -158,7 +158,7 @@ def test_damage_is_refused_and_what_was_held_stays(store: TileStore) -> None:
 
 
 def test_layers_that_wait_for_their_base_are_bounded(store: TileStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cags_client.waiting.MAX_WAITING_BYTES", 100)
+    monkeypatch.setattr("cags_common.store.reorder_buffer.MAX_WAITING_BYTES", 100)
     for tile in range(1000):
         store.add(0, tile, 1, [layer(4, 1)])
     gof, _ = store.commit(0)
@@ -207,7 +207,7 @@ def test_layers_that_come_after_their_tile_was_replaced_count_in_the_replay(stor
 def test_what_is_kept_for_a_replay_is_bounded(
     store: TileStore, bound: str, least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"cags_client.gof_tiles.{bound}", least)
+    monkeypatch.setattr(f"cags_common.store.gof_tiles.{bound}", least)
     replaced_thrice(store)
     store.add(0, 0, 1, [layer(2, 1)])
     gof, _ = store.commit(3)

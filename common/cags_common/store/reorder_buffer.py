@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
-Key = tuple[int, int]
-"""Source frame and tile."""
+from cags_common.store.tile_decode import Key
 
 MAX_WAITING_BYTES = 8 << 20
 """Bound on layers that wait for their tile's base, a group of frames."""
@@ -15,16 +14,18 @@ MAX_WAITING_BYTES = 8 << 20
 class WaitingLayers:
     """Layers by tile; the oldest tile's go when more than :data:`MAX_WAITING_BYTES` wait."""
 
-    def __init__(self) -> None:
-        self._layers: OrderedDict[Key, list[tuple[int, bytes]]] = OrderedDict()
+    def __init__(self, kept: Callable[[memoryview], bytes | memoryview] = bytes) -> None:
+        """``kept`` makes of a payload what may stay."""
+        self._kept = kept
+        self._layers: OrderedDict[Key, list[tuple[int, bytes | memoryview]]] = OrderedDict()
         self.bytes = 0
         """Bytes of all that waits."""
 
     def add(self, key: Key, layers: Iterable[tuple[int, memoryview]]) -> list[Key]:
-        """Keep copies of ``layers``, (LoD, payload), until :meth:`take`. The tiles whose layers made room for them."""
+        """Keep ``layers``, (LoD, payload), until :meth:`take`. The tiles whose layers made room for them."""
         kept = self._layers.setdefault(key, [])
         for lod, payload in layers:
-            kept.append((lod, bytes(payload)))
+            kept.append((lod, self._kept(payload)))
             self.bytes += len(payload)
         gone = []
         while self.bytes > MAX_WAITING_BYTES:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cags_client.motions import HeldMotion, staged_from
-from cags_client.opening import Arrival
-from cags_client.tile_store import TileStore
 from cags_common.bundle import TilePayloads
 from cags_common.codecs import MotionTile, SvqTileCodec
 from cags_common.errors import DecodeError
+from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import DEADZONES, LEVELS, Chunk
 from cags_common.splat_buffer import Slot, SplatBuffer
-from cags_protocol.messages import HeldTile
+from cags_common.store.motions import HeldMotion, to_stage
+from cags_common.store.tile_decode import Arrival
+from cags_common.store.tile_store import TileStore
+from cags_common.store.versions import Versions
 from support.small_motion import looks, motion, moving, recoloured
 from support.small_store import books, manifest, removed, xs
 
@@ -214,7 +215,7 @@ def test_a_damaged_level_that_had_to_wait_is_not_taken_for_held(store: TileStore
 
 def test_motion_whose_looks_never_come_waits_within_bounds(store: TileStore, monkeypatch: pytest.MonkeyPatch) -> None:
     chunk = motion((0, 9999), 2, [0, 1])
-    monkeypatch.setattr("cags_client.waiting.MAX_WAITING_BYTES", 10 * len(chunk.payloads[0]))
+    monkeypatch.setattr("cags_common.store.reorder_buffer.MAX_WAITING_BYTES", 10 * len(chunk.payloads[0]))
     for tile in range(1000):
         send(store, 0, tile, chunk, slice(0, 1))
     dropped = store.take_dropped()
@@ -256,11 +257,11 @@ def test_a_chunk_that_is_past_is_kept_as_its_payloads_and_decoded_only_where_it_
     gof = store.commit(LAST)[0]
     first, second = (gof._tiles._tiles[key] for key in ((0, 1), (2, 0)))
     assert isinstance(first, HeldMotion) and isinstance(second, HeldMotion)
-    assert first.state is None
-    assert second.state is not None
+    assert first.versions is None
+    assert second.versions is not None
     assert HeldTile(0, 1, LEVELS) in store.held()
     store.commit(0)
-    assert first.state is not None
+    assert first.versions is not None
 
 
 def test_a_finer_level_of_a_past_chunk_counts_in_the_replay(store: TileStore) -> None:
@@ -279,7 +280,7 @@ def test_a_finer_level_of_a_past_chunk_counts_in_the_replay(store: TileStore) ->
 def test_what_is_kept_of_motion_and_updates_is_bounded(
     store: TileStore, least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cags_client.gof_tiles.MAX_KEPT_SPLATS", least)
+    monkeypatch.setattr("cags_common.store.gof_tiles.MAX_KEPT_SPLATS", least)
     walk(store)
     assert not store.keeps
     assert not store.holds(0)
@@ -327,22 +328,6 @@ def test_between_frames_splats_are_on_the_line_and_the_frame_itself_is_shown_aga
     assert store.commit(2)[1].moved.tolist() == []
 
 
-def test_own_views_of_earlier_frames_know_where_splats_were(store: TileStore) -> None:
-    send(store, 0, 0, looks([0, 1], 5))
-    send(store, 0, 1, motion((0, 0), 2, [0, 1, 3, 6]))
-    send(store, 2, 0, looks([1], 20))
-    end_all(store)
-    for frame in range(LAST + 1):
-        gof, _ = store.commit(frame, span=8)
-    for frame, where in enumerate(([5, 5], [6, 6], [8, 20])):
-        then = gof.past.as_of(frame, gof.splats)
-        assert then is not None
-        place = then.scene.means[:2, 0].copy()
-        place[then.rows] = then.splats.means[:, 0]
-        assert place.tolist() == where
-    assert gof.past.as_of(LAST, gof.splats) is None
-
-
 def test_nothing_drifts_over_ten_thousand_frames() -> None:
     """Chunk after chunk, backwards and forwards: always against the looks."""
     frames = 10_000
@@ -365,7 +350,7 @@ def test_nothing_drifts_over_ten_thousand_frames() -> None:
     send(alone, last * span, 1, motion((0, 0), 1, list(where[last])))
     alone.end(last * span, removed())
     assert np.array_equal(alone.commit(frame)[0].splats.means[0], at_the_end)
-    assert sum(isinstance(h, HeldMotion) and h.state is not None for h in gof._tiles._tiles.values()) <= 2
+    assert sum(isinstance(h, HeldMotion) and h.versions is not None for h in gof._tiles._tiles.values()) <= 2
 
 
 def test_many_at_once_in_any_order_are_opened_together() -> None:
@@ -422,14 +407,15 @@ def test_tiles_that_have_ended_or_stand_still_are_not_evaluated_again(monkeypatc
 
 def test_what_is_staged_of_a_chunk_does_not_change_while_a_finer_level_is_added() -> None:
     chunk = motion((0, 0), 1, [0.0, 1 / 32])
-    held = HeldMotion((0, 1), (0, 0), MotionTile(chunk.payloads[0]), {})
-    staged = staged_from(held)
-    assert staged is not None and isinstance(staged.value, Chunk) and staged.value.moves is not None
-    assert held.state is not None
+    versions = Versions(MotionTile(chunk.payloads[0]), 0)
+    held = HeldMotion((0, 1), (0, 0), versions, {})
+    (make,) = to_stage(held)
+    staged = make()
+    assert isinstance(staged.value, Chunk) and staged.value.moves is not None
     for level in range(1, LEVELS):
-        held.state.add_layer(level, chunk.payloads[level])
+        versions.writable(0).add_layer(level, chunk.payloads[level])
     assert not staged.value.moves.any()
-    assert held.state.chunk.moves is not None and held.state.chunk.moves.any()
+    assert versions.newest.chunk.moves is not None and versions.newest.chunk.moves.any()
 
 
 def test_a_buffer_without_motion_moves_nothing() -> None:

@@ -1,16 +1,17 @@
 """Tiles that are decoded by threads, in batches, and by decoders that misbehave."""
 
 import contextlib
+import copy
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from cags_client.opening import Arrival
-from cags_client.tile_store import TileStore
 from cags_common.codecs import SvqTileCodec, TileDecoder
 from cags_common.errors import DecodeError
 from cags_common.splats import Splats
+from cags_common.store.tile_decode import Arrival
+from cags_common.store.tile_store import TileStore
 from support.small_store import CAPACITY, base, books, layer, manifest, removed, xs
 
 
@@ -43,7 +44,7 @@ class GrowingTile:
     """A tile whose second level brings a splat with an id that the group does not have."""
 
     def __init__(self) -> None:
-        self.ids, self.lod, self.steps = np.array([0], np.int32), 0, None
+        self.ids, self.lod, self.steps, self.grows = np.array([0], np.int32), 0, None, True
 
     @property
     def means(self) -> np.ndarray:
@@ -55,6 +56,9 @@ class GrowingTile:
     def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
         self.ids, self.lod = np.array([0, CAPACITY], np.int32), lod
         return True
+
+    def fork(self) -> "GrowingTile":
+        return copy.copy(self)
 
     def dequantise(self, into: object = None) -> Splats:
         n = len(self.ids)

@@ -8,17 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.opening import OpenTile, in_view
-from cags_client.waiting import Key
+from cags_common.codecs import TileDecoder
 from cags_common.geometry import F32, Camera
 from cags_common.splat_buffer import Slot
+from cags_common.store.tile_decode import Key, Sphere, in_view
+from cags_common.store.versions import Versions
 
 
 @dataclass(eq=False, kw_only=True)
 class Held(Slot):
     """One tile of looks: what is decoded of it, and how many rows it still owns."""
 
-    tile: OpenTile
+    sphere: Sphere
+    versions: Versions[TileDecoder]
+    """What is decoded of it."""
+    grows: bool = False
+    """Whether levels that are not shown yet may bring more splats."""
 
     @property
     def on_display(self) -> bool:
@@ -28,7 +33,7 @@ class Held(Slot):
     @property
     def lods(self) -> int:
         """Levels that are decoded, from the base on without a gap."""
-        return self.tile.state.lod + 1
+        return self.versions.newest.lod + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +71,7 @@ class Shown:
             of_all = np.bincount(self.owner[held], weights=contribution[held], minlength=len(self.tiles))
             weights = of_all[[tile.index for tile in tiles]]
         else:
-            weights = np.array([tile.owned for tile in tiles]) * in_view([tile.tile for tile in tiles], camera)
+            weights = np.array([tile.owned for tile in tiles]) * in_view([tile.sphere for tile in tiles], camera)
         lods = np.array([tile.shown_lod for tile in tiles], np.float64)
         return float((weights * lods).sum() / weights.sum()) if weights.sum() > 0 else float("nan")
 

@@ -1,0 +1,508 @@
+"""What has come of one group of frames: tiles of any kind at any depth, in any order of arrival.
+
+Tiles are decoded when they arrive, off the display path and several at a time, and then *staged*: dequantised, for the
+display to take. What is replaced or past stays for showing earlier frames again, within bounds.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import TypeAlias
+
+from cags_common.codecs import MotionDecoder
+from cags_common.errors import DecodeError
+from cags_common.held_tile import HeldTile
+from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
+from cags_common.splats import Ids
+from cags_common.store.motions import (
+    AnyHeld,
+    HeldMotion,
+    HeldUpdate,
+    KeptPayload,
+    Motions,
+    Staged,
+    named,
+    staged,
+    to_stage,
+)
+from cags_common.store.reorder_buffer import WaitingLayers
+from cags_common.store.shown import Held
+from cags_common.store.tile_decode import Arrival, First, Key, Opened, Opener, OpenMotion, OpenUpdate
+from cags_common.store.versions import Versions
+
+MAX_LATE_BYTES = 8 << 20
+"""Bound on layers of replaced tiles that are kept for showing earlier frames again; past it none are."""
+
+MAX_TILES_PER_GOF = 1 << 17
+"""Bound on the tiles of one group of frames."""
+
+MAX_KEPT_SPLATS = 1 << 22
+"""Splats of replaced tiles and of updates that are kept for showing earlier frames again; past it none are."""
+
+KEPT_SPLAT_BYTES = 40
+"""What a kept splat takes; payloads of motion count as so many splats."""
+
+REPLAY_AHEAD = 8
+"""Frames ahead of the display whose kept tiles are dequantised off the display path."""
+
+Layers: TypeAlias = list[tuple[int, memoryview]]
+
+
+class GofTiles:
+    """Tiles of one group of frames. One thread may add and flush while another takes what is staged."""
+
+    def __init__(
+        self,
+        frames: range,
+        capacity: int,
+        opener: Opener,
+        *,
+        layered: bool = True,
+        in_motion: bool = False,
+        mark: int = 0,
+    ) -> None:
+        """Of media ``frames`` and ids below ``capacity``; ``layered`` unless any payload is a whole tile, ``in_motion``
+        where the bundle has motion. ``mark`` is the last that came.
+        """
+        self._frames, self._capacity, self._opener = frames, capacity, opener
+        self._layered, self._in_motion = layered, in_motion
+        self.mark = mark
+        """What comes belongs to every mark after this one. Set by the thread that adds, after a flush."""
+        self.keeps = True
+        """Whether earlier frames of the group can be shown again from what is held."""
+        self._tiles: dict[Key, AnyHeld | None] = {}  # None: nothing of it is shown any more, and it is not kept
+        self._motions = Motions()
+        self._late: dict[Key, list[tuple[int, int, bytes | memoryview]]] = {}  # of kept tiles, by mark and level
+        self._replay: dict[Key, AnyHeld] = {}
+        self._kept_splats = self._late_bytes = self._motion_bytes = self._updated_splats = 0
+        self._waiting = WaitingLayers(opener.kept)
+        self._dropped: list[HeldTile] = []
+        self._touched: dict[Key, AnyHeld] = {}
+        self._errors: list[DecodeError] = []
+        self._staged: dict[Key, list[Staged]] = {}  # a tile's in the order of marks
+        self._several: dict[Key, AnyHeld] = {}  # of which versions may be over
+        self._horizon, self._basis = -1, math.inf  # of what is shown
+        self._floor = -math.inf  # no mark before it is asked for any more
+        self._lock = threading.Lock()
+        self._decoding = threading.Lock()
+
+    # ------------------------------------------------------------------------------------------ arrival (decode thread)
+
+    def add(self, arrivals: Sequence[Arrival]) -> list[DecodeError]:
+        """Decode tiles' layers; what is wrong with those that are left out. Duplicates change nothing.
+
+        Damaged payloads, ids beyond the group's capacity and motion that does not fit its looks are left out; what was
+        held stays. What comes of it does not depend on how arrivals are batched.
+        """
+        errors = []
+        with self._decoding:
+            ahead = self._open_ahead(arrivals)
+            for arrival in arrivals:
+                try:
+                    self._add(arrival.key, list(enumerate(arrival.payloads, arrival.from_lod)), ahead)
+                except DecodeError as error:
+                    errors.append(error)
+        return errors
+
+    def flush(self) -> list[DecodeError]:
+        """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that have
+        grown ids beyond the capacity, or waited for looks that they do not fit, and are left out.
+
+        Of what is to be shown again only what is shown, or soon will be, is staged.
+        """
+        with self._decoding:
+            self._stage(math.inf, self._horizon + REPLAY_AHEAD)
+            errors, self._errors = self._errors, []
+        return errors
+
+    def take_dropped(self) -> list[HeldTile]:
+        """What had come and was given up since the last call, for want of memory: the server may send it again."""
+        with self._decoding:
+            dropped, self._dropped = self._dropped, []
+        return dropped
+
+    def resumed(self, inventory: Mapping[Key, int] | None) -> GofTiles:
+        """Another store of so many LoDs, from 0 on, of each tile, and of nothing else; None: of what :meth:`held` says.
+
+        That is where a connection begins, whatever was shown over the one before; half-come levels are forgotten.
+        """
+        layered, in_motion = self._layered, self._in_motion
+        other = GofTiles(
+            self._frames, self._capacity, self._opener, layered=layered, in_motion=in_motion, mark=self.mark
+        )
+        with self._decoding, self._lock:
+            other._horizon = self._horizon
+            levels = {key: held.lods for key, held in self._tiles.items() if held is not None}
+            if inventory is not None:
+                levels = {key: inventory[key] for key in levels if inventory.get(key)}
+            for key, lods in sorted(levels.items()):
+                held = self._tiles[key]
+                if isinstance(held, Held):
+                    self._hand_over_looks(held, lods, other)
+                elif isinstance(held, HeldUpdate):
+                    state = held.versions.newest
+                    update = HeldUpdate(key, Versions(state.reduced(min(lods, state.lod + 1)), self.mark))
+                    other._replay[key] = other._take_update(update)
+            moving = [held for key in sorted(levels) if isinstance(held := self._tiles[key], HeldMotion)]
+        for motion in moving:
+            lods = min(motion.lods, levels[motion.key])
+            payloads = [memoryview(motion.payloads[level].data) for level in range(lods)]
+            other._errors += other.add([Arrival(*motion.key, 0, payloads)])
+        return other
+
+    def _hand_over_looks(self, held: Held, lods: int, other: GofTiles) -> None:
+        state = held.versions.newest.fork()
+        for _, lod, payload in self._late.get(held.key, []):
+            with suppress(DecodeError):
+                state.add_layer(lod, payload)
+        state = state.reduced(min(lods, state.lod + 1))
+        taken = Held(index=-1, key=held.key, sphere=held.sphere, versions=Versions(state, self.mark))
+        other._tiles[held.key] = other._replay[held.key] = taken
+
+    def _looks_of(self, key: Key, lod: int, payload: memoryview) -> Key | None:
+        """The looks that a tile of motion moves; None of other kinds."""
+        return self._opener.looks_of(First(key, lod, payload)) if self._in_motion else None
+
+    def _open_ahead(self, arrivals: Sequence[Arrival]) -> dict[Key, Opened | DecodeError]:
+        """The new tiles that arrivals bring, opened together; not motion of looks that are yet to come."""
+        coming = {arrival.key for arrival in arrivals if arrival.from_lod == 0}
+        firsts: dict[Key, First] = {}
+        for arrival in arrivals:
+            if not arrival.payloads or not self._opens(arrival.from_lod) or arrival.key in self._tiles:
+                continue
+            looks = self._looks_of(arrival.key, arrival.from_lod, arrival.payloads[0])
+            if looks is None or looks in self._tiles or looks in coming:
+                firsts.setdefault(arrival.key, First(arrival.key, arrival.from_lod, arrival.payloads[0]))
+        return dict(zip(firsts, self._opener.opened(list(firsts.values())), strict=True))
+
+    def _opens(self, lod: int) -> bool:
+        """Whether a payload of ``lod`` opens a tile of which nothing is held: its base, or the whole of it."""
+        return lod == 0 or not self._layered
+
+    def _add(self, key: Key, layers: Layers, ahead: dict[Key, Opened | DecodeError]) -> None:
+        """``ahead``: tiles that are opened already."""
+        if key in self._tiles and self._tiles[key] is None:
+            return
+        held = self._tiles.get(key)
+        if isinstance(held, Held) and held.replaced:  # of use once earlier frames are shown again
+            self._keep_late(key, layers)
+            return
+        if held is None:
+            if not layers or not self._opens(layers[0][0]) or self._waits(key, *layers[0]):
+                self._wait(key, layers)
+                return
+            opened = ahead.pop(key) if key in ahead else self._opened(key, *layers[0])
+            held = self._take(key, layers[0][1], opened, ahead)
+            if held is None:
+                return
+            self._touched[key] = held
+            layers = layers[1:] + self._waiting.take(key)
+        for lod, payload in layers:
+            if lod > 0 and self._add_layer(held, lod, payload):
+                self._touched[key] = held
+
+    def _opened(self, key: Key, lod: int, payload: memoryview) -> Opened | DecodeError:
+        return self._opener.opened([First(key, lod, payload)])[0]
+
+    def _add_layer(self, held: AnyHeld, lod: int, payload: memoryview) -> bool:
+        versions = held.versions
+        changed = False
+        try:
+            if versions is not None and lod > versions.newest.lod:
+                changed = versions.writable(self.mark).add_layer(lod, payload)
+        except DecodeError:  # of this level, or of one that had to wait for it
+            if isinstance(held, HeldMotion):
+                self._drop_levels(held)
+            raise
+        if changed and versions is not None:
+            versions.touch()
+        if versions is not None and len(versions) > 1:
+            with self._lock:
+                self._several[held.key] = held
+        if isinstance(held, HeldMotion) and 0 < lod < MOTION_LEVELS:
+            self._keep_motion(held, lod, payload)
+        return changed
+
+    def _waits(self, key: Key, lod: int, payload: memoryview) -> bool:
+        """Whether ``key`` moves looks that have not come. Raises :class:`DecodeError`."""
+        looks = self._looks_of(key, lod, payload)
+        if looks is None or looks in self._tiles:
+            return False
+        if not self._frames.start <= looks[0] <= key[0]:
+            raise DecodeError(f"{named(key)}: moves {named(looks)}, which is not of its group of frames up to it")
+        self._motions.wait(key, looks)
+        return True
+
+    def _wait(self, key: Key, layers: Layers) -> None:
+        for gone in self._waiting.add(key, layers):
+            self._motions.give_up(gone)
+            self._dropped.append(HeldTile(*gone, 0))
+
+    def _take(
+        self, key: Key, payload: memoryview, tile: Opened | DecodeError, ahead: dict[Key, Opened | DecodeError]
+    ) -> AnyHeld | None:
+        """A tile that is new; None where what it moves is not kept. Raises :class:`DecodeError`."""
+        if isinstance(tile, DecodeError):
+            raise tile
+        if len(self._tiles) >= MAX_TILES_PER_GOF:
+            raise DecodeError(f"{named(key)}: the group already has {MAX_TILES_PER_GOF} tiles")
+        if isinstance(tile, OpenMotion):
+            return self._take_motion(key, payload, tile)
+        self.check_ids(tile.state.ids, named(key))
+        if isinstance(tile, OpenUpdate):
+            return self._take_update(HeldUpdate(key, Versions(tile.state, self.mark)))
+        held = Held(index=-1, key=key, sphere=tile.sphere, versions=Versions(tile.state, self.mark))
+        with self._lock:
+            self._tiles[key] = held
+        self._bring(self._motions.come(key), ahead)
+        return held
+
+    def _bring(self, waiting: list[Key], ahead: dict[Key, Opened | DecodeError]) -> None:
+        """Looks have come: take the motion that waited for them. Errors wait for the next :meth:`flush`."""
+        for key in waiting:
+            for layer in sorted(self._waiting.take(key), key=lambda layer: layer[0]):
+                try:
+                    self._add(key, [layer], ahead)
+                except DecodeError as error:
+                    self._errors.append(error)
+
+    def _take_motion(self, key: Key, payload: memoryview, tile: OpenMotion) -> HeldMotion | None:
+        state = tile.state
+        looks = self._tiles.get(state.looks)
+        if looks is None and state.looks in self._tiles:
+            self._tiles[key] = None
+            return None
+        if not self._in_motion or not isinstance(looks, Held) or looks.key[0] > key[0]:
+            raise DecodeError(f"{named(key)}: moves {named(state.looks)}, which holds no splats that move by then")
+        if len(state) != len(looks.versions.newest):
+            had = f"{named(state.looks)}, which has {len(looks.versions.newest)}"
+            raise DecodeError(f"{named(key)}: moves {len(state)} splats of {had}")
+        held = HeldMotion(key, state.looks, Versions(state, self.mark), {})
+        with self._lock:
+            self._tiles[key] = held
+            if (before := self._motions.add(held)) is not None:
+                self._tiles[before.key] = None
+        self._keep_motion(held, 0, payload)
+        return held
+
+    def _take_update(self, held: HeldUpdate) -> HeldUpdate:
+        with self._lock:
+            self._tiles[held.key] = held
+            self._updated_splats += len(held.versions.newest)
+            self._bound_kept()
+        return held
+
+    def check_ids(self, ids: Ids, what: str) -> None:
+        """Raise :class:`DecodeError` for ids that the group does not have."""
+        if len(ids) and (int(ids.min()) < 0 or int(ids.max()) >= self._capacity):
+            raise DecodeError(f"{what}: id {int(ids.max())} is outside the group's capacity {self._capacity}")
+
+    def _keep_late(self, key: Key, layers: Layers) -> None:
+        with self._lock:
+            late = self._late.setdefault(key, [])
+            late.extend((self.mark, lod, self._opener.kept(payload)) for lod, payload in layers)
+            self._late_bytes += sum(len(payload) for _, payload in layers)
+            if self._late_bytes > MAX_LATE_BYTES and self._opener.bounded:
+                self._stop_keeping()
+
+    def _keep_motion(self, held: HeldMotion, level: int, payload: memoryview) -> None:
+        with self._lock:
+            if level not in held.payloads:
+                held.payloads[level] = KeptPayload(self.mark, self._opener.kept(payload))
+                self._motion_bytes += len(payload)
+                self._bound_kept()
+
+    def _drop_levels(self, held: HeldMotion) -> None:
+        """Of a tile of motion only what is decoded counts as held."""
+        with self._lock:
+            decoded = held.versions.newest.lod if held.versions is not None else 0
+            for level in [level for level in held.payloads if level > decoded]:
+                self._motion_bytes -= len(held.payloads.pop(level).data)
+
+    def _bound_kept(self) -> None:
+        besides = self._updated_splats + self._motion_bytes // KEPT_SPLAT_BYTES
+        if self._opener.bounded and self.keeps and self._kept_splats + besides > MAX_KEPT_SPLATS:
+            self._stop_keeping()
+
+    # ---------------------------------------------------------------------------------------------------------- staging
+
+    def stage_unless_decoding(self, horizon: int) -> None:
+        """Dequantise what nobody flushed. While a batch is being decoded nothing of a frame that has ended is missing:
+        its tiles are flushed before its end. Only what is replayed must be waited for.
+        """
+        wait = any(key[0] <= horizon for key in list(self._replay))
+        if not self._decoding.acquire(blocking=wait):
+            return
+        try:
+            self._stage(horizon, horizon)
+        finally:
+            self._decoding.release()
+
+    def _stage(self, horizon: float, replayed: int) -> None:
+        """Dequantise touched tiles of frames up to ``horizon``, and those to be replayed of frames up to ``replayed``.
+
+        Errors wait for the next :meth:`flush`.
+        """
+        self._reopen([k for k in self._replay if k[0] <= replayed])
+        fresh = [make for held in self._take_touched(horizon).values() for make in to_stage(held)]
+        for item in self._opener.run(staged, fresh):
+            with self._lock:
+                of = self._staged.setdefault(item.held.key, [])
+                if of and of[-1].since == item.since:
+                    of.pop()
+                of.append(item)
+
+    def _reopen(self, keys: list[Key]) -> None:
+        """Touch what is to be replayed; of the motion that is shown only what counts there is decoded again."""
+        motions = []
+        for key in keys:
+            held = self._touched[key] = self._replay.pop(key)
+            if isinstance(held, HeldMotion):
+                if self._is_followed(held):
+                    self._retire(held)
+                elif held.versions is None:
+                    motions.append(held)
+        for held, versions in zip(motions, self._opener.run(self._decoded_again, motions), strict=True):
+            if isinstance(versions, DecodeError):
+                self._errors.append(versions)
+            else:
+                held.versions = versions
+
+    def _decoded_again(self, held: HeldMotion) -> Versions[MotionDecoder] | DecodeError:
+        return held.opened(self._opener, self._floor)
+
+    def _is_followed(self, held: HeldMotion) -> bool:
+        """Whether a later chunk of the same looks is shown in its place."""
+        others = [other for other in self._motions.of(held.looks) if held.key[0] < other.key[0] <= self._horizon]
+        return any(other.payloads[0].since < self._basis for other in others)
+
+    def _take_touched(self, horizon: float) -> dict[Key, AnyHeld]:
+        touched: dict[Key, AnyHeld] = {}
+        for key in [k for k in self._touched if k[0] <= horizon]:
+            held = self._touched.pop(key)
+            try:
+                if isinstance(held, Held):
+                    self.check_ids(held.versions.newest.ids, named(key))
+                touched[key] = held
+            except DecodeError as error:
+                self._errors.append(error)
+        return touched
+
+    # ----------------------------------------------------------------------------------------- display (display thread)
+
+    def due(self, horizon: int, basis: float) -> list[Staged]:
+        """Take what is staged of frames up to ``horizon`` and came before mark ``basis``, in order."""
+        with self._lock:
+            self._horizon, self._basis = max(self._horizon, horizon), basis
+            due = []
+            for key in sorted(key for key in self._staged if key[0] <= horizon):
+                come = [item for item in self._staged[key] if item.since < basis]
+                if come:
+                    due.append(come[-1])
+                    del self._staged[key][: len(come)]
+                if not self._staged[key]:
+                    del self._staged[key]
+            self._trim(basis)
+            return due
+
+    def _trim(self, basis: float) -> None:
+        """Later marks alone are asked for from now on; nobody asked for one where everything is shown."""
+        if basis == math.inf:
+            return
+        self._floor = max(self._floor, basis)
+        for key, held in list(self._several.items()):
+            if held.versions is not None:
+                held.versions.trim(self._floor)
+            if held.versions is None or len(held.versions) == 1:
+                del self._several[key]
+
+    def rewind(self, horizon: int, basis: float) -> list[Key]:
+        """Everything held waits to be shown again, in order, what came before mark ``basis`` up to ``horizon`` first;
+        the looks that move.
+        """
+        with self._decoding, self._lock:
+            self._horizon, self._basis = horizon, basis
+            self._trim(basis)
+            for key, held in self._tiles.items():
+                if held is None:
+                    continue
+                self._replay[key], held.shown_lod = held, -1
+                if isinstance(held, Held):
+                    held.owned, held.replaced = 0, False
+                    self._take_late(held)
+                if held.versions is not None:
+                    held.versions.again()
+            self._staged.clear()
+            self._touched.clear()
+            self._kept_splats = self._late_bytes = 0
+            return self._motions.looks()
+
+    def _take_late(self, held: Held) -> None:
+        for mark, lod, payload in self._late.pop(held.key, []):
+            with suppress(DecodeError):  # damaged on the way: the tile stays as good as it was
+                held.versions.writable(mark).add_layer(lod, payload)
+                self._several[held.key] = held
+
+    def replaced(self, held: Held) -> list[HeldMotion]:
+        """Nothing of a tile is shown any more: it is kept for a replay while there is room. Its motion, now past."""
+        with self._lock:
+            self._staged.pop(held.key, None)
+            held.replaced = True
+            past = self._motions.of(held.key)
+            for motion in past:
+                self._retire(motion)
+            self._kept_splats += len(held.versions.newest)
+            if not self.keeps:
+                self._tiles[held.key] = None
+            self._bound_kept()
+            return past
+
+    def past(self, chunks: list[tuple[Key, int]]) -> list[HeldMotion]:
+        """Later chunks of motion have followed these, each named by its looks and first frame: the tiles."""
+        with self._lock:
+            past = [held for looks, start in chunks if (held := self._motions.at(looks, start)) is not None]
+            for held in past:
+                self._retire(held)
+            return past
+
+    def forget(self, update: HeldUpdate) -> None:
+        """Nothing of an update is shown any more, and nothing is kept."""
+        with self._lock:
+            self._give_up(update)
+
+    def updates(self) -> list[HeldUpdate]:
+        """Those that have been shown."""
+        with self._lock:
+            return [held for held in self._tiles.values() if isinstance(held, HeldUpdate) and held.shown_lod >= 0]
+
+    def looks(self, key: Key) -> Held | None:
+        """The tile of looks ``key``."""
+        held = self._tiles.get(key)
+        return held if isinstance(held, Held) else None
+
+    def held(self) -> list[HeldTile]:
+        """The tiles of which splats are shown, wait to be, or are kept for a replay; motion and updates like looks."""
+        with self._decoding, self._lock:
+            return [HeldTile(*key, h.lods) for key, h in self._tiles.items() if h is not None]
+
+    def _retire(self, held: HeldMotion) -> None:
+        """A tile of motion is past, or nothing is left of what it moves: only its payloads stay."""
+        held.versions = None
+        self._staged.pop(held.key, None)
+        if not self.keeps:
+            self._give_up(held)
+
+    def _give_up(self, held: AnyHeld) -> None:
+        self._tiles[held.key] = None
+        if isinstance(held, HeldMotion):
+            self._motions.discard(held)
+
+    def _stop_keeping(self) -> None:
+        self.keeps = False
+        self._late.clear()
+        for held in [h for h in self._tiles.values() if h is not None]:
+            if held.replaced if isinstance(held, Held) else isinstance(held, HeldMotion) and held.versions is None:
+                self._give_up(held)

@@ -1,0 +1,197 @@
+"""Opening tiles, several at a time: Draco and the kernels release the GIL, so that two threads pay off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.codecs import (
+    AnyTile,
+    MotionDecoder,
+    MotionTile,
+    TileCodec,
+    TileDecoder,
+    UpdateDecoder,
+    dequantise_tiles,
+)
+from cags_common.errors import DecodeError
+from cags_common.geometry import F32, Camera, axis_bounds
+from cags_common.motion.chunk import VERSION as MOTION_VERSION
+from cags_common.motion.chunk import read_looks
+from cags_common.splats import Splats
+from cags_common.updates import UpdateState
+
+T = TypeVar("T")
+U = TypeVar("U")
+
+
+Key: TypeAlias = tuple[int, int]
+"""Media frame and tile."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """Layers of one tile as a message brings them: ``payloads[i]`` is LoD ``from_lod + i``."""
+
+    frame: int
+    tile: int
+    from_lod: int
+    payloads: list[memoryview]
+
+    @property
+    def key(self) -> Key:
+        """Source frame and tile."""
+        return self.frame, self.tile
+
+
+@dataclass(frozen=True, slots=True)
+class First:
+    """The payload that opens a tile: its LoD 0, or, where any payload is a whole tile, of any LoD."""
+
+    key: Key
+    lod: int
+    payload: memoryview
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A ball that holds a tile's means."""
+
+    centre: F32  # [3] world, metres
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class OpenTile:
+    """A decoded base layer of looks, and where its means are."""
+
+    state: TileDecoder
+    sphere: Sphere
+
+
+@dataclass(frozen=True, eq=False)
+class OpenMotion:
+    """A decoded first level of motion."""
+
+    state: MotionDecoder
+
+
+@dataclass(frozen=True, eq=False)
+class OpenUpdate:
+    """A decoded base layer of an update."""
+
+    state: UpdateDecoder
+
+
+Opened: TypeAlias = OpenTile | OpenMotion | OpenUpdate
+"""A tile of any kind whose LoD 0 is decoded."""
+
+
+class Opener(Protocol):
+    """Makes decoders of a store's tiles."""
+
+    bounded: bool
+    """Whether what the decoders hold counts: only so much of what is over is kept for showing it again."""
+
+    @property
+    def threads(self) -> int:
+        """Of decoding; what is shown does not depend on their number."""
+        ...
+
+    def opened(self, firsts: Sequence[First]) -> list[Opened | DecodeError]:
+        """A decoder for each tile, or why it cannot be read."""
+        ...
+
+    def looks_of(self, first: First) -> Key | None:
+        """The looks that a tile of motion moves; None of other kinds, and where that cannot be read."""
+        ...
+
+    def kept(self, payload: memoryview) -> bytes | memoryview:
+        """A payload for as long as the store likes: a message's is used again."""
+        ...
+
+    def run(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
+        """``work`` on each of ``items``, in order."""
+        ...
+
+
+def open_tile(codec: TileCodec, payload: memoryview) -> Opened:
+    """Decode LoD 0. Raises :class:`DecodeError`."""
+    state: AnyTile = codec.open_tile(payload)
+    if isinstance(state, MotionTile):
+        return OpenMotion(state)
+    if isinstance(state, UpdateState):
+        return OpenUpdate(state)
+    low, high = axis_bounds(state.means) if len(state) else (np.zeros(3, np.float32), np.zeros(3, np.float32))
+    return OpenTile(state, Sphere(((low + high) / 2).astype(np.float32), float(np.linalg.norm(high - low) / 2)))
+
+
+def in_view(spheres: Sequence[Sphere], camera: Camera) -> NDArray[np.bool_]:
+    """Which of ``spheres`` [n] meet the cone around the view's pyramid."""
+    centres, radii = np.array([s.centre for s in spheres], np.float64), np.array([s.radius for s in spheres])
+    rotation, translation = camera.world_to_camera
+    p = centres @ rotation.T + translation
+    fov_x, fov_y = camera.intrinsics.fov_rad
+    half = np.arctan(np.hypot(np.tan(fov_x / 2), np.tan(fov_y / 2)))
+    distance = np.maximum(np.linalg.norm(p, axis=1), 1e-9)
+    angle = np.arccos(np.clip(p[:, 2] / distance, -1.0, 1.0))
+    spread = np.arcsin(np.clip(radii / distance, 0.0, 1.0))
+    return np.asarray((angle <= half + spread) | (distance <= radii))
+
+
+class TileOpener:
+    """Decodes base layers and dequantises tiles on ``threads`` threads. The results do not depend on their number."""
+
+    bounded = True
+
+    def __init__(self, codec: TileCodec, threads: int) -> None:
+        self._codec, self.threads = codec, threads
+        self._pool = ThreadPoolExecutor(threads, "cags-tiles") if threads > 1 else None
+
+    def open(self, payloads: Sequence[memoryview]) -> list[Opened | DecodeError]:
+        """What each LoD 0 payload holds, or why it cannot be read."""
+        return list(self._pool.map(self._try, payloads) if self._pool else map(self._try, payloads))
+
+    def opened(self, firsts: Sequence[First]) -> list[Opened | DecodeError]:
+        """A decoder for each tile, or why it cannot be read."""
+        return self.open([first.payload for first in firsts])
+
+    def looks_of(self, first: First) -> Key | None:
+        """The looks that a tile of motion moves; None of other kinds, and where that cannot be read."""
+        if first.lod or not len(first.payload) or first.payload[0] != MOTION_VERSION:
+            return None
+        try:
+            return read_looks(first.payload)
+        except DecodeError:
+            return None
+
+    def kept(self, payload: memoryview) -> bytes:
+        """A copy."""
+        return bytes(payload)
+
+    def dequantise(self, tiles: Sequence[TileDecoder]) -> list[Splats]:
+        """Each tile's splats; the tiles are different ones."""
+        return self.run(_dequantised, tiles)
+
+    def run(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
+        """``work`` on each of ``items``, in order."""
+        return list(self._pool.map(work, items) if self._pool else map(work, items))
+
+    def merged(self, tiles: Sequence[TileDecoder], sh_degree: int) -> Splats:
+        """All splats of different ``tiles`` in order."""
+        return dequantise_tiles(tiles, sh_degree, self._pool.map if self._pool else map)
+
+    def _try(self, payload: memoryview) -> Opened | DecodeError:
+        try:
+            return open_tile(self._codec, payload)
+        except DecodeError as error:
+            return error
+
+
+def _dequantised(tile: TileDecoder) -> Splats:
+    return tile.dequantise()

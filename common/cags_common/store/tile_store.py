@@ -1,0 +1,209 @@
+"""What is held of a scene: a :class:`GofStore` a group of frames.
+
+The old group is dropped when something of the next is shown. *Marks* cut what comes into what a reference knows of and
+what comes after it: server and client number them alike, so that each can show what the other does.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import TileCodec
+from cags_common.errors import DecodeError
+from cags_common.held_tile import HeldTile
+from cags_common.splats import Ids
+from cags_common.store.gof_store import Changes, Committed, GofStore
+from cags_common.store.tile_decode import Arrival, Opener, TileOpener
+
+
+class TileStore:
+    """The groups of frames that are held: the one on display and those that arrive ahead.
+
+    One thread may add, end, flush and mark while another commits and moves.
+    """
+
+    def __init__(self, manifest: Manifest, codec: TileCodec, threads: int = 1, *, opener: Opener | None = None) -> None:
+        """``threads`` of decoding; what is shown does not depend on their number. ``opener`` makes other decoders than
+        those of ``codec``.
+        """
+        self._manifest, self._opener = manifest, opener or TileOpener(codec, threads)
+        self._gofs: dict[int, GofStore] = {}
+        self._shown: GofStore | None = None
+        self._oldest = 0
+        self._mark = 0
+        self._lock = threading.Lock()
+
+    # ------------------------------------------------------------------------------------------ arrival (decode thread)
+
+    def add(self, frame: int, tile: int, from_lod: int, payloads: list[memoryview]) -> None:
+        """Take layers of a tile; those of groups that are past are ignored. Raises :class:`DecodeError`."""
+        for error in self.add_all([Arrival(frame, tile, from_lod, payloads)]):
+            raise error
+
+    def add_all(self, arrivals: Sequence[Arrival]) -> list[DecodeError]:
+        """As :meth:`add`, for many at once; what is wrong with those that are left out."""
+        errors: list[DecodeError] = []
+        by_gof: dict[int, tuple[GofStore, list[Arrival]]] = {}
+        for arrival in arrivals:
+            try:
+                store = self._store(arrival.frame)
+            except DecodeError as error:
+                errors.append(error)
+                continue
+            if store is not None:
+                by_gof.setdefault(id(store), (store, []))[1].append(arrival)
+        for store, some in by_gof.values():
+            errors += store.add(some)
+        return errors
+
+    def flush(self) -> list[DecodeError]:
+        """Dequantise what :meth:`add` touched, each tile once. Else :meth:`commit` does it, on the display path.
+
+        What is wrong with tiles that are left out.
+        """
+        return [error for store in self._stores() for error in store.flush()]
+
+    def mark(self, number: int) -> list[DecodeError]:
+        """All that has come so far, ends of frames too, belongs to basis ``number``, and what comes next does not.
+
+        As :meth:`flush`, whose errors it returns. Raises ``ValueError`` where numbers do not rise.
+        """
+        if number <= self._mark:
+            raise ValueError(f"mark {number} came after mark {self._mark}: marks rise")
+        errors = self.flush()
+        with self._lock:
+            self._mark = number
+            for store in self._gofs.values():
+                store.mark(number)
+        return errors
+
+    def end(self, frame: int, removed: Ids) -> None:
+        """The server plans nothing more for ``frame``. Raises :class:`DecodeError`."""
+        store = self._store(frame)
+        if store is not None:
+            store.end(frame, removed)
+
+    def take_dropped(self) -> list[HeldTile]:
+        """What was given up for want of memory since the last call."""
+        return [tile for store in self._stores() for tile in store.take_dropped()]
+
+    def restarted(self, inventory: Iterable[HeldTile] | None = None) -> None:
+        """From here on another connection brings what comes; it begins from ``inventory`` (None: what :meth:`held`
+        says), of which nothing is shown before an end of a frame has come. What is on display stays until then.
+
+        Levels beyond the inventory, half-come ones and ends of frames are forgotten; marks go on to rise.
+        """
+        levels = None if inventory is None else {(tile.frame, tile.tile): tile.lods for tile in inventory}
+        with self._lock:
+            before = dict(self._gofs)
+        resumed = {gof: store.resumed(levels) for gof, store in before.items()}
+        with self._lock:
+            self._gofs = resumed
+
+    def reset(self, frame: int) -> None:
+        """Forget everything: the viewer jumped to ``frame``."""
+        with self._lock:
+            self._gofs.clear()
+            self._shown, self._oldest = None, self._manifest.gof_of(frame)
+
+    # ----------------------------------------------------------------------------------------- display (display thread)
+
+    def commit(self, frame: int, basis: int | None = None) -> tuple[GofStore, Committed]:
+        """Make what came up to mark ``basis`` (None: everything) for ``frame`` visible.
+
+        While nothing of its group is whole, the group before stays on display as of its last frame (``missed``).
+        What an earlier commit showed stays, though it came later, unless the play went back to an earlier frame.
+        """
+        gof = self._manifest.gof_of(frame)
+        made: dict[GofStore, Changes] = {}
+        wanted = self._store(frame)
+        assert wanted is not None, "frames are committed in order within a pass; reset() starts another"
+        begun = None
+        for number, store in sorted(self._by_number(gof), reverse=True):
+            made[store] = store.commit(min(frame, self._manifest.gof_frames(number)[-1]), basis)
+            if store.begun:
+                begun = store
+                self._drop_before(number)
+                break
+        shown = begun or self._shown or wanted
+        none = np.zeros(0, np.intp)
+        changes = made.get(shown, Changes(none, none, False))
+        fresh, self._shown = shown is not self._shown, shown
+        return shown, Committed(gof, changes.rows, changes.moved, fresh, shown is not wanted or not changes.whole)
+
+    def _drop_before(self, gof: int) -> None:
+        with self._lock:
+            self._oldest = gof
+            for old in [g for g in self._gofs if g < gof]:
+                del self._gofs[old]
+
+    def move(self, frame: int, share: float) -> tuple[GofStore, Committed] | None:
+        """Show the splats on display where they are ``share`` frames after ``frame``, the last that was committed; None
+        where another is.
+        """
+        store = self._shown
+        if store is None or store.shown_frame != frame:
+            return None
+        gof = self._manifest.gof_of(frame)
+        return store, Committed(gof, np.zeros(0, np.intp), store.move(frame + share), False, not store.whole)
+
+    # ---------------------------------------------------------------------------------------------------------- figures
+
+    @property
+    def on_display(self) -> GofStore | None:
+        """The group of frames on display; None before any."""
+        return self._shown
+
+    @property
+    def keeps(self) -> bool:
+        """Whether every frame of the group on display that was sent once can be shown again."""
+        return self._shown is None or self._shown.keeps
+
+    def capacity(self, frame: int) -> int:
+        """One more than the largest splat id in the group of ``frame``. Raises :class:`DecodeError`."""
+        self._check(frame)
+        return self._manifest.capacity[self._manifest.gof_of(frame)]
+
+    def in_group(self, frame: int) -> bool:
+        """Whether ``frame`` is of the group on display."""
+        return self._manifest.gof_of(frame) == self._oldest
+
+    def holds(self, frame: int) -> bool:
+        """Whether ``frame`` can be shown whole without anything from the network."""
+        store = self._gofs.get(self._manifest.gof_of(frame))
+        return store is not None and store.holds(frame)
+
+    def ahead(self, frame: int) -> int:
+        """Frames after ``frame`` up to the newest that has come whole."""
+        return max(max((store.newest for store in self._stores()), default=-1) - frame, 0)
+
+    def held(self) -> list[HeldTile]:
+        """Every tile that would not have to be sent again."""
+        return [tile for store in self._stores() for tile in store.held()]
+
+    def _check(self, frame: int) -> None:
+        if not 0 <= frame < self._manifest.frames:
+            raise DecodeError(f"frame {frame} is outside the clip's {self._manifest.frames} frames")
+
+    def _stores(self) -> list[GofStore]:
+        with self._lock:
+            return list(self._gofs.values())
+
+    def _by_number(self, last: int) -> list[tuple[int, GofStore]]:
+        """Groups up to ``last``."""
+        with self._lock:
+            return [(gof, store) for gof, store in self._gofs.items() if gof <= last]
+
+    def _store(self, frame: int) -> GofStore | None:
+        self._check(frame)
+        gof = self._manifest.gof_of(frame)
+        with self._lock:
+            if gof < self._oldest:
+                return None
+            if gof not in self._gofs:
+                self._gofs[gof] = GofStore(self._manifest, gof, self._opener, self._mark)
+            return self._gofs[gof]
