@@ -41,7 +41,9 @@ def create(name: str, *, threads: int | None = None, weights: Mapping[str, Weigh
     if network == REFERENCE:
         return ReferenceRestorer()
     if network not in NETWORK_NAMES:
-        raise ConfigError(f"restorer {name!r} works on no aligned picture; one of {REFERENCE}, {', '.join(NETWORK_NAMES)} does")
+        raise ConfigError(
+            f"restorer {name!r} works on no aligned picture; one of {REFERENCE}, {', '.join(NETWORK_NAMES)} does"
+        )
     from cags_client.restore import networks
 
     own = (weights or {}).get(network)
