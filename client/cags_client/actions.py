@@ -64,7 +64,7 @@ class Decode:
                             self.pipeline.on_frame_end(end, payload)
                             whole = max(whole, end.frame)
                         case ev.MarkReceived(mark):
-                            self.pipeline.on_mark(mark)
+                            errors += self.pipeline.on_mark(mark)
                         case Restarted():
                             self.pipeline.restarted()
                 except DecodeError as error:

@@ -34,7 +34,7 @@ from cags_common.packing import decode_ids
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.halving import enlarged, halved
 from cags_common.store.gof_store import Committed, GofStore
-from cags_common.store.tile_decode import Arrival
+from cags_common.store.tile_decode import Arrival, TileOpener
 from cags_common.store.tile_store import TileStore
 from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
@@ -55,7 +55,8 @@ class ClientPipeline:
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self._clock = clock
-        self._store = TileStore(info, None, settings.threads)
+        self._opener = TileOpener(None, settings.threads)
+        self._store = TileStore(info, None, opener=self._opener)
         self._marked = self._marked_before = 0  # newest mark of the store; that of connections before this one
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
@@ -79,7 +80,7 @@ class ClientPipeline:
 
     def on_codebooks(self, data: bytes) -> None:
         """What tiles need to be decoded. Raises :class:`DecodeError`."""
-        self._store.codec = tile_codec(self.info, data)
+        self._opener.codec = tile_codec(self.info, data)
 
     def on_tiles(self, tiles: Sequence[tuple[TileLayers, memoryview]]) -> list[DecodeError]:
         """Decode layers of tiles; what is wrong with those that are left out. What was held stays."""
@@ -96,13 +97,19 @@ class ClientPipeline:
         """Tiles of which layers had come and were given up since the last call, for want of memory."""
         return self._store.take_dropped()
 
-    def on_mark(self, mark: Mark) -> None:
-        """What came before this is the basis of references that name it."""
+    def on_mark(self, mark: Mark) -> list[DecodeError]:
+        """What came before this is the basis of references that name it; what is wrong with tiles that are left out.
+
+        Raises :class:`DecodeError` for marks that do not rise.
+        """
+        number = self._marked_before + mark.number
+        if number <= self._marked:
+            raise DecodeError(f"mark {mark.number} came after mark {self._marked - self._marked_before}: marks rise")
         if mark.restart:
             self._store.reset(self._shown_frame)
             self._references.reset()
-        self._marked = max(self._marked, self._marked_before + mark.number)
-        self._store.mark(self._marked)
+        self._marked = number
+        return self._store.mark(number)
 
     def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:
         """Decode a reference; False asks for an IDR picture. Raises :class:`DecodeError`."""

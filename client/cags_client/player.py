@@ -299,7 +299,7 @@ class Player:
             self._resume_at = None
 
     def _on_codebooks(self, data: bytes, now_us: int) -> None:
-        if self.pipeline is not None and data != self._codebooks:
+        if self._codebooks is not None and data != self._codebooks:
             self._fail(NetworkError("the server streams another encoding of the scene now; start the client again"))
         first, self._codebooks = self._codebooks is None, data
         if first and self.pipeline is not None:

@@ -60,7 +60,9 @@ class PresentedFrame:
     @property
     def correction(self) -> F32 | None:
         """[H, W, 3] in [0, 1]: what the reference changed in the picture, half of it around grey; None: nothing."""
-        return None if self.confidence is None else np.float32(0.5) + (self.rgb - self.distorted) / 2
+        if self.confidence is None:
+            return None
+        return np.asarray((self.rgb - self.distorted) / 2 + 0.5, np.float32)
 
     def _whole(self, picture: F32) -> F32:
         return picture if picture.shape == self.rgb.shape else enlarged(picture, self.camera, THREADS)

@@ -148,6 +148,15 @@ class SplatBuffer:
         """Column -> [capacity] media frame of the newest update of a row; -1 where looks are all there is."""
         return {column: self._unset() for column in UPDATE_COLUMNS}
 
+    @property
+    def nbytes(self) -> int:
+        """What the rows take that were written so far."""
+        made = vars(self)
+        arrays = [made[name] for name in ("owner", "_source", "_removed_at") if name in made]
+        arrays += [array for name in ("_still", "_updated") for array in made.get(name, {}).values()]
+        arrays += [array for _, array in made["splats"].arrays()] if "splats" in made else []
+        return sum(array.nbytes for array in arrays)
+
     def add(self, slot: Slot) -> None:
         """Take a tile of looks in, before anything of it is written; its index is ``len(self.slots)``."""
         self.slots.append(slot)

@@ -12,6 +12,7 @@ from cags_common.bundle import BundleReader, FrameEntry, Manifest
 from cags_common.geometry import F32
 from cags_common.raster.base import Rasteriser
 from cags_common.recent import Recent
+from cags_server.decoded import DECODED_BYTES, DecodedTiles
 from cags_server.ownership import Owners, advanced
 from cags_server.scenes import SourceScenes
 from cags_server.tile_map import TileMap
@@ -27,9 +28,12 @@ OWNER_BYTES, OWNER_FRAMES = 64 << 20, 2 * LOOK_AHEAD
 class SceneLibrary:
     """An opened bundle and the renderer's copies of its frames. Safe to use from several threads."""
 
-    def __init__(self, reader: BundleReader, rasteriser: Rasteriser) -> None:
-        self.reader = reader
+    def __init__(self, reader: BundleReader, rasteriser: Rasteriser, decoded_bytes: int = DECODED_BYTES) -> None:
+        """``decoded_bytes`` bound the decoded tiles that the mirrors of its clients share."""
+        self.reader, self.rasteriser = reader, rasteriser
         self.scenes = SourceScenes(reader, rasteriser)
+        self.decoded = DecodedTiles(reader, decoded_bytes)
+        """What clients make of tiles."""
         self.weights = reader.weights()
         """Of a restorer, trained for this content; clients are offered them."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)

@@ -39,6 +39,8 @@ class Usage:
                         self._twice_bytes += size if key in self._layers else 0
                         self._layers[key] = size
                 case ev.ReferenceReceived(reference, payload):
+                    if not payload:  # it says nothing
+                        continue
                     self._arrived_bytes += len(payload)
                     self._numbers[reference.seq] = len(self._references)
                     self._references[len(self._references)] = len(payload)

@@ -104,7 +104,7 @@ class PngSink:
 
 
 class StagesSink:
-    """Intermediate pictures of every ``every``-th frame: ``frame_0030_{reference,distorted,aligned,restored}.png``.
+    """Intermediate pictures of every ``every``-th frame: ``frame_0030_{reference,distorted,correction,aligned,restored}.png``.
 
     They wait in a temporary file until the play has ended: coding four of them takes longer than a frame lasts.
     """
@@ -119,8 +119,10 @@ class StagesSink:
         if presented.frame % self._every:
             return
         pictures = {"distorted": presented.distorted, "restored": presented.rgb}
-        if presented.reference is not None:
-            pictures["reference"] = presented.reference.rgb
+        if presented.reference is not None and presented.reference.coded is not None:
+            pictures["reference"] = presented.reference.coded
+        if presented.correction is not None:
+            pictures["correction"] = presented.correction
         if presented.aligned_rgb is not None:
             pictures["aligned"] = presented.aligned_rgb
         for name, picture in pictures.items():

@@ -107,8 +107,8 @@ class InteractivePlayer(Player):
             self._go_on(now_us)
         if self._awaited is None:
             return super().next_action(now_us)
-        if self._arrivals.ready and self.pipeline is not None:
-            return Decode(self._arrivals.take(), self.pipeline)
+        if self.pipeline is not None and (batch := self._arrivals.take()):
+            return Decode(batch, self.pipeline)
         return None
 
     def done(self, action: Decode | Present, result: DecodeResult | PresentedFrame, now_us: int) -> None:
@@ -122,7 +122,7 @@ class InteractivePlayer(Player):
             return
         assert isinstance(result, PresentedFrame)
         self._presented(action, result, now_us)
-        if action.share:
+        if not action.media:
             return
         if self.playing and self._wanted_frame is None and self._next_frame >= self._end_frame:
             self._at_end(now_us)

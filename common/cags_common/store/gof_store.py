@@ -105,6 +105,11 @@ class GofStore:
         return self._buffer.splats
 
     @property
+    def nbytes(self) -> int:
+        """What the splats by id take."""
+        return self._buffer.nbytes
+
+    @property
     def keeps(self) -> bool:
         """Whether earlier frames of the group can be shown again from what is held."""
         return self._tiles.keeps

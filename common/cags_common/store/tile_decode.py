@@ -149,8 +149,9 @@ class TileOpener:
 
     bounded = True
 
-    def __init__(self, codec: TileCodec, threads: int) -> None:
-        self._codec, self.threads = codec, threads
+    def __init__(self, codec: TileCodec | None, threads: int) -> None:
+        """``codec`` may follow as :attr:`codec`, before anything is opened."""
+        self.codec, self.threads = codec, threads
         self._pool = ThreadPoolExecutor(threads, "cags-tiles") if threads > 1 else None
 
     def open(self, payloads: Sequence[memoryview]) -> list[Opened | DecodeError]:
@@ -188,7 +189,8 @@ class TileOpener:
 
     def _try(self, payload: memoryview) -> Opened | DecodeError:
         try:
-            return open_tile(self._codec, payload)
+            assert self.codec is not None, "tiles came before the codec that reads them"
+            return open_tile(self.codec, payload)
         except DecodeError as error:
             return error
 

@@ -26,7 +26,7 @@ class TileStore:
     One thread may add, end, flush and mark while another commits and moves.
     """
 
-    def __init__(self, manifest: Manifest, codec: TileCodec, threads: int = 1, *, opener: Opener | None = None) -> None:
+    def __init__(self, manifest: Manifest, codec: TileCodec | None, threads: int = 1, *, opener: Opener | None = None) -> None:
         """``threads`` of decoding; what is shown does not depend on their number. ``opener`` makes other decoders than
         those of ``codec``.
         """
@@ -167,6 +167,15 @@ class TileStore:
         """One more than the largest splat id in the group of ``frame``. Raises :class:`DecodeError`."""
         self._check(frame)
         return self._manifest.capacity[self._manifest.gof_of(frame)]
+
+    def reaches(self, frame: int) -> bool:
+        """Whether ``frame`` can still be committed: its group is not past."""
+        return self._manifest.gof_of(frame) >= self._oldest
+
+    @property
+    def nbytes(self) -> int:
+        """What the splats by id take."""
+        return sum(store.nbytes for store in self._stores())
 
     def in_group(self, frame: int) -> bool:
         """Whether ``frame`` is of the group on display."""

@@ -178,7 +178,7 @@ class ReferenceCoder:
         knee = self._knee = _knee(rms, self._knee)
         unit, decoded = video.coded(_companded(worth, knee), idr=idr)
         seen = decoded[::LOOKED_AT, ::LOOKED_AT]
-        left = lack[::LOOKED_AT, ::LOOKED_AT] - expand(seen, knee)
+        left = (lack[::LOOKED_AT, ::LOOKED_AT] - expand(seen, knee)).astype(np.float32)
         return Coded(kind, unit, knee, is_idr(unit), after=_power(left))
 
     def _try_other(self, used: Coded, truth: F32, lack: F32) -> None:
@@ -279,7 +279,7 @@ def _without_quiet_blocks(lack: F32) -> tuple[F32, float]:
         return lack, float(np.sqrt(blocks.mean()))
     rms = float(np.sqrt(blocks[loud].mean())) if loud.any() else 0.0
     worth = cv2.resize(loud.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
-    return cv2.multiply(lack, cv2.merge([worth] * 3)), rms
+    return np.asarray(cv2.multiply(lack, cv2.merge([worth] * 3)), np.float32), rms
 
 
 def _knee(rms: float, current: float) -> float:
@@ -292,7 +292,7 @@ def _knee(rms: float, current: float) -> float:
 
 def _companded(lack: F32, knee: float) -> F32:
     """:func:`~cags_common.correction.compander.compand` by a table: a sixth of the time."""
-    steps = cv2.add(cv2.multiply(lack, float(STEPS)), (STEPS,) * 4).astype(np.uint16)
+    steps = np.rint(lack * np.float32(STEPS) + np.float32(STEPS)).astype(np.uint16)
     return np.asarray(_table(knee).take(steps))
 
 
