@@ -32,13 +32,17 @@ def changed_cells(
     if depth.shape != size:
         raise ValueError(f"depth of shape {depth.shape} under a camera of {size[1]}x{size[0]}")
     if positions.shape != (len(radii), 3) or radii.ndim != 1:
-        raise ValueError(f"positions of shape {positions.shape} and radii of shape {radii.shape}: [N, 3] and [N] wanted")
+        raise ValueError(
+            f"positions of shape {positions.shape} and radii of shape {radii.shape}: [N, 3] and [N] wanted"
+        )
     shape = veto_shape(camera)
     near, boxes = _boxes(np.asarray(positions, np.float64), np.asarray(radii, np.float64), camera, shape)
     if not len(near):
         return np.zeros(shape, np.float32)
     edges = _slab_edges(depth)
-    reach = np.searchsorted(edges, _farthest(depth) * (1 + tolerance), side="right")  # slabs up to this one are in front
+    reach = np.searchsorted(
+        edges, _farthest(depth) * (1 + tolerance), side="right"
+    )  # slabs up to this one are in front
     slab = np.searchsorted(edges, near, side="right")
     covered = np.cumsum(_coverage(slab, boxes, shape), axis=0)  # of this slab and all nearer ones
     seen: NDArray[np.bool_] = np.take_along_axis(covered, reach[None], axis=0)[0] > 0

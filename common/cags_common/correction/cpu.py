@@ -24,10 +24,10 @@ from cags_common.raster.base import RenderedView
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """What is lacking by a reference, in units of 1 / 32767, its edge repeated once around it."""
+    """What is lacking by a reference, ready to be sampled."""
 
     reference: Reference
-    lack: NDArray[np.int16]  # [h + 2, w + 2, 4]
+    lack: NDArray[np.int16]  # [h + 2, w + 1, 4, 2]
 
 
 class CpuCorrector:

@@ -77,7 +77,8 @@ _buffers = BufferPool()
 
 
 def lack(coded: F32, own: F32 | None, knee: float, threads: int) -> I16:
-    """What a reference says is lacking, ready to be sampled [h + 2, w + 2, 4]: its edge repeated once around it.
+    """What a reference says is lacking, ready to be sampled [h + 2, w + 1, 4, 2]: its edge repeated once
+    around it, and beside each pixel's lanes those of the pixel to the right.
 
     ``coded`` [h, w, 3] is a difference companded with ``knee``, or a picture where ``own`` [h, w, 3], the client's own
     view, is given. Raises ``KernelError`` and, for arrays that do not fit, ``ValueError``.
@@ -85,7 +86,7 @@ def lack(coded: F32, own: F32 | None, knee: float, threads: int) -> I16:
     height, width = coded.shape[:2]
     coded = _checked(coded, (height, width, 3))
     own = None if own is None else _checked(own, coded.shape)
-    out = np.empty((height + 2, width + 2, LANES), np.int16)
+    out = np.empty((height + 2, width + 1, LANES, 2), np.int16)
     given = _LackInput(_address(coded), _address(own), width, height, knee, threads)
     check(library().cags_lack(ctypes.byref(given), _address(out)), "lack")
     return out
@@ -100,13 +101,15 @@ def add(view: DrawnView, lacking: I16, veto: F32 | None, parameters: AddParamete
     height, width = view.depth.shape
     rgb, alpha = _checked(view.rgb, (height, width, 3)), _checked(view.alpha, (height, width))
     depth = _checked(view.depth, (height, width))
-    if lacking.dtype != np.int16 or lacking.ndim != 3 or lacking.shape[2] != LANES or not lacking.flags.c_contiguous:
-        raise ValueError(f"what is lacking as {lacking.dtype} of shape {lacking.shape}, expected int16 as lack() makes it")
+    if lacking.dtype != np.int16 or lacking.shape[2:] != (LANES, 2) or not lacking.flags.c_contiguous:
+        raise ValueError(
+            f"what is lacking as {lacking.dtype} of shape {lacking.shape}, expected int16 as lack() makes it"
+        )
     veto, coarse = _checked_veto(veto, (height, width))
     p = parameters
     given = _AddInput(
         *map(_address, (rgb, alpha, depth, lacking, veto)),
-        *(width, height, lacking.shape[1] - 2, lacking.shape[0] - 2),
+        *(width, height, lacking.shape[1] - 1, lacking.shape[0] - 2),
         (_float * 9)(*np.ravel(p.matrix[:, :3])),
         (_float * 3)(*p.matrix[:, 3]),
         *(*p.cell_px, p.stride, p.depth_tolerance, p.slope_cells, p.border_px, p.hole_alpha),

@@ -35,7 +35,7 @@ bool valid(const CagsAddInput& in) {
 }
 
 void lack_of(const CagsLackInput& in, int16_t* lack) {
-  const size_t pitch = size_t(in.width + 2) * kLanes;
+  const size_t pitch = size_t(in.width + 1) * kTap;
   parallel_for(std::min(in.threads, kMaxThreads), (in.height + kRowsAPiece - 1) / kRowsAPiece, [&](int piece, int) {
     const int end = std::min(in.height, (piece + 1) * kRowsAPiece);
     for (int row = piece * kRowsAPiece; row < end; row++) stages().expand(in, row, lack + (row + 1) * pitch);

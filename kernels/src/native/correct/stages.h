@@ -11,6 +11,7 @@ constexpr int kCell = 8;         // pixels a side of the cells that fill holes: 
 constexpr int kVetoCell = 16;    // pixels a side of a coarse veto's cells
 constexpr int kRun = 64;         // pixels worked on at a time: what is known of them stays in the nearest cache
 constexpr int kLanes = 4;        // red, green, blue, nothing
+constexpr int kTap = 2 * kLanes;  // of a pixel and of the one to the right, lane beside lane
 constexpr float kUnit = 32767;   // of what is lacking
 constexpr float kFar = 1e6f;     // depth where nothing is known anywhere, and the largest that counts
 constexpr float kLeastDepth = 1e-6f;  // what is nearer is not known

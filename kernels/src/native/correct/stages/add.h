@@ -8,10 +8,13 @@
 namespace cags::correct {
 namespace {
 
-// Of a run of pixels: where their taps begin, the weights between them, and what they are tested by.
+// Of a run of pixels: where their taps begin, what they are weighed by, and what they are tested by.
 struct Taps {
   int32_t first[kRun], cell[kRun];
-  float ax[kRun], ay[kRun], z[kRun], confidence[kRun];
+  int32_t beside[kRun];            // two 16-bit weights of the left and the right pixel, in units of 1 / kUnit
+  float down[kRun];                // share of the lower ones
+  float top[kRun], low[kRun];      // weights of the two rows, with the confidence and the units
+  float z[kRun], confidence[kRun];
 };
 
 // Depth of one pixel, holes filled.
@@ -51,7 +54,7 @@ inline bool hidden(const CagsAddInput& in, const Cells& cells, int row, int colu
 // Returns whether any pixel of the run lies in the reference.
 inline bool place(const CagsAddInput& in, const Projection& project, int first, int count, const float* depth, Taps& taps) {
   const float fade = 1.0f / std::max(in.border_px, 1e-6f);
-  const int across = in.reference_width + 1, wide = in.reference_width + 2;
+  const int across = in.reference_width + 1, wide = in.reference_width + 1;
   uint32_t any = 0;
   for (int i = 0; i < count; i += kCell) {
     const Placed p = project(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
@@ -63,9 +66,10 @@ inline bool place(const CagsAddInput& in, const Projection& project, int first, 
     // in the padded picture, whose pixel (1, 1) is the picture's (0, 0)
     const Eight x = p.x + 0.5f, y = p.y + 0.5f;
     const EightInts ix = truncated(x), iy = truncated(y);
-    store(taps.first + i, kLanes * (iy * wide + ix));
-    store(taps.ax + i, x - __builtin_convertvector(ix, Eight));
-    store(taps.ay + i, y - __builtin_convertvector(iy, Eight));
+    store(taps.first + i, kTap * (iy * wide + ix));
+    const EightInts right = truncated((x - __builtin_convertvector(ix, Eight)) * kUnit + 0.5f);
+    store(taps.beside + i, right * 65535 + 32767);  // the left one's weight is the rest
+    store(taps.down + i, y - __builtin_convertvector(iy, Eight));
   }
   return any;
 }
@@ -83,36 +87,49 @@ inline void hide(const CagsAddInput& in, const Cells& cells, const Occlusion& oc
   }
 }
 
-// The two neighbours left and right of a tap, which lie side by side, at its height.
-inline Eight beside(const int16_t* lack, int pitch, float ay) {
-  const Eight top = __builtin_convertvector(__builtin_convertvector(load<EightShorts>(lack), EightInts), Eight);
-  const Eight low = __builtin_convertvector(__builtin_convertvector(load<EightShorts>(lack + pitch), EightInts), Eight);
-  return top + (low - top) * ay;
+// The weights of rows, once confidences are final.
+inline void weigh(int count, Taps& taps) {
+  for (int i = 0; i < count; i += kCell) {
+    const Eight certain = load(taps.confidence + i) * (1.0f / (kUnit * kUnit)), low = certain * load(taps.down + i);
+    store(taps.low + i, low);
+    store(taps.top + i, certain - low);
+  }
 }
 
-// Two pixels' samples, one in each half.
-inline Eight sampled(const int16_t* lack, int pitch, const Taps& taps, int i, int j) {
-  const Eight a = beside(lack + taps.first[i], pitch, taps.ay[i]), b = beside(lack + taps.first[j], pitch, taps.ay[j]);
-  const Eight left = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11);
-  const Eight right = __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
-  return left + (right - left) * halves(taps.ax[i], taps.ax[j]);
-}
-
-inline Eight pair_of(const float* low, const float* high) {
-  float both[8];
-  std::memcpy(both, low, sizeof(Four)), std::memcpy(both + 4, high, sizeof(Four));
-  return load(both);
+// What is added to one pixel by the upper row of its taps, and by the lower one.
+inline Eight sampled(const int16_t* upper, int pitch, const Taps& taps, int i) {
+  const int16_t *from = upper + taps.first[i], *lower = from + pitch;
+#if defined(__AVX2__)
+  const __m128i top = _mm_loadu_si128(reinterpret_cast<const __m128i*>(from)), low = _mm_loadu_si128(reinterpret_cast<const __m128i*>(lower));
+  const __m256i both = _mm256_inserti128_si256(_mm256_castsi128_si256(top), low, 1);
+  const Eight sums = Eight(_mm256_cvtepi32_ps(_mm256_madd_epi16(both, _mm256_set1_epi32(taps.beside[i]))));
+#elif defined(__SSE2__)
+  const __m128i weights = _mm_set1_epi32(taps.beside[i]);
+  const __m128i top = _mm_madd_epi16(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from)), weights);
+  const __m128i low = _mm_madd_epi16(_mm_loadu_si128(reinterpret_cast<const __m128i*>(lower)), weights);
+  const Eight sums = __builtin_shufflevector(Four(_mm_cvtepi32_ps(top)), Four(_mm_cvtepi32_ps(low)), 0, 1, 2, 3, 4, 5, 6, 7);
+#else
+  const int32_t right = taps.beside[i] >> 16, left = taps.beside[i] & 0xffff;
+  Eight sums;
+  for (int c = 0; c < kLanes; c++) {
+    sums[c] = static_cast<float>(from[2 * c] * left + from[2 * c + 1] * right);
+    sums[kLanes + c] = static_cast<float>(lower[2 * c] * left + lower[2 * c + 1] * right);
+  }
+#endif
+  return sums * halves(taps.top[i], taps.low[i]);
 }
 
 // `rgb` and `out` are runs of whole pixels and four floats more.
-inline void add_run(const CagsAddInput& in, const Taps& taps, int count, const float* rgb, float* out) {
-  const int pitch = kLanes * (in.reference_width + 2);
-  for (int i = 0; i < count; i += 2) {
-    const int j = std::min(i + 1, count - 1);
-    const Eight certain = halves(taps.confidence[i], taps.confidence[j]) * (1.0f / kUnit);
-    const Eight shown = clamped(pair_of(rgb + 3 * i, rgb + 3 * i + 3) + certain * sampled(in.lack, pitch, taps, i, j), 0, 1);
-    std::memcpy(out + 3 * i, &shown, sizeof(Four));
-    std::memcpy(out + 3 * i + 3, reinterpret_cast<const char*>(&shown) + sizeof(Four), sizeof(Four));
+inline void add_run(const CagsAddInput& in, Taps& taps, int count, const float* rgb, float* out) {
+  const int pitch = kTap * (in.reference_width + 1);
+  const int16_t* lack = in.lack;
+  weigh(count, taps);
+  for (int i = 0; i < count; i += 2) {  // of an odd run the last pair's second pixel has no confidence
+    const Eight a = sampled(lack, pitch, taps, i), b = sampled(lack, pitch, taps, i + 1);
+    const Eight added = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) + __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+    const Eight shown = clamped(both(rgb + 3 * i, rgb + 3 * i + 3) + added, 0, 1);
+    store(out + 3 * i, half<0>(shown));
+    store(out + 3 * i + 3, half<1>(shown));
   }
 }
 
@@ -173,6 +190,7 @@ void finish(const CagsAddInput& in, int cell_row, bool holes, const Line& line, 
         std::copy_n(depth, count, line.depth);
         depth = line.depth;
       }
+      for (int i = 0; i < 3 * kRun; i += 16) __builtin_prefetch(in.rgb + 3 * start + 3 * kRun + i);
       if (place(in, project, first, count, depth, taps)) {
         hide(in, cells, occlusion, row, first, count, taps);
         if (in.veto) {

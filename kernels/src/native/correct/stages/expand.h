@@ -42,19 +42,24 @@ inline EightInts in_units(const Eight& lack) {
   return __builtin_convertvector(scaled + half, EightInts);
 }
 
-// Colours [width, 3] of a row of `values` into pixels of four lanes from `to` on, eight values at a time by `made`.
+inline void put_tap(const int32_t* left, const int32_t* right, int16_t* to) {
+  for (int c = 0; c < 3; c++) to[2 * c] = static_cast<int16_t>(left[c]), to[2 * c + 1] = static_cast<int16_t>(right[c]);
+  to[6] = to[7] = 0;
+}
+
+// A row of colours [width, 3], which `made` gives eight values at a time, as taps [width + 1, 4, 2].
 template <typename Made>
 inline void pack(int width, int16_t* to, const Made& made) {
   constexpr int kChunk = 3 * 32;  // values: whole pixels and whole vectors
-  int32_t line[kChunk];
+  int32_t values[3 + kChunk];     // those of the pixel before come first
   for (int first = 0; first < 3 * width; first += kChunk) {
     const int count = std::min(kChunk, 3 * width - first);
-    for (int i = 0; i < count; i += 8) store(line + i, in_units(made(first + i, std::min(8, count - i))));
-    for (int i = 0; i < count; i += 3, to += kLanes) {
-      for (int c = 0; c < 3; c++) to[c] = static_cast<int16_t>(line[i + c]);
-      to[3] = 0;
-    }
+    for (int i = 0; i < count; i += 8) store(values + 3 + i, in_units(made(first + i, std::min(8, count - i))));
+    if (first == 0) std::copy_n(values + 3, 3, values);
+    for (int i = 0; i < count; i += 3, to += kTap) put_tap(values + i, values + i + 3, to);
+    std::copy_n(values + count, 3, values);
   }
+  put_tap(values, values, to);
 }
 
 inline Eight some(const float* from, int count) {
@@ -66,18 +71,15 @@ inline Eight some(const float* from, int count) {
 
 void expand(const CagsLackInput& in, int row, int16_t* to) {
   const float* coded = in.coded + 3 * int64_t{row} * in.width;
-  int16_t* first = to + kLanes;
   if (in.own) {
     const float* own = in.own + 3 * int64_t{row} * in.width;
-    pack(in.width, first, [=](int i, int count) {
+    pack(in.width, to, [=](int i, int count) {
       return clamped(some(coded + i, count), 0, 1) - clamped(some(own + i, count), 0, 1);
     });
   } else {
     const Compander by = compander_of(in.knee);
-    pack(in.width, first, [=](int i, int count) { return expanded(by, some(coded + i, count)); });
+    pack(in.width, to, [=](int i, int count) { return expanded(by, some(coded + i, count)); });
   }
-  std::copy_n(first, kLanes, to);
-  std::copy_n(first + kLanes * (in.width - 1), kLanes, first + kLanes * in.width);
 }
 
 }  // namespace

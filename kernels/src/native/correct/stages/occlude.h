@@ -7,6 +7,16 @@
 namespace cags::correct {
 namespace {
 
+// Depths of eight pixels from the `first` on that are looked at; lines are padded by zeros to whole runs.
+template <int kStride>
+inline Eight every(const float* line, int first, int stride, int count) {
+  if constexpr (kStride == 1) return load(line + first);
+  if constexpr (kStride == 2) return __builtin_shufflevector(load(line + 2 * first), load(line + 2 * first + kCell), 0, 2, 4, 6, 8, 10, 12, 14);
+  Eight depth = {};
+  for (int i = 0; i < std::min(kCell, count - first); i++) depth[i] = line[(first + i) * stride];
+  return depth;
+}
+
 // The pixels of `line` [width] that are looked at (every stride-th; a depth of 0 is none) claim the reference pixels that
 // they lie in.
 template <int kStride>
@@ -17,13 +27,7 @@ inline void claim(const CagsAddInput& in, int row, const float* line, Nearest* n
   const uint32_t place = static_cast<uint32_t>(row) << 16;
   uint32_t z[kCell], cell[kCell];
   for (int first = 0; first < count; first += kCell) {
-    Eight depth = {};
-    const int here = std::min(kCell, count - first);
-    if (stride == 1) {
-      depth = load(line + first);  // lines are padded by zeros
-    } else {
-      for (int i = 0; i < here; i++) depth[i] = line[(first + i) * stride];
-    }
+    const Eight depth = every<kStride>(line, first, stride, count);
     const Placed p = project((kSteps + static_cast<float>(first)) * static_cast<float>(stride) + 0.5f, depth);
     if (!bits(p.inside)) continue;
     const EightInts at = truncated(p.y) * across + truncated(p.x);
@@ -90,7 +94,7 @@ inline void fill_row(const CagsAddInput& in, int row, const Line& line, const Ce
       store(line.depth + first + i, depth);
     }
   }
-  for (int i = in.width; i < static_cast<int>(rounded_up(in.width, kCell)); i++) line.depth[i] = 0.0f;
+  std::fill_n(line.depth + in.width, rounded_up(in.width, kCell) - in.width, 0.0f);
 }
 
 void patch(const CagsAddInput& in, int cell_row, const Line& line, const Cells& cells, Nearest* nearest) {

@@ -14,6 +14,7 @@ struct Pixels {
   Pixels(const CagsAddInput& in, int row, int first, int count) {
     const int64_t start = int64_t{row} * in.width + first;
     alpha = in.alpha + start, depth = in.depth + start;
+    prefetch(alpha + kRun), prefetch(depth + kRun);  // what comes next; past the end it is a hint that nobody follows
     if (count == kRun) return;
     for (int i = 0; i < kRun; i++) rest[0][i] = i < count ? alpha[i] : 0.0f, rest[1][i] = i < count ? depth[i] : 0.0f;
     alpha = rest[0], depth = rest[1];
@@ -21,6 +22,9 @@ struct Pixels {
   const float *alpha, *depth;
 
  private:
+  static void prefetch(const float* run) {
+    for (int i = 0; i < kRun; i += 16) __builtin_prefetch(run + i);
+  }
   float rest[2][kRun];
 };
 

@@ -3,7 +3,7 @@
 #include "correct/stages.h"
 
 #include <cstring>
-#if defined(__AVX2__)
+#if defined(__x86_64__)
 #include <immintrin.h>
 #endif
 
@@ -14,7 +14,6 @@ typedef float Four __attribute__((vector_size(16)));
 typedef float Eight __attribute__((vector_size(32)));
 typedef int32_t EightInts __attribute__((vector_size(32)));
 typedef uint32_t EightWords __attribute__((vector_size(32)));  // wrap around, where EightInts may not
-typedef int16_t EightShorts __attribute__((vector_size(16)));
 
 constexpr Eight kSteps = {0, 1, 2, 3, 4, 5, 6, 7};
 
@@ -61,10 +60,18 @@ inline uint32_t bits(const EightInts& mask) {
 #endif
 }
 
+template <int kHigh>
+inline Four half(const Eight& v) {
+  return __builtin_shufflevector(v, v, 4 * kHigh, 4 * kHigh + 1, 4 * kHigh + 2, 4 * kHigh + 3);
+}
+
+// Four floats from each place.
+inline Eight both(const float* low, const float* high) {
+  return __builtin_shufflevector(load<Four>(low), load<Four>(high), 0, 1, 2, 3, 4, 5, 6, 7);
+}
+
 inline float sum(const Eight& v) {
-  Four half[2];
-  std::memcpy(half, &v, sizeof v);
-  const Four q = half[0] + half[1];
+  const Four q = half<0>(v) + half<1>(v);
   return (q[0] + q[1]) + (q[2] + q[3]);
 }
 

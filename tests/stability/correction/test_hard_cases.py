@@ -1,0 +1,191 @@
+"""Frames that are hard to correct: always finite, in [0, 1], and by the kernels what they are by the definition."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cags_kernels
+from cags_common.correction import Corrector, CorrectSettings, Reference, compand, create
+from cags_common.geometry import Camera
+from cags_common.raster import RenderedView
+from support.corrections import F, assert_sound, camera, difference, empty_view, flat_view, picture, share_apart, view
+
+needs_kernels = pytest.mark.skipif(not cags_kernels.native_available(), reason=cags_kernels.why_unavailable())
+BACKENDS = [pytest.param("cpu", marks=needs_kernels), "reference"]
+
+CLIENT = camera((160, 120))
+
+
+@pytest.fixture(params=BACKENDS)
+def corrector(request: pytest.FixtureRequest) -> Corrector:
+    return create(request.param)
+
+
+def server(size: tuple[int, int] = (80, 60), **where: object) -> Camera:
+    return camera(size, **{"fov_rad": 1.4, **where})  # type: ignore[arg-type]
+
+
+def specks() -> RenderedView:
+    """Floaters: single pixels and thin lines at any depth, half transparent."""
+    rng = np.random.default_rng(7)
+    drawn = view(CLIENT)
+    depth, alpha = drawn.depth.copy(), drawn.alpha.copy()
+    at = rng.random(depth.shape) < 0.2
+    depth[at] = 10 ** rng.uniform(-3, 4, at.sum())
+    alpha[at] = rng.random(at.sum())
+    depth[::17] = 0.05
+    return replace(drawn, depth=depth, alpha=alpha)
+
+
+def poisoned() -> RenderedView:
+    """What no rasteriser should give."""
+    rng = np.random.default_rng(8)
+    drawn = view(CLIENT)
+    depth = rng.choice(
+        np.array([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-38, 1e-20, 1e20, 3e38, 2.0], F), drawn.depth.shape
+    )
+    return replace(drawn, depth=depth, rgb=drawn.rgb * F(1e30))
+
+
+VIEWS = {
+    "usual": view(CLIENT),
+    "holes": view(CLIENT, holes=0.4),
+    "all but empty": view(CLIENT, holes=0.98),
+    "empty": empty_view(CLIENT),
+    "floaters": specks(),
+    "poisoned": poisoned(),
+    "at the near plane": flat_view(CLIENT, 0.2),
+    "very far": flat_view(CLIENT, 9e5),
+}
+
+PLACES = {
+    "the same": server(),
+    "a step of 1 m": server(at=(1.0, 0.0, 0.0)),
+    "a step of 1 m forward": server(at=(0.0, 0.0, 1.0)),
+    "60 degrees": server(turned_rad=math.radians(60)),
+    "1 m and 60 degrees": server(at=(-0.8, 0.3, 0.5), turned_rad=math.radians(60)),
+    "behind": server(turned_rad=math.pi),
+    "behind the wall": server(at=(0.0, 0.0, 10.0)),
+    "in the wall": server(at=(0.0, 0.0, 3.0)),
+    "far away": server(at=(1e6, 0.0, 0.0)),
+    "narrow": server(fov_rad=0.1),
+    "wide": server(fov_rad=2.9),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("name", VIEWS)
+def test_every_frame_is_sound_and_the_definitions(name: str, place: str) -> None:
+    drawn, reference = VIEWS[name], difference(PLACES[place], contrast=0.6)
+    right = create("reference").correct(drawn, CLIENT, reference)
+    assert_sound(right.rgb, right.confidence)
+    if not cags_kernels.native_available():
+        return
+    ours = create("cpu").correct(drawn, CLIENT, reference)
+    assert_sound(ours.rgb, ours.confidence)
+    ties = (
+        0.02 if name in ("floaters", "poisoned") else 2e-3
+    )  # where depths jump at every pixel, z-tests hang on rounding
+    assert share_apart(ours.rgb, right.rgb) <= ties
+
+
+@pytest.mark.parametrize("place", ["the same", "a step of 1 m", "1 m and 60 degrees"])
+def test_an_empty_client_shows_the_difference_itself_and_is_never_black(corrector: Corrector, place: str) -> None:
+    scene = np.full((60, 80, 3), 0.7)
+    reference = Reference(compand(scene, 0.1).astype(F), PLACES[place])
+    out = corrector.correct(empty_view(CLIENT), CLIENT, reference, settings=CorrectSettings(border_px=0))
+    inside = out.confidence > 0
+    assert inside.mean() > 0.2
+    np.testing.assert_allclose(out.rgb[inside], 0.7, atol=2e-4)
+    if place != "1 m and 60 degrees":
+        assert inside.all()
+
+
+def test_what_is_missing_shows_at_the_depth_around_it(corrector: Corrector) -> None:
+    """A square that no splat covers in a wall at 3 m: what the reference saw there lands at the wall's parallax."""
+    there = server((160, 120), at=(0.3, 0.0, 0.0))
+    drawn = flat_view(CLIENT, 3.0)
+    alpha, rgb = drawn.alpha.copy(), drawn.rgb.copy()
+    alpha[50:70, 70:90], rgb[50:70, 70:90] = 0, 0
+    missing = RenderedView(rgb, alpha, np.where(alpha > 0, drawn.depth, np.inf).astype(F), None)
+    lack = np.zeros((120, 160, 3))
+    i, j = CLIENT.intrinsics, there.intrinsics
+    left, right = (((u - i.cx_px) / i.fx_px * 3.0 - 0.3) / 3.0 * j.fx_px + j.cx_px for u in (70, 90))
+    top, bottom = ((v - i.cy_px) / i.fy_px * j.fy_px + j.cy_px for v in (50, 70))
+    lack[round(top) : round(bottom), round(left) : round(right)] = 0.5
+    out = corrector.correct(missing, CLIENT, Reference(compand(lack, 0.1).astype(F), there)).rgb
+    np.testing.assert_allclose(out[53:67, 73:87], 0.5, atol=0.01)
+    assert np.abs(out - 0.5).mean() < 0.01
+
+
+def test_the_largest_differences_go_all_the_way(corrector: Corrector) -> None:
+    for lack, before, after in ((1.0, 0.0, 1.0), (-1.0, 1.0, 0.0), (1.0, 0.7, 1.0), (-1.0, 0.3, 0.0)):
+        coded = np.full((60, 80, 3), compand(np.array([lack]), 0.05)[0], F)
+        out = corrector.correct(flat_view(CLIENT, 3.0, before), CLIENT, Reference(coded, server(), knee=0.05))
+        np.testing.assert_allclose(out.rgb[out.confidence == 1], after, atol=1e-4)
+    noise = np.random.default_rng(0).integers(0, 2, (60, 80, 3)).astype(F)
+    out = corrector.correct(view(CLIENT), CLIENT, Reference(noise, server(), knee=0.05))
+    assert_sound(out.rgb, out.confidence)
+
+
+def test_codes_that_are_no_numbers_do_no_harm_to_others(corrector: Corrector) -> None:
+    clean = difference(server())
+    coded = clean.coded.copy()
+    coded[30, 40] = np.inf
+    coded[10, 20] = -np.inf
+    ours, right = (corrector.correct(view(CLIENT), CLIENT, r).rgb for r in (replace(clean, coded=coded), clean))
+    assert np.isfinite(ours).all()
+    assert (ours != right).any(axis=2).mean() < 0.01
+
+
+SIZES = [(1, 1), (1, 7), (7, 1), (2, 2), (8, 8), (63, 5), (64, 9), (65, 17), (129, 31), (333, 251)]
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("holes", [0.0, 0.4, 1.0])
+def test_clients_of_any_size(size: tuple[int, int], holes: float) -> None:
+    cam, reference = camera(size), difference(server())
+    drawn = view(cam, holes=holes)
+    veto = np.random.default_rng(0).random((-(-size[1] // 16), -(-size[0] // 16)), dtype=F)
+    right = create("reference").correct(drawn, cam, reference, veto=veto)
+    assert_sound(right.rgb, right.confidence)
+    if cags_kernels.native_available():
+        ours = create("cpu", threads=3).correct(drawn, cam, reference, veto=veto)
+        assert share_apart(ours.rgb, right.rgb) <= max(1e-3, 1.01 / (size[0] * size[1]))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (2, 2), (31, 33), (97, 1), (400, 300), (1600, 1200)], ids=str)
+def test_references_of_any_size(size: tuple[int, int]) -> None:
+    drawn = view(CLIENT, holes=0.1)
+    for reference in (difference(server(size)), picture(server(size))):
+        own = np.full(reference.coded.shape, 0.3, F) if reference.picture else None
+        right = create("reference").correct(drawn, CLIENT, reference, own)
+        assert_sound(right.rgb, right.confidence)
+        if cags_kernels.native_available():
+            ours = create("cpu").correct(drawn, CLIENT, reference, own)
+            assert share_apart(ours.rgb, right.rgb) <= 1e-3
+
+
+@needs_kernels
+@pytest.mark.parametrize("fov_rad", [0.3, 1.0, 2.5])
+def test_a_large_client_of_another_field_of_view(fov_rad: float) -> None:
+    """Large enough for the frame to be written past the caches."""
+    cam = camera((803, 601), fov_rad=fov_rad)
+    drawn, reference = view(cam, holes=0.05), difference(server((200, 150), at=(0.2, 0.0, 0.0)))
+    ours, right = (create(name).correct(drawn, cam, reference) for name in ("cpu", "reference"))
+    assert_sound(ours.rgb, ours.confidence)
+    assert share_apart(ours.rgb, right.rgb) <= 1e-3
+
+
+@needs_kernels
+@pytest.mark.parametrize("name", VIEWS)
+def test_bits_do_not_depend_on_threads(name: str) -> None:
+    reference = difference(PLACES["a step of 1 m"])
+    frames = [create("cpu", threads=n).correct(VIEWS[name], CLIENT, reference) for n in (1, 2, 3, 4)]
+    for frame in frames[1:]:
+        np.testing.assert_array_equal(frame.rgb, frames[0].rgb)
+        np.testing.assert_array_equal(frame.confidence, frames[0].confidence)
