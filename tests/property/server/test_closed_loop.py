@@ -1,0 +1,77 @@
+"""Whatever is sent and however it is read: at every reference the server's mirror holds what its client shows."""
+
+from __future__ import annotations
+
+import tempfile
+import uuid
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cags_common.bundle import BundleReader
+from cags_encoder import EncodeSettings, encode
+from support.closed_loop import Session, served
+from support.codec_scenes import cloud, with_changes
+from support.moving_bundle import write_moving
+from support.small_motion import moving, random_frames, written
+from support.small_store import manifest
+
+STEPS = 150
+
+
+def small(seed: int) -> BundleReader:
+    """Looks that take splats from each other, updates and motion: two groups of frames, of few splats."""
+    rng = np.random.default_rng(seed)
+    of = moving(manifest(frames=9, starts=(0, 5)))
+    with tempfile.TemporaryDirectory() as folder:
+        clip = written(Path(folder), of, random_frames(rng, of))
+        for frame in range(of.frames):
+            clip.reader.removed_payload(frame)  # read while the folder is there
+        return clip.reader
+
+
+def drawn(seed: int) -> BundleReader:
+    """Splats that come and go, with motion or without."""
+    return write_moving(f"memory://{uuid.uuid4().hex}", seed, motion=bool(seed % 2))
+
+
+@cache
+def encoded(codec: str) -> BundleReader:
+    """A few frames of a cloud, of which some moves and some comes and goes."""
+    whole, frames = cloud(120, 7), []
+    for k in range(6):
+        means = whole.means.copy()
+        means[:30, 1] += np.float32(0.1 * k)
+        frames.append(with_changes(whole, means=means).take(np.arange(120 - 5 * k)))
+    url = f"memory://{uuid.uuid4().hex}"
+    encode(frames, EncodeSettings(codec=codec, train_splats=256, lod_order="paper", gof_frames=3), url)
+    return BundleReader.open(url)
+
+
+BUNDLES: dict[str, Callable[[int], BundleReader]] = {
+    "small": small,
+    "drawn": drawn,
+    "video": lambda seed: encoded("video"),
+    "density": lambda seed: encoded("density"),
+}
+
+
+@pytest.mark.parametrize("kind", sorted(BUNDLES))
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32), few=st.booleans())
+def test_at_every_reference_the_mirror_holds_what_the_client_shows(kind: str, seed: int, few: bool) -> None:
+    rng = np.random.default_rng(seed)
+    library = served(BUNDLES[kind](seed), decoded_bytes=20_000 if seed % 3 else 1 << 30)
+    sessions = [Session(library, rng) for _ in range(1 + seed % 3)]
+    with pytest.MonkeyPatch.context() as patch:
+        if few:  # layers that wait for their base, or their looks, are given up
+            patch.setattr("cags_common.store.reorder_buffer.MAX_WAITING_BYTES", 60)
+        for _ in range(STEPS):
+            sessions[rng.integers(len(sessions))].step()
+        for session in sessions:
+            session.finish()
