@@ -137,7 +137,7 @@ def test_what_is_lacking_does_not_read_arrays_of_other_shapes() -> None:
         wrong = [picture[:-1] if at == which else picture for at, picture in enumerate(pictures)]
         with pytest.raises(ValueError, match="shape"):
             add(DrawnView(*wrong), lacking, None, parameters)
-    for wrong in (lacking[..., :3], lacking.astype(np.float32), lacking[0]):
+    for wrong in (lacking[:, :, :3], lacking.astype(np.float32), lacking[0]):
         with pytest.raises(ValueError, match="int16"):
             add(DrawnView(*pictures), wrong, None, parameters)
     with pytest.raises(ValueError, match="shape"):

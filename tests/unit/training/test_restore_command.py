@@ -15,6 +15,7 @@ from cags_common.bundle.weights import store_weights
 from cags_common.cli import EXIT_USAGE
 from cags_encoder import EncodeSettings
 from cags_training.cli import main
+from cags_training.pairs.ladder import Ladder
 
 SMALL = ["--views", "2", "--crops", "2", "--crop", "64", "--patch", "64", "--batch", "2", "--evaluate-every", "2"]
 SCENE = "procedural:size=1500,frames=6"
@@ -59,18 +60,22 @@ def test_a_bundle_must_be_one(tmp_path: Path) -> None:
     assert main(["restore", "--bundle", str(tmp_path), "--out", str(tmp_path / "out")]) == EXIT_USAGE
 
 
+def test_a_bundle_of_frames_that_move_has_a_ladder_of_its_splats(bundle: Path) -> None:
+    """Its first frame brings motion too, in levels of its own: training on a bundle ended there."""
+    ladder = Ladder.of_scene(str(bundle), EncodeSettings())
+    for lod in (0, ladder.top):
+        assert len(ladder.at([lod] * ladder.tiles)) == len(ladder.truth)
+
+
 def test_the_client_fetches_the_bundles_weights_and_plays_with_them(bundle: Path) -> None:
     """Weights that paint everything: they are seen if and only if they arrive and are used."""
-    shipped = Weights.shipped("srresnet")
-    loud = {name: array + 0.5 if name == "tail.bias" else array for name, array in shipped.arrays.items()}
-    scenario = Scenario(
-        bundle,
-        "generated:steady-3",
-        "synthetic:walking",
-        client=ClientSettings(width=160, height=120, restore="srresnet"),
-    )
+    name = "sr-align-ref"  # stands in the picture's place, whatever the splats are worth
+    shipped = Weights.shipped(name)
+    loud = {layer: array + 0.5 if layer == "tail.bias" else array for layer, array in shipped.arrays.items()}
+    client = ClientSettings(width=160, height=120, restore=name)
+    scenario = Scenario(bundle, "generated:steady-30", "synthetic:walking", client=client)
     usual = simulate(scenario)
-    store_weights(str(bundle), Weights("srresnet", loud, {"command": "a test"}).to_bytes())
+    store_weights(str(bundle), Weights(name, loud, {"command": "a test"}).to_bytes())
     painted = simulate(scenario)
     shown = [frame["psnr_restored_db"] for frame in painted.frames]
     assert min(shown) < min(frame["psnr_restored_db"] for frame in usual.frames) - 3
