@@ -32,6 +32,7 @@ class Changes:
     def __init__(self) -> None:
         self._commits: deque[tuple[int, NDArray[np.intp]]] = deque(maxlen=REMEMBERED)
         self._order, self._means = -1, np.zeros((0, 3), np.float32)
+        self._mark = self._used_mark = 0
 
     def clear(self) -> None:
         """Another group of frames is on display."""
@@ -39,14 +40,22 @@ class Changes:
         self._order = -1
 
     def committed(self, mark: int, rows: NDArray[np.intp]) -> None:
-        """``rows`` changed by showing what came up to ``mark``."""
+        """``rows`` changed by showing what came up to ``mark``, or further, where that was shown before."""
+        self._mark = max(self._mark, mark)
         if len(rows):
-            self._commits.append((mark, rows))
+            self._commits.append((self._mark, rows))
 
-    def used(self, order: int, basis: int, means: F32) -> None:
-        """Reference ``order`` is shown with its own frame, when splats are at ``means`` [N, 3]."""
+    def used(self, order: int, means: F32, *, basis: int | None) -> None:
+        """Reference ``order`` is shown with its own frame, when splats are at ``means`` [N, 3]; it is right for mark
+        ``basis`` alone, or (None) for what is shown.
+        """
         self._order, self._means = order, means.copy()
-        self._commits = deque(((mark, rows) for mark, rows in self._commits if mark > basis), REMEMBERED)
+        self._used_mark = self._mark if basis is None else basis
+        self._commits = deque(((mark, rows) for mark, rows in self._commits if mark > self._used_mark), REMEMBERED)
+
+    def right_for(self, order: int, basis: int) -> int:
+        """The mark for which reference ``order``, made from ``basis``, is right."""
+        return self._used_mark if order == self._order else basis
 
     def since(self, basis: int) -> bool:
         """Whether splats were changed by what came after mark ``basis``."""

@@ -196,7 +196,8 @@ class ClientPipeline:
             scene = self._updated(store, committed)
             if reference is not None and reference.frame == frame and reference.order > self._used:
                 self._used = reference.order
-                self._changes.used(reference.order, reference.basis, store.splats.means)
+                basis = reference.basis if reference.assumes else None
+                self._changes.used(reference.order, store.splats.means, basis=basis)
         plan = plan_frame(self._situation(store, committed, (frame + share, camera), reference), self.settings.effects)
         half = self._resolutions.chosen(self.live.resolution) == HALF
         seen_by = halved(camera) if half else camera
@@ -234,12 +235,15 @@ class ClientPipeline:
         )
 
     def _committed(self, frame: int, share: float, reference: Received | None) -> tuple[GofStore, Committed]:
-        """Show what the frame's reference assumes; without one of its own, no more than the next ones assume."""
+        """Show what the frame's reference assumes; without one of its own, no more than the next ones assume.
+
+        A picture assumes nothing: everything is shown that has come.
+        """
         moved = self._store.move(frame, share) if share else None
         if moved is not None:
             return moved
         if reference is not None and reference.frame == frame:
-            basis: int | None = reference.basis
+            basis = reference.basis if reference.assumes else None
         else:
             basis = self._references.next_basis(frame, self._used, self.settings.reference_age)
         store, committed = self._store.commit(frame, basis)
@@ -265,11 +269,15 @@ class ClientPipeline:
             same_place=there == camera.pose.position,
             same_frame=reference is not None and reference.frame == int(time),
             corrects=name == CORRECT,
-            stale=reference is not None and (reference.frame < time or self._changes.since(reference.basis)),
+            stale=reference is not None and (reference.frame < time or self._changes.since(self._basis(reference))),
             restorer=self._restorer.needs if self._restorer is not None else frozenset(),
             replaces=name in restore.REPLACING,
             depth_shown=self.live.depth_shown,
         )
+
+    def _basis(self, reference: Received) -> int:
+        """The mark for which ``reference`` is right: of a picture, what was shown when it was compared."""
+        return self._changes.right_for(reference.order, reference.basis)
 
     def _made_restorer(self) -> Restorer | None:
         """The restorer of aligned pictures that the viewer wants; None where it is another thing that is wanted."""
@@ -290,7 +298,7 @@ class ClientPipeline:
             if Effect.VETO in plan:
                 assert drawn.view.depth is not None
                 focal_px, splats = reference.camera.intrinsics.fx_px, drawn.store.splats
-                veto = self._changes.veto(reference.basis, splats, drawn.view.depth, drawn.camera, focal_px)
+                veto = self._changes.veto(self._basis(reference), splats, drawn.view.depth, drawn.camera, focal_px)
             freshness = self._freshness(reference, frame) if Effect.FADE in plan else 1.0
             if freshness < 1.0:
                 stale = np.float32(1.0 - freshness)

@@ -35,6 +35,11 @@ class Received:
     knee: float = 0.1
     seq: int = 0
 
+    @property
+    def assumes(self) -> bool:
+        """Whether it is right for its basis alone; a picture is compared with whatever the client holds."""
+        return self.kind is not ReferenceKind.PICTURE
+
     @cached_property
     def correction(self) -> Reference:
         """What correctors take. Not of one that says nothing."""
@@ -112,11 +117,11 @@ class References:
 
     def next_basis(self, frame: int, after: int, max_age: int) -> int | None:
         """The mark that the next references assume, of those that have come: later in order than ``after``, and not of
-        the ``max_age`` frames up to ``frame``. None where none has come.
+        the ``max_age`` frames up to ``frame``. None where none has come, or they assume nothing.
         """
         with self._lock:
-            waiting = [r.basis for f, r in self._received.items() if r.order > after and not 0 <= frame - f <= max_age]
-            return min(waiting, default=None)
+            waiting = [r for f, r in self._received.items() if r.order > after and not 0 <= frame - f <= max_age]
+            return min((r.basis for r in waiting if r.assumes), default=None)
 
     def restart(self) -> None:
         """Another server's video follows, numbered from 1; what is there stays."""

@@ -117,7 +117,7 @@ class Mirror:
             self._log.append((self._mark, event))
             if len(self._log) > self._most:
                 self._forget_groups()
-                self._most = max(MAX_LOG, 2 * len(self._log))
+                self._most = len(self._log) + MAX_LOG
 
     def _forget_groups(self) -> None:
         """Of groups of frames before the one that stays on display while the newest that has begun comes."""

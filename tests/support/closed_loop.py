@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import uuid
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -17,9 +19,11 @@ from cags_common.splat_buffer import MOVING_COLUMNS
 from cags_common.splats import Splats
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
+from cags_encoder import EncodeSettings, encode
 from cags_protocol.messages import FrameEnd, TileLayers
 from cags_server.library import SceneLibrary
 from cags_server.mirror import Mirror
+from support.codec_scenes import cloud, with_changes
 
 Key = tuple[int, int]
 
@@ -43,6 +47,19 @@ def served(reader: BundleReader, decoded_bytes: int) -> SceneLibrary:
     """A bundle that clients share, with a renderer that draws nothing."""
     rasteriser: Any = SimpleNamespace(name="kept", load=KeptScene)
     return SceneLibrary(reader, rasteriser, decoded_bytes)
+
+
+@cache
+def encoded_clip(codec: str) -> BundleReader:
+    """A few frames of a cloud, of which some moves and some comes and goes."""
+    whole, frames = cloud(120, 7), []
+    for k in range(6):
+        means = whole.means.copy()
+        means[:30, 1] += np.float32(0.1 * k)
+        frames.append(with_changes(whole, means=means).take(np.arange(120 - 5 * k)))
+    url = f"memory://{uuid.uuid4().hex}"
+    encode(frames, EncodeSettings(codec=codec, train_splats=256, lod_order="paper", gof_frames=3), url)
+    return BundleReader.open(url)
 
 
 @dataclass(frozen=True)
@@ -285,19 +302,20 @@ class Session:
         """Something happens."""
         last = self.library.manifest.frames - 1
         choice = self.rng.random()
-        if choice < 0.3:
+        if choice < 0.28:
             self.sender.send_layers(
                 max(self.planned - 2, self.library.gof_start(self.planned)), min(self.planned + 2, last)
             )
-        elif choice < 0.4:
+        elif choice < 0.34:
             self.sender.send_ends(self.planned)
-        elif choice < 0.55:
+        elif choice < 0.54:
             self._plan(last)
-        elif choice < 0.75:
-            self.client.read(int(self.rng.integers(0, len(self.client.wire) + 1)))
-        elif choice < 0.92:
+        elif choice < 0.72:
+            travelling = len(self.client.wire)
+            self.client.read(travelling if self.rng.random() < 0.5 else int(self.rng.integers(0, travelling + 1)))
+        elif choice < 0.93:
             self._show()
-        elif choice < 0.96:
+        elif choice < 0.965:
             self._jump()
         elif choice < 0.98:
             self._reconnect()
@@ -323,7 +341,7 @@ class Session:
         client.references = [made for made in client.references if made.frame >= client.shown]
         following = client.references[0] if client.references else None
         if following is None:
-            if self.rng.random() < 0.5 and not client.waits:
+            if self.rng.random() < 0.1 and not client.waits:
                 client.show(client.shown, None)
             return
         if self.rng.random() < 0.4:  # on the way there
@@ -345,6 +363,8 @@ class Session:
         """Within what is kept, forgetting nothing; or anywhere, forgetting everything."""
         manifest, client = self.library.manifest, self.client
         frame = int(self.rng.integers(0, manifest.frames))
+        if self.rng.random() < 0.7:
+            frame = int(self.rng.integers(self.library.gof_start(client.shown), client.shown + 1))
         keeps = client.store.keeps and client.store.in_group(frame) and not client.waits
         keeps &= manifest.gof_of(self.planned) == manifest.gof_of(frame)
         client.jump(frame, keeps=keeps)

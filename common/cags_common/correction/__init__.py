@@ -43,7 +43,7 @@ NAMES = ("auto", "cpu", "reference")
 
 
 def create(name: str = "auto", threads: int = 2) -> Corrector:
-    """A corrector for one client's frames. Raises :class:`ConfigError` for a backend that is unknown or cannot run here."""
+    """A corrector for one client's frames. Raises :class:`ConfigError` for a backend that is unknown or cannot run."""
     import cags_kernels
 
     if name == "auto":

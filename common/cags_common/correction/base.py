@@ -1,7 +1,7 @@
 """The correction seam: a client's view and what a server says is lacking in, the frame to show out.
 
-A :class:`Corrector` brings what is lacking from the reference's camera to the client's by the client's own depth and adds
-it (PRPA, post-render perspective alignment, as the last step of a frame). Implementations: ``reference`` (float64,
+A :class:`Corrector` brings what is lacking from the reference's camera to the client's by the client's own depth and
+adds it (PRPA, post-render perspective alignment, as the last step of a frame). Implementations: ``reference`` (float64,
 readable, the definition of right: :mod:`.oracle`), ``cpu`` (``cags-kernels``: :mod:`.cpu`). :mod:`cags_gpu` does the
 same by shaders, together with the drawing.
 """
@@ -96,6 +96,7 @@ class Corrector(Protocol):
         reference: Reference,
         own: F32 | None = None,
         settings: CorrectSettings | None = None,
+        *,
         veto: F32 | None = None,
     ) -> Corrected:
         """The frame of ``view`` (with its depth), drawn from ``camera``, with what ``reference`` says is lacking.

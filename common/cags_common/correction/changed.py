@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cags_common.correction.base import VETO_CELL_PX, veto_shape
 from cags_common.geometry import F32, F64, Camera
 
-SLABS = 48
+SLABS = 32
 """Steps of depth, equal in their logarithm, by which splats are told from what hides them."""
 
 
@@ -23,8 +23,9 @@ def changed_cells(
 
     ``positions`` [N, 3] (world) and ``radii`` [N] (world units, of spheres that hold them) are those of the splats that
     changed; ``depth`` [H, W] is that of the view from ``camera``. A splat is seen in a cell where its near side lies no
-    further than the cell's farthest depth, by ``tolerance`` of it and a step of a logarithmic scale (holes are infinitely
-    far): what is in doubt counts as seen. The cost grows with N and with the number of cells, not with splats' sizes.
+    further than the cell's farthest depth, by ``tolerance`` of it and a step of a logarithmic scale (holes are
+    infinitely far): what is in doubt counts as seen. The cost grows with N and the number of cells, not with the
+    splats' sizes.
 
     Raises ``ValueError`` for shapes that do not fit.
     """
@@ -44,7 +45,7 @@ def changed_cells(
         edges, _farthest(depth) * (1 + tolerance), side="right"
     )  # slabs up to this one are in front
     slab = np.searchsorted(edges, near, side="right")
-    covered = np.cumsum(_coverage(slab, boxes, shape), axis=0)  # of this slab and all nearer ones
+    covered = np.cumsum(_coverage(slab, boxes, shape), axis=0, dtype=np.int32)  # of this slab and all nearer ones
     seen: NDArray[np.bool_] = np.take_along_axis(covered, reach[None], axis=0)[0] > 0
     return seen.astype(np.float32)
 
@@ -73,10 +74,12 @@ def _boxes(positions: F64, radii: F64, camera: Camera, shape: tuple[int, int]) -
 
 def _farthest(depth: F32) -> F64:
     """Farthest depth of each cell; +inf where it has a hole."""
-    open_at = np.where(depth > 0, depth, np.inf)
-    rows, columns = np.arange(0, depth.shape[0], VETO_CELL_PX), np.arange(0, depth.shape[1], VETO_CELL_PX)
-    far = np.maximum.reduceat(np.maximum.reduceat(open_at, rows, axis=0), columns, axis=1)
-    return far.astype(np.float64)
+    whole = depth.shape[0] // VETO_CELL_PX * VETO_CELL_PX
+    rows = [depth[:whole].reshape(-1, VETO_CELL_PX, depth.shape[1]).max(axis=1)]
+    if whole < depth.shape[0]:
+        rows.append(depth[whole:].max(axis=0)[None])
+    far = np.maximum.reduceat(np.concatenate(rows), np.arange(0, depth.shape[1], VETO_CELL_PX), axis=1)
+    return np.where(far > 0, far, np.inf).astype(np.float64)  # NaN is a hole too
 
 
 def _slab_edges(depth: F32) -> F64:
@@ -87,7 +90,7 @@ def _slab_edges(depth: F32) -> F64:
     return np.geomspace(low, high * 1.5, SLABS - 1)
 
 
-def _coverage(slab: NDArray[np.int64], boxes: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+def _coverage(slab: NDArray[np.int64], boxes: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int32]:
     """How many boxes cover each cell [SLABS, rows, columns] (summed-area differences: four corners a box)."""
     rows, columns = shape[0] + 1, shape[1] + 1
     top, bottom, left, right = boxes.T
@@ -96,6 +99,8 @@ def _coverage(slab: NDArray[np.int64], boxes: NDArray[np.int64], shape: tuple[in
     plus = np.concatenate([(plane + top) * columns + left, (plane + bottom) * columns + right])
     minus = np.concatenate([(plane + top) * columns + right, (plane + bottom) * columns + left])
     cells = SLABS * rows * columns
-    steps = np.bincount(plus, minlength=cells) - np.bincount(minus, minlength=cells)
-    counts = steps.reshape(SLABS, rows, columns).cumsum(axis=1).cumsum(axis=2)
-    return np.asarray(counts[:, :-1, :-1])
+    steps = (np.bincount(plus, minlength=cells) - np.bincount(minus, minlength=cells)).astype(np.int32)
+    counts = steps.reshape(SLABS, rows, columns)
+    for axis in (1, 2):
+        np.cumsum(counts, axis=axis, out=counts)
+    return counts[:, :-1, :-1]

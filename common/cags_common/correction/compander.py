@@ -1,8 +1,8 @@
 """The compander of differences: fine about none, odd, and with a none that survives 8-bit video exactly.
 
-A difference d in [-1, 1] is coded as ``ZERO + SPAN asinh(d / knee) / asinh(1 / knee)``. ``ZERO`` is what the limited-range
-luma 126 with neutral chroma decodes to (BT.709, :mod:`cags_common.video.colour`): where nothing is lacking the video
-holds Y = 126, Cb = Cr = 128, and the client adds exactly nothing.
+A difference d in [-1, 1] is coded as ``ZERO + SPAN asinh(d / knee) / asinh(1 / knee)``. ``ZERO`` is what luma 126 of
+limited range with neutral chroma decodes to (BT.709, :mod:`cags_common.video.colour`): where nothing is lacking the
+video holds Y = 126, Cb = Cr = 128, and the client adds exactly nothing.
 """
 
 from __future__ import annotations

@@ -59,6 +59,7 @@ class CpuCorrector:
         reference: Reference,
         own: F32 | None = None,
         settings: CorrectSettings | None = None,
+        *,
         veto: F32 | None = None,
     ) -> Corrected:
         """See :class:`.base.Corrector`."""

@@ -49,6 +49,7 @@ class ReferenceCorrector:
         reference: Reference,
         own: F32 | None = None,
         settings: CorrectSettings | None = None,
+        *,
         veto: F32 | None = None,
     ) -> Corrected:
         """See :class:`.base.Corrector`."""
@@ -56,11 +57,11 @@ class ReferenceCorrector:
             self._held = reference, own
         elif not self.needs_own(reference) and self._held is not None:
             own = self._held[1]
-        return correct(view, camera, reference, own, settings, veto)
+        return correct(view, camera, reference, own, settings, veto=veto)
 
 
 def lacking(reference: Reference, own: F32 | None) -> F64:
-    """What is to be added [h, w, 3] in [-1, 1]; ``own`` is the client's view from the reference camera, for pictures."""
+    """What is to be added [h, w, 3] in [-1, 1]; ``own``, for pictures, is the client's view from their camera."""
     if not reference.picture:
         return expand(reference.coded, reference.knee)
     if own is None:
@@ -75,6 +76,7 @@ def correct(
     reference: Reference,
     own: F32 | None = None,
     settings: CorrectSettings | None = None,
+    *,
     veto: F32 | None = None,
 ) -> Corrected:
     """See :class:`.base.Corrector`; nothing is kept between calls."""

@@ -57,13 +57,21 @@ BETTER = 0.8
 RATE_EXPONENT = 0.5
 """Error times bytes to this power is the score of a kind: twice the bytes must bring 1.5 dB."""
 
-CRF_STEP, WORST_CRF = 3.0, 41.0
+LEAST_CRF_STEP, WORST_CRF = 2.0, 41.0
 
-RATE_WINDOW = 24
-"""References over which the video's rate is looked at before its quality changes."""
+CRF_OF_DOUBLE = 6.0
+"""By how much more crf a picture takes half the bytes."""
 
-ABOVE, BELOW = 1.25, 0.5
-"""Rates, shares of what is asked for, beyond which quality changes by a step."""
+RATE_WINDOW, FIRST_WINDOW = 24, 6
+"""References over which the video's rate is looked at before its quality changes: so many; where it is far off, after
+fewer.
+"""
+
+ABOVE, FAR_ABOVE, BELOW = 1.25, 1.8, 0.5
+"""Rates, shares of what is asked for, beyond which quality changes."""
+
+KEY_SHARE = 6.0
+"""Pictures that need no other may take so many times what a picture is to take: their quality is chosen for that."""
 
 RATE_STEP, BUFFER_S, LEAST_BPS = 1.25, 0.1, 50_000
 """Of a video of constant rate: begun anew when off by more than the factor; kept over so many seconds; at least."""
@@ -118,6 +126,7 @@ class ReferenceCoder:
         self._knee = KNEES[-1]
         self._begin_anew = True
         self._mean_bytes, self._counted = 0.0, 0
+        self._target_bytes = 0.0  # of a picture that needs others; 0: not known
 
     @property
     def compares(self) -> bool:
@@ -134,13 +143,20 @@ class ReferenceCoder:
         target_bps = link_bps * self._settings.reference_share
         if self._settings.reference_full_size:
             self._follow_at_constant_rate(max(int(target_bps), LEAST_BPS))
-        elif self._counted >= RATE_WINDOW:
-            share = self._mean_bytes * 8e6 / period_us / target_bps
-            best = self._settings.reference_crf
-            if share > ABOVE and self._crf < WORST_CRF:
-                self._recode(min(self._crf + CRF_STEP, WORST_CRF))
-            elif share < BELOW and self._crf > best:
-                self._recode(max(self._crf - CRF_STEP, best))
+            return
+        self._target_bytes = target_bps * period_us / 8e6
+        share = self._mean_bytes / self._target_bytes
+        known = self._counted >= RATE_WINDOW
+        if (known and not BELOW <= share <= ABOVE) or (self._counted >= FIRST_WINDOW and share > FAR_ABOVE):
+            self._set_crf(self._crf + CRF_OF_DOUBLE * np.log2(share))
+
+    def _set_crf(self, crf: float) -> bool:
+        """Begin new videos of this quality, or the nearest that there may be; False where it is much the same."""
+        wanted = float(np.clip(crf, self._settings.reference_crf, WORST_CRF))
+        if abs(wanted - self._crf) < LEAST_CRF_STEP:
+            return False
+        self._recode(wanted)
+        return True
 
     def code(self, truth: F32, mirror: F32 | None, *, idr: bool) -> Coded:
         """The reference of ``truth`` [h, w, 3], the scene, for a client whose own view is ``mirror`` [h, w, 3].
@@ -157,6 +173,11 @@ class ReferenceCoder:
             return Coded(NOTHING, before=before, after=before)
         kind = self.kinds[0]
         coded = self._coded(kind, truth, lack, idr=idr or self._begin_anew)
+        most = KEY_SHARE * self._target_bytes
+        if coded.idr and most and len(coded.access_unit) > most:
+            excess = len(coded.access_unit) / most
+            if self._set_crf(self._crf + CRF_OF_DOUBLE * np.log2(excess)):
+                coded = self._coded(kind, truth, lack, idr=True)
         coded = replace(coded, before=before)
         self._begin_anew = False
         if not coded.idr:

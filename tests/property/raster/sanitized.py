@@ -1,4 +1,4 @@
-"""Builds the kernels with the address and undefined-behaviour sanitizers and runs the raster tests on them.
+"""Builds the kernels with the address and undefined-behaviour sanitizers and runs drawing and correction tests on them.
 
     python tests/property/raster/sanitized.py [pytest arguments]
 
@@ -14,7 +14,10 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[3]
-TESTS = ("tests/property/raster", "tests/stability/raster", "tests/unit/raster")
+TESTS = (
+    *("tests/property/raster", "tests/stability/raster", "tests/unit/raster"),
+    *("tests/stability/correction", "tests/unit/correction"),
+)
 
 
 def build(folder: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 import uuid
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cags_common.bundle import BundleReader
-from cags_encoder import EncodeSettings, encode
-from support.closed_loop import Session, served
-from support.codec_scenes import cloud, with_changes
+from support.closed_loop import Session, encoded_clip, served
 from support.moving_bundle import write_moving
 from support.small_motion import moving, random_frames, written
 from support.small_store import manifest
@@ -40,24 +37,11 @@ def drawn(seed: int) -> BundleReader:
     return write_moving(f"memory://{uuid.uuid4().hex}", seed, motion=bool(seed % 2))
 
 
-@cache
-def encoded(codec: str) -> BundleReader:
-    """A few frames of a cloud, of which some moves and some comes and goes."""
-    whole, frames = cloud(120, 7), []
-    for k in range(6):
-        means = whole.means.copy()
-        means[:30, 1] += np.float32(0.1 * k)
-        frames.append(with_changes(whole, means=means).take(np.arange(120 - 5 * k)))
-    url = f"memory://{uuid.uuid4().hex}"
-    encode(frames, EncodeSettings(codec=codec, train_splats=256, lod_order="paper", gof_frames=3), url)
-    return BundleReader.open(url)
-
-
 BUNDLES: dict[str, Callable[[int], BundleReader]] = {
     "small": small,
     "drawn": drawn,
-    "video": lambda seed: encoded("video"),
-    "density": lambda seed: encoded("density"),
+    "video": lambda seed: encoded_clip("video"),
+    "density": lambda seed: encoded_clip("density"),
 }
 
 

@@ -1,4 +1,4 @@
-"""Every corrector behind the seam: the kernels give what the definition gives, and keep what they made of a reference."""
+"""Every corrector behind the seam: kernels give what the definition gives, and keep what they made of a reference."""
 
 from __future__ import annotations
 

@@ -80,6 +80,16 @@ def test_the_frame_is_the_definitions(picture: bool, border: float) -> None:
 
 
 @needs_adapter
+def test_codes_of_the_whole_range_and_beyond_are_the_definitions() -> None:
+    splats = plates()
+    coded = np.random.default_rng(6).choice(np.array([-0.5, 0.0, ZERO, ZERO + 5e-6, 0.503, 1.0, 1.5], F), (36, 48, 3))
+    for knee in (0.01, 0.15, 1.0):
+        ref = reference(coded=coded, knee=knee)
+        right, ours = by_definition(splats, ref), corrected(rasteriser().load(splats), CLIENT, EXACT, ref)
+        assert share_within(ours.rgb, right.rgb) >= 0.9999
+
+
+@needs_adapter
 def test_bytes_shown_are_the_floats_rounded_and_opaque() -> None:
     scene = rasteriser().load(plates())
     floats, levels = corrected(scene, CLIENT, EXACT, reference()), shown(scene, CLIENT, EXACT, reference())

@@ -22,7 +22,8 @@ const Stages& stages() { return in_use(CAGS_VARIANTS(stages)); }
 
 struct Scratch {
   AlignedArray<Nearest> nearest;
-  AlignedArray<float> limit, cells, lines;
+  AlignedArray<float> limit, cells, lines, filled;
+  AlignedArray<const float*> rows;
   AlignedArray<uint8_t> holes;
 };
 
@@ -116,16 +117,18 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
   uint8_t* holes = scratch->holes.reserve(cells.rows);
   Nearest* nearest = scratch->nearest.reserve(each * threads);
   std::fill_n(nearest, each * threads, kNobody);
+  const size_t pitch = Depths::pitch_of(in.width);
+  const Depths depths{scratch->rows.reserve(in.height), scratch->filled.reserve(pitch * in.height), pitch};
 
   parallel_for(threads, cells.rows, [&](int row, int worker) {
     FlushDenormals flush;
-    holes[row] = stages().survey(in, row, Line(lines + line * worker, in.width), cells, nearest + each * worker);
+    holes[row] = stages().survey(in, row, Line(lines + line * worker, in.width), cells, depths, nearest + each * worker);
   });
   if (std::any_of(holes, holes + cells.rows, [](uint8_t has) { return has != 0; })) {
     smooth(levels);
     parallel_for(threads, cells.rows, [&](int row, int worker) {
       FlushDenormals flush;
-      if (holes[row]) stages().patch(in, row, Line(lines + line * worker, in.width), cells, nearest + each * worker);
+      if (holes[row]) stages().patch(in, row, Line(lines + line * worker, in.width), cells, depths, nearest + each * worker);
     });
   }
   float* limit = scratch->limit.reserve(pixels);
@@ -140,7 +143,7 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
   });
   parallel_for(threads, cells.rows, [&](int row, int worker) {
     FlushDenormals flush;
-    stages().finish(in, row, holes[row] != 0, Line(lines + line * worker, in.width), cells, {nearest, limit}, shown, confidence);
+    stages().finish(in, row, Line(lines + line * worker, in.width), depths, {nearest, limit}, shown, confidence);
   });
 }
 

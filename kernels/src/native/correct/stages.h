@@ -31,15 +31,31 @@ struct Cells {
   int rows, columns;
 };
 
-// Floats of a worker's scratch for a row of a view, and its parts.
+// Depth of a view, holes filled. Rows without holes are those of the view; others lie in `filled`, `pitch` apart, with zeros up
+// to whole runs.
+struct Depths {
+  const float** rows;  // [height]
+  float* filled;
+  size_t pitch;
+
+  static size_t pitch_of(int width) { return rounded_up(width, kRun); }
+};
+
+// A worker's scratch: a row of cells' depths, and lines as wide as a view.
 struct Line {
-  static size_t floats(int width) { return 5 * (rounded_up(width, kRun) + 2 * kCell); }
-  Line(float* memory, int width) : part(rounded_up(width, kRun) + 2 * kCell) {
-    depth = memory, sums = depth + part, counts = sums + part, around = counts + part + kCell, keep = memory + 4 * part + kCell;
+  static size_t floats(int width) { return (kCell + 4) * part_of(width); }
+  Line(float* memory, int width) : part(part_of(width)) {
+    depth = memory, sums = memory + kCell * part, counts = sums + part, around = counts + part + kCell, keep = around + part;
   }
+  float* row(int r) const { return depth + r * part; }
+
   size_t part;
-  float *depth, *sums, *counts;
-  float *around, *keep;  // one cell more on both sides
+  float* depth;           // rows of the view, zeros where nothing is known
+  float *sums, *counts;
+  float *around, *keep;   // `around` has one cell more on both sides
+
+ private:
+  static size_t part_of(int width) { return rounded_up(width, kRun) + 2 * kCell; }
 };
 
 struct Occlusion {
@@ -51,11 +67,11 @@ struct Stages {
   // One row of what is lacking, without its border above and below.
   void (*expand)(const CagsLackInput&, int row, int16_t* to);
   // One row of cells: means of inverse depth, and the pixels of known depth that are nearest. Returns whether there are holes.
-  bool (*survey)(const CagsAddInput&, int row, const Line&, const Cells&, Nearest*);
-  // One row of cells: the pixels in holes that are nearest.
-  void (*patch)(const CagsAddInput&, int row, const Line&, const Cells&, Nearest*);
-  // One row of cells: the frame. `holes`: whether it has any.
-  void (*finish)(const CagsAddInput&, int row, bool holes, const Line&, const Cells&, const Occlusion&, float* shown, float* confidence);
+  bool (*survey)(const CagsAddInput&, int row, const Line&, const Cells&, const Depths&, Nearest*);
+  // One row of cells that has holes: they are filled, and those of their pixels that are nearest.
+  void (*patch)(const CagsAddInput&, int row, const Line&, const Cells&, const Depths&, Nearest*);
+  // One row of cells: the frame.
+  void (*finish)(const CagsAddInput&, int row, const Line&, const Depths&, const Occlusion&, float* shown, float* confidence);
 };
 
 extern const Stages stages_portable;

@@ -6,6 +6,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 
 from cags_common.codecs import SvqTileCodec, TileDecoder
 from cags_common.errors import DecodeError
@@ -86,6 +87,33 @@ def test_a_tile_that_grows_beyond_its_group_is_reported_and_does_not_end_the_dis
         f"tile 0 of frame 0: id {CAPACITY} is outside the group's capacity {CAPACITY}"
     ]
     assert store.flush() == []
+
+
+class OneMoreCodec(GrowingCodec):
+    """Whose tiles' second level brings a further splat."""
+
+    def open_tile(self, payload: bytes | memoryview) -> GrowingTile:
+        return OneMoreTile()
+
+
+class OneMoreTile(GrowingTile):
+    def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
+        self.ids, self.lod, self.grows = np.array([0, 1], np.int32), lod, False
+        return True
+
+
+@pytest.mark.parametrize("shown_between", [False, True])
+def test_a_tile_that_lost_its_splats_shows_those_that_a_later_level_brings(shown_between: bool) -> None:
+    store = TileStore(manifest(), OneMoreCodec())
+    for frame in range(2):
+        store.add(frame, 0, 0, [memoryview(b"base")])
+        store.end(frame, removed())
+    if shown_between:
+        store.commit(1)
+    store.add(0, 0, 1, [memoryview(b"more")])
+    assert xs(store, 1)[:3] == [0, 0, -1]
+    gof, _ = store.commit(1)
+    assert [tile.owned for tile in gof.shown.tiles] == [1, 1]
 
 
 class GatedCodec(SvqTileCodec):

@@ -17,38 +17,28 @@ struct Taps {
   float z[kRun], confidence[kRun];
 };
 
-// Depth of one pixel, holes filled.
-inline float depth_at(const CagsAddInput& in, const Cells& cells, int row, int column) {
-  const int64_t at = int64_t{row} * in.width + column;
-  const float depth = in.depth[at];
-  if (!(in.alpha[at] < in.hole_alpha) && depth >= kLeastDepth && depth <= std::numeric_limits<float>::max()) return std::min(depth, kFar);
-  const Between y(row, kCell, cells.rows), x(column, kCell, cells.columns);
-  const float *top = cells.inverse + int64_t{y.above} * cells.columns, *low = cells.inverse + int64_t{y.below} * cells.columns;
-  const float before = top[x.above] + (low[x.above] - top[x.above]) * y.share;
-  const float after = top[x.below] + (low[x.below] - top[x.below]) * y.share;
-  return 1.0f / std::max(before + (after - before) * x.share, 1.0f / kFar);
-}
+inline float depth_at(const Depths& depths, int row, int column) { return std::min(depths.rows[row][column], kFar); }
 
 // The smaller of the steps to the two neighbours along an axis; 0 where there is none.
-inline float slope(const CagsAddInput& in, const Cells& cells, int row, int column, int down, int across) {
-  const float here = depth_at(in, cells, row, column);
+inline float slope(const CagsAddInput& in, const Depths& depths, int row, int column, int down, int across) {
+  const float here = depth_at(depths, row, column);
   float least = std::numeric_limits<float>::infinity();
   for (const int side : {-1, 1}) {
     const int r = row + side * down, c = column + side * across;
     if (r < 0 || c < 0 || r >= in.height || c >= in.width) continue;
-    least = std::min(least, std::fabs(here - depth_at(in, cells, r, c)));
+    least = std::min(least, std::fabs(here - depth_at(depths, r, c)));
   }
   return least < std::numeric_limits<float>::infinity() ? least : 0.0f;
 }
 
 // Whether a pixel that lies `behind` its reference pixel's limit is hidden: behind even by the surface's own slope, and not
 // within one reference pixel of the nearest in the client's view too, where the reference sees both.
-inline bool hidden(const CagsAddInput& in, const Cells& cells, int row, int column, float behind, Nearest nearest) {
+inline bool hidden(const CagsAddInput& in, const Depths& depths, int row, int column, float behind, Nearest nearest) {
   const uint32_t place = static_cast<uint32_t>(nearest);
   const int rows_away = std::abs(row - static_cast<int>(place >> 16)), columns_away = std::abs(column - static_cast<int>(place & 0xffff));
   if (static_cast<float>(columns_away) <= in.cell_x && static_cast<float>(rows_away) <= in.cell_y) return false;
-  const float across = slope(in, cells, row, column, 0, 1), down = slope(in, cells, row, column, 1, 0);
-  return behind > in.slope_cells * (in.cell_x * across + in.cell_y * down);
+  const float across = in.slope_cells * in.cell_x * slope(in, depths, row, column, 0, 1);
+  return behind > across && behind > across + in.slope_cells * in.cell_y * slope(in, depths, row, column, 1, 0);
 }
 
 // Returns whether any pixel of the run lies in the reference.
@@ -74,7 +64,7 @@ inline bool place(const CagsAddInput& in, const Projection& project, int first, 
   return any;
 }
 
-inline void hide(const CagsAddInput& in, const Cells& cells, const Occlusion& occlusion, int row, int first, int count, Taps& taps) {
+inline void hide(const CagsAddInput& in, const Depths& depths, const Occlusion& occlusion, int row, int first, int count, Taps& taps) {
   float limit[kRun];
   for (int i = 0; i < count; i++) limit[i] = occlusion.limit[taps.cell[i]];
   uint64_t doubtful = 0;
@@ -83,7 +73,7 @@ inline void hide(const CagsAddInput& in, const Cells& cells, const Occlusion& oc
   for (; doubtful; doubtful &= doubtful - 1) {
     const int i = std::countr_zero(doubtful);
     const float behind = taps.z[i] - limit[i];
-    if (hidden(in, cells, row, first + i, behind, occlusion.nearest[taps.cell[i]])) taps.confidence[i] = 0.0f;
+    if (hidden(in, depths, row, first + i, behind, occlusion.nearest[taps.cell[i]])) taps.confidence[i] = 0.0f;
   }
 }
 
@@ -166,33 +156,31 @@ inline void keep_of(const CagsAddInput& in, int row, const Line& line) {
   }
 }
 
-void finish(const CagsAddInput& in, int cell_row, bool holes, const Line& line, const Cells& cells, const Occlusion& occlusion, float* shown,
+void finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths& depths, const Occlusion& occlusion, float* shown,
             float* confidence) {
   const bool streams = int64_t{in.width} * in.height >= kLeastStreamed;
   Taps taps;
-  float colours[3 * kRun + 8], rest[3 * kRun + 8] = {};
+  float colours[3 * kRun + 8], rest[3 * kRun + 8] = {}, rest_depth[kRun] = {};
   for (int r = 0; r < rows_of(in, cell_row); r++) {
     const int row = cell_row * kCell + r;
     const Projection project(in, row);
-    if (holes) fill_row<false>(in, row, line, cells);
     if (in.veto) keep_of(in, row, line);
     for (int first = 0; first < in.width; first += kRun) {
       const int count = std::min(kRun, in.width - first);
       const int64_t start = int64_t{row} * in.width + first;
-      const float *rgb = in.rgb + 3 * start, *depth = holes ? line.depth + first : in.depth + start;
+      const float *rgb = in.rgb + 3 * start, *depth = depths.rows[row] + first;
+      prefetch(rgb + 3 * kRun, 3 * kRun), prefetch(depth + kRun, kRun);
       const bool last = start + kRun + 3 > int64_t{in.width} * in.height;  // a vector might reach beyond the picture
       if (last || count < kRun) {
         std::memcpy(rest, rgb, 3 * count * sizeof(float));
         rgb = rest;
       }
-      if (!holes && count < kRun) {
-        std::fill_n(line.depth, kRun, 0.0f);
-        std::copy_n(depth, count, line.depth);
-        depth = line.depth;
+      if (count < kRun) {
+        std::copy_n(depth, count, rest_depth);
+        depth = rest_depth;
       }
-      for (int i = 0; i < 3 * kRun; i += 16) __builtin_prefetch(in.rgb + 3 * start + 3 * kRun + i);
       if (place(in, project, first, count, depth, taps)) {
-        hide(in, cells, occlusion, row, first, count, taps);
+        hide(in, depths, occlusion, row, first, count, taps);
         if (in.veto) {
           for (int i = 0; i < count; i++) taps.confidence[i] *= line.keep[first + i];
         }

@@ -50,24 +50,23 @@ inline void claim_row(const CagsAddInput& in, int row, const float* line, Neares
 
 inline int rows_of(const CagsAddInput& in, int cell_row) { return std::min(kCell, in.height - cell_row * kCell); }
 
-bool survey(const CagsAddInput& in, int cell_row, const Line& line, const Cells& cells, Nearest* nearest) {
-  const int rows = rows_of(in, cell_row);
-  std::fill_n(line.sums, line.part, 0.0f);
-  std::fill_n(line.counts, line.part, 0.0f);
-  for (int r = 0; r < rows; r++) {
-    const int row = cell_row * kCell + r;
-    for (int first = 0; first < in.width; first += kRun) {
-      const Pixels pixels(in, row, first, std::min(kRun, in.width - first));
-      for (int i = 0; i < kRun; i += kCell) {
-        const Known known = known_of(in, pixels, i);
-        const int at = first + i;
-        store(line.depth + at, keep(known.is, known.depth));
-        store(line.sums + at, load(line.sums + at) + keep(known.is, 1.0f / known.depth));
-        store(line.counts + at, load(line.counts + at) + keep(known.is, all(1.0f)));
-      }
+// Adds one row of pixels to the sums of its cells; `known` are their depths, 0 in holes.
+inline void survey_row(const CagsAddInput& in, int row, const Line& line, float* known_depth) {
+  for (int first = 0; first < in.width; first += kRun) {
+    const Pixels pixels(in, row, first, std::min(kRun, in.width - first));
+    for (int i = 0; i < kRun; i += kCell) {
+      const Known known = known_of(in, pixels, i);
+      const int at = first + i;
+      store(known_depth + at, keep(known.is, known.depth));
+      store(line.sums + at, load(line.sums + at) + keep(known.is, 1.0f / known.depth));
+      store(line.counts + at, load(line.counts + at) + keep(known.is, all(1.0f)));
     }
-    if (row % in.stride == 0) claim_row(in, row, line.depth, nearest);
   }
+}
+
+// Means of a row of cells from their sums. Returns whether there are holes.
+inline bool average(const CagsAddInput& in, int cell_row, const Line& line, const Cells& cells) {
+  const int rows = rows_of(in, cell_row);
   bool holes = false;
   float *inverse = cells.inverse + int64_t{cell_row} * cells.columns, *weight = cells.weight + int64_t{cell_row} * cells.columns;
   for (int i = 0; i < cells.columns; i++) {
@@ -79,30 +78,45 @@ bool survey(const CagsAddInput& in, int cell_row, const Line& line, const Cells&
   return holes;
 }
 
-// Depth of a row: of all pixels, or of those in holes alone, and 0 elsewhere.
-template <bool kHolesAlone>
-inline void fill_row(const CagsAddInput& in, int row, const Line& line, const Cells& cells) {
-  line_of(cells.inverse, cells.columns, Between(row, kCell, cells.rows), line.around);
-  for (int first = 0; first < in.width; first += kRun) {
-    const int count = std::min(kRun, in.width - first);
-    const Pixels pixels(in, row, first, count);
-    for (int i = 0; i < kRun; i += kCell) {
-      const Known known = known_of(in, pixels, i);
-      const Eight seen = kHolesAlone ? Eight{} : known.depth;
-      Eight depth = keep(known.is, seen);
-      if (i < count && bits(~known.is)) depth = select(known.is, seen, around(line.around, (first + i) / kCell));
-      store(line.depth + first + i, depth);
-    }
+bool survey(const CagsAddInput& in, int cell_row, const Line& line, const Cells& cells, const Depths& depths, Nearest* nearest) {
+  const int rows = rows_of(in, cell_row), top = cell_row * kCell;
+  std::fill_n(line.sums, line.part, 0.0f);
+  std::fill_n(line.counts, line.part, 0.0f);
+  for (int r = 0; r < rows; r++) {
+    survey_row(in, top + r, line, line.row(r));
+    if ((top + r) % in.stride == 0) claim_row(in, top + r, line.row(r), nearest);
   }
-  std::fill_n(line.depth + in.width, rounded_up(in.width, kCell) - in.width, 0.0f);
+  const bool holes = average(in, cell_row, line, cells);
+  for (int r = 0; r < rows; r++) {
+    float* filled = depths.filled + (top + r) * depths.pitch;
+    if (holes) std::copy_n(line.row(r), depths.pitch, filled);
+    depths.rows[top + r] = holes ? filled : in.depth + int64_t{top + r} * in.width;
+  }
+  return holes;
 }
 
-void patch(const CagsAddInput& in, int cell_row, const Line& line, const Cells& cells, Nearest* nearest) {
+void patch(const CagsAddInput& in, int cell_row, const Line& line, const Cells& cells, const Depths& depths, Nearest* nearest) {
+  float* patched = line.depth;  // what is filled in a row, and zeros
   for (int r = 0; r < rows_of(in, cell_row); r++) {
     const int row = cell_row * kCell + r;
-    if (row % in.stride) continue;
-    fill_row<true>(in, row, line, cells);
-    claim_row(in, row, line.depth, nearest);
+    float* depth = depths.filled + row * depths.pitch;
+    line_of(cells.inverse, cells.columns, Between(row, kCell, cells.rows), line.around);
+    bool any = false;
+    for (int i = 0; i < in.width; i += kCell) {
+      const Eight known = load(depth + i);
+      EightInts hole = known == 0.0f;
+      Eight here = {};
+      if (bits(hole)) {
+        if (in.width - i < kCell) hole &= kSteps < static_cast<float>(in.width - i);
+        here = keep(hole, around(line.around, i / kCell));
+        store(depth + i, select(hole, here, known));
+        any = true;
+      }
+      store(patched + i, here);
+    }
+    if (!any || row % in.stride) continue;
+    std::fill_n(patched + rounded_up(in.width, kCell), depths.pitch - rounded_up(in.width, kCell), 0.0f);
+    claim_row(in, row, patched, nearest);
   }
 }
 

@@ -8,13 +8,18 @@
 namespace cags::correct {
 namespace {
 
+// What comes next; past the end of memory it is a hint that nobody follows.
+inline void prefetch(const float* from, int count) {
+  for (int i = 0; i < count; i += 16) __builtin_prefetch(from + i);
+}
+
 // A row of a view in memory, or the rest of one, padded to a run.
 struct Pixels {
   // `count` pixels (a run at most) of a row from `first` on.
   Pixels(const CagsAddInput& in, int row, int first, int count) {
     const int64_t start = int64_t{row} * in.width + first;
     alpha = in.alpha + start, depth = in.depth + start;
-    prefetch(alpha + kRun), prefetch(depth + kRun);  // what comes next; past the end it is a hint that nobody follows
+    prefetch(alpha + kRun, kRun), prefetch(depth + kRun, kRun);
     if (count == kRun) return;
     for (int i = 0; i < kRun; i++) rest[0][i] = i < count ? alpha[i] : 0.0f, rest[1][i] = i < count ? depth[i] : 0.0f;
     alpha = rest[0], depth = rest[1];
@@ -22,9 +27,6 @@ struct Pixels {
   const float *alpha, *depth;
 
  private:
-  static void prefetch(const float* run) {
-    for (int i = 0; i < kRun; i += 16) __builtin_prefetch(run + i);
-  }
   float rest[2][kRun];
 };
 
@@ -61,7 +63,7 @@ struct Between {
 };
 
 // `values` [rows, columns] at the height of a row of pixels, with one more on both sides.
-inline void line_of(const float* values, int columns, const Between& at, float* line) {
+inline void line_of(const float* values, int columns, const Between& at, float* __restrict line) {
   const float *top = values + int64_t{at.above} * columns, *low = values + int64_t{at.below} * columns;
   for (int i = 0; i < columns; i++) line[i] = top[i] + (low[i] - top[i]) * at.share;
   line[-1] = line[0], line[columns] = line[columns - 1];
