@@ -304,7 +304,7 @@ class ClientPipeline:
                 stale = np.float32(1.0 - freshness)
                 veto = np.full(correction.veto_shape(drawn.camera), stale) if veto is None else np.maximum(veto, stale)
             settings = self._correct_settings
-            return self._corrector.correct(drawn.view, drawn.camera, reference.correction, own, settings, veto)
+            return self._corrector.correct(drawn.view, drawn.camera, reference.correction, own, settings, veto=veto)
 
     def _own_view(self, plan: EffectPlan, drawn: _Drawn, reference: Received) -> F32:
         """The client's splats from a picture's camera, as they were when it was first used."""
