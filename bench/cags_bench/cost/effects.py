@@ -28,6 +28,9 @@ from cags_server.reference.coder import ReferenceCoder
 EFFECTS = "effects"
 """Name of the stage."""
 
+MOST = 1.05
+"""Of times that differ by a depth picture and a band of colours at most, a twentieth may be noise."""
+
 DECISIONS = 5
 """Frames over which the time outside the stages is taken."""
 
@@ -51,7 +54,9 @@ def effect_checks(measured: Sequence[Measured]) -> list[dict[str, Any]]:
     ratio = whole[NEEDED].median_ms / whole[ALWAYS].median_ms
     outside = max(one.outcome["outside_ms"] for one in measured)
     return [
-        check("whole scene: time of what is needed over that of everything", "<= 1", round(ratio, 3), ratio <= 1),
+        check(
+            "whole scene: time of what is needed over that of everything", f"<= {MOST}", round(ratio, 3), ratio <= MOST
+        ),
         check("deciding effects, and a frame's figures [ms]", "<= 0.5", round(outside, 3), outside <= 0.5),
     ]
 
