@@ -6,7 +6,7 @@ alone. ``correct`` and ``none`` need none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from cags_client.restore.base import RestoreInput, Restorer
@@ -23,8 +23,15 @@ CORRECT, NONE, REFERENCE = "correct", "none", "reference"
 
 NETWORK_NAMES = ("srresnet", "sr-align-ref", "cr-no-ref")
 
-RESTORERS = (CORRECT, NONE, REFERENCE, *NETWORK_NAMES)
-"""What can be done with references, by name; a network may name its runtime (``srresnet@openvino``)."""
+RESTORERS: dict[str, Callable[[], Restorer] | None] = {
+    CORRECT: None,
+    NONE: None,
+    REFERENCE: ReferenceRestorer,
+    **dict.fromkeys(NETWORK_NAMES),
+}
+"""What can be done with references, by name; a network may name its runtime (``srresnet@openvino``). Restorers of
+aligned pictures that are no networks come with what makes them; enter your own.
+"""
 
 REPLACING = frozenset({REFERENCE, "sr-align-ref", "cr-no-ref"})
 """Restorers that do not correct the distorted picture but stand in its place: they run at the highest LoD too."""
@@ -38,12 +45,12 @@ def create(name: str, *, threads: int | None = None, weights: Mapping[str, Weigh
     """
     check_name(name)
     network, _, runtime = name.partition("@")
-    if network == REFERENCE:
-        return ReferenceRestorer()
     if network not in NETWORK_NAMES:
-        raise ConfigError(
-            f"restorer {name!r} works on no aligned picture; one of {REFERENCE}, {', '.join(NETWORK_NAMES)} does"
-        )
+        made = RESTORERS[network]
+        if made is None:
+            others = ", ".join(other for other in RESTORERS if other not in (CORRECT, NONE))
+            raise ConfigError(f"restorer {name!r} works on no aligned picture; one of {others} does")
+        return made()
     from cags_client.restore import networks
 
     own = (weights or {}).get(network)
