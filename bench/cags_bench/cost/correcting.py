@@ -10,7 +10,7 @@ from cags_bench.cost.engine import Outcome, Point, Stage
 from cags_bench.cost.moments import Moment, Workbench
 from cags_bench.cost.serving import DIFFERENCES, Referring
 from cags_client import align, restore
-from cags_client.align import ReferencePicture
+from cags_client.references import Received
 from cags_client.restore import CORRECT, NONE, RestoreInput
 from cags_client.settings import FULL, HALF, ClientSettings
 from cags_common import correction
@@ -32,7 +32,7 @@ def correcting_stages(bench: Workbench) -> list[Stage]:
     return [_ways(bench.moment), _whole_frame(bench.moment)]
 
 
-def _received(moment: Moment, kind: str) -> tuple[Referring, Reference]:
+def _received(moment: Moment, kind: str) -> tuple[Referring, Received]:
     """A reference as it reaches the client."""
     referring = Referring(moment, ServerSettings(references=kind))
     reference = referring.received(referring.made())
@@ -51,12 +51,12 @@ def _ways(moment: Moment) -> Stage:
     for kind in ("difference", "picture"):
         referring, reference = _received(moment, kind)
 
-        def correct(referring: Referring = referring, reference: Reference = reference) -> F32:
+        def correct(referring: Referring = referring, reference: Received = reference) -> F32:
             return referring.corrected(reference, view)
 
         points.append(Point(f"{CORRECT}, {kind}", correct, judge, default=kind == DIFFERENCES.references))
-    picture = ReferencePicture(reference.coded, reference.camera, moment.frame)
-    aligner, depth = align.create("fast"), view.depth
+    picture, aligner, depth = reference.picture, align.create("fast"), view.depth
+    assert picture is not None
     assert depth is not None
     for name in RESTORERS:
         restorer = restore.create(name)
@@ -72,7 +72,7 @@ def _whole_frame(moment: Moment) -> Stage:
     """Draw and correct: every combination of exactness, resolution and correction, judged by the picture shown."""
     _, reference = _received(moment, DIFFERENCES.references)
     points = tuple(
-        _combination(moment, reference, exactness, resolution, way)
+        _combination(moment, reference.difference, exactness, resolution, way)
         for exactness, resolution, way in product(Exactness, (HALF, FULL), (NONE, CORRECT))
     )
     knob = "exactness / resolution / correction"

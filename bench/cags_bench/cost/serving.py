@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cags_bench.cost.moments import Moment
+from cags_client.references import Received
 from cags_common import correction
-from cags_common.correction import Reference
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.h264 import H264Decoder
@@ -54,22 +54,25 @@ class Referring:
         """All that a server does for a reference."""
         return self.coded(*self.drawn())
 
-    def received(self, coded: Coded) -> Reference | None:
+    def received(self, coded: Coded) -> Received | None:
         """What the client decodes; None where nothing is said."""
         if coded.kind is ReferenceKind.NOTHING:
             return None
         picture = H264Decoder().decode(coded.access_unit)
         assert picture is not None, "it needs no other"
-        return Reference(picture, self.camera, coded.kind is ReferenceKind.PICTURE, coded.knee)
+        frame = self.moment.frame
+        return Received(frame, 1, 1, self.camera, coded.kind, picture, coded.knee, error=coded.after)
 
-    def corrected(self, reference: Reference | None, view: RenderedView | None = None) -> F32:
+    def corrected(self, reference: Received | None, view: RenderedView | None = None) -> F32:
         """The client's picture [H, W, 3]: its ``view`` (None: as it draws by itself) with what is lacking added."""
         moment = self.moment
         seen = view or moment.view()
         if reference is None:
             return seen.rgb
-        own = self._seen(moment.held) if reference.picture else None
-        return correction.create().correct(seen, moment.camera, reference, own).rgb
+        if reference.kind is ReferenceKind.DIFFERENCE:
+            return correction.create().correct(seen, moment.camera, reference.difference).rgb
+        own = self._seen(moment.held)
+        return correction.create().correct(seen, moment.camera, reference.compared(own), own).rgb
 
     def _seen(self, scene: RasterScene) -> F32:
         camera = self.camera

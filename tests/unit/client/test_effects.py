@@ -41,6 +41,12 @@ def reader(tmp_path_factory: pytest.TempPathFactory, degree: int) -> BundleReade
     return BundleReader.open(str(folder))
 
 
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What has come is shown, whether or not its reference is late."""
+    monkeypatch.setattr(pipeline, "PATIENCE_FRAMES", 0)
+
+
 def turned(pose: Pose, other: Pose) -> Pose:
     """Looks as ``other`` does from where ``pose`` stands."""
     return Pose(pose.position, other.rotation)
@@ -78,6 +84,7 @@ def refined_since(stage: Stage) -> list[PresentedFrame]:
     first = stage.show(0, walk(stage.reader))
     stage.send(0, stage.reader.manifest.lods, first=1)
     stage.send(1, stage.reader.manifest.lods)
+    stage.mark()
     return [stage.show(1, walk(stage.reader)), first]
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cags_client import pipeline
 from cags_client.actions import Decode
 from cags_client.pipeline import ClientPipeline
 from cags_client.score import averages, score
@@ -126,14 +127,19 @@ def test_what_comes_after_a_mark_waits_for_the_next_reference(reader: BundleRead
     assert stage.show(1, pose).lod_mean > 0
 
 
-def test_without_a_reference_of_its_own_a_frame_shows_no_more_than_the_next_one_assumes(reader: BundleReader) -> None:
+def test_while_a_reference_is_late_what_is_shown_stays_and_not_for_ever(
+    reader: BundleReader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "PATIENCE_FRAMES", 1)
     stage, pose = Stage(reader), walk(reader)
     stage.send(0)
-    stage.send(1)
-    stage.refer(1, pose)
+    stage.refer(0, pose)
+    stage.show(0, pose)
     stage.send(0, reader.manifest.lods, first=1)
-    assert stage.show(0, pose).lod_mean == 0, "the reference of the next frame waits already"
-    assert stage.show(1, pose).lod_mean == 0
+    stage.send(1, reader.manifest.lods)
+    stage.mark()
+    assert stage.show(1, pose).lod_mean == 0, "as the reference before assumes"
+    assert stage.show(2, pose).lod_mean > 0
 
 
 class CountingScene:
@@ -229,7 +235,7 @@ def test_over_another_connection_marks_count_on_from_what_is_held(reader: Bundle
     stage.send(0)
     stage.refer(0, pose)
     stage.show(0, pose)
-    stage.pipe.restarted()
+    stage.pipe.restarted(stage.pipe.held())
     other = Stage(reader)
     other.pipe = stage.pipe
     other.send(0)  # what is held comes to the other server by the inventory; here it comes twice

@@ -145,8 +145,9 @@ def test_correctors_and_aligners_get_what_is_theirs() -> None:
     picture, lacking = (references.newest(frame, 0) for frame in range(2))
     assert picture is not None
     assert lacking is not None
-    assert (picture.correction.picture, lacking.correction.picture) == (True, False)
-    assert lacking.correction.knee == 0.06
+    assert picture.coded is not None
+    assert (picture.compared(picture.coded).picture, lacking.difference.picture) == (True, False)
+    assert lacking.difference.knee == 0.06
     assert picture.picture is not None
     assert lacking.picture is None
     assert (picture.assumes, lacking.assumes) == (False, True)
@@ -164,3 +165,15 @@ def test_the_next_basis_is_the_least_that_waits_and_pictures_assume_none() -> No
     assert references.next_basis(6, 2, 10) is None
     assert references.add(*nothing(8, basis=7))
     assert references.next_basis(6, 2, 10) == 7
+
+
+def test_of_a_picture_nothing_counts_that_coding_may_have_left() -> None:
+    references, video = References(), Video()
+    message, unit, basis = video.picture(0)
+    assert references.add(replace(message, error=1e-4), unit, basis)
+    received = references.newest(0, 0)
+    assert received is not None
+    assert received.coded is not None
+    close, far = received.coded + np.float32(0.01), received.coded + np.float32(0.3)
+    np.testing.assert_allclose(received.compared(close).coded, close, atol=1e-6)
+    np.testing.assert_allclose(received.compared(far).coded, received.coded, atol=0.001)

@@ -75,15 +75,15 @@ def test_order_is_references_then_priority_then_first_come():
     assert [order.index(outgoing) for outgoing, _, _ in q.send_all()] == [2, 1, 3, 0, 4]
 
 
-def test_a_mark_goes_before_everything():
+def test_marks_and_references_go_as_they_come_before_everything_else():
     q = Queue()
-    order = [tile(0, 0, 10), reference(0, 1, 10), Outgoing(Mark(1), priority=9)]
+    order = [tile(0, 0, 10), reference(0, 1, 10), Outgoing(Mark(1)), reference(1, 2, 10), Outgoing(Mark(2))]
     for outgoing in order:
         q.queue.put(outgoing)
-    assert [order.index(outgoing) for outgoing, _, _ in q.send_all()] == [2, 1, 0]
+    assert [order.index(outgoing) for outgoing, _, _ in q.send_all()] == [1, 2, 3, 4, 0]
 
 
-def test_nothing_is_sent_to_its_end_between_a_mark_and_its_sending():
+def test_no_tile_is_sent_to_its_end_between_a_mark_and_its_sending():
     q = Queue()
     for number in range(MAX_PARTIAL_MESSAGES // 2):
         q.queue.put(tile(0, number, 2 * CHUNK_BYTES - 1000, priority=MAX_PARTIAL_MESSAGES - number))
