@@ -435,7 +435,7 @@ class Streamer:
         tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
-        spare_us = to_display_us - MARGIN_US
+        spare_us = float(to_display_us - MARGIN_US)
         if self._coder.kind is ReferenceKind.DIFFERENCE:  # what is to be shown is there when it is compared with
             spare_us -= lead_us
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
