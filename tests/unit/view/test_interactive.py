@@ -100,7 +100,7 @@ class Stage:
             return None
         blank = np.zeros((2, 2, 3), np.float32)
         shown = PresentedFrame(
-            action.frame, None, blank, blank, None, blank, blank, None, 0.0, False, {}, EffectPlan(frozenset())
+            action.frame, None, blank, blank, None, None, blank, blank, None, 0.0, False, {}, EffectPlan(frozenset())
         )  # type: ignore[arg-type]
         self.now_us += self.draw_us
         self.player.done(action, shown, self.now_us)
