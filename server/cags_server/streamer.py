@@ -25,9 +25,9 @@ from cags_server.library import SceneLibrary
 from cags_server.mirror import Mirror
 from cags_server.pace import MARGIN_US
 from cags_server.records import FrameRecord, StreamStats
-from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.budget import ReferenceBudget
 from cags_server.reference.coder import ReferenceCoder
+from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.video import ReferenceVideo
 from cags_server.schedule import Schedule
 from cags_server.settings import PLAIN, ServerSettings
@@ -36,7 +36,6 @@ from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
 from cags_server.viewer import Viewer
 from cags_server.visible import VisibleTile
-
 
 MARK_EVERY_US = 30_000
 """While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
