@@ -142,16 +142,23 @@ inline void add_run(const CagsAddInput& in, Taps& taps, int count, const float* 
   }
 }
 
+// Lanes of the eight pixels from the `first` on whose bits are set.
+inline EightInts lanes_of(uint64_t pixels, int first) {
+  constexpr EightInts each = {1, 2, 4, 8, 16, 32, 64, 128};
+  return ((EightInts{} + static_cast<int32_t>(pixels >> first & 0xff)) & each) != 0;
+}
+
 // Takes the confidence of hidden pixels to `aside`.
 inline void set_aside(uint64_t hidden, Taps& taps, float* aside) {
-  for (; hidden; hidden &= hidden - 1) {
-    const int i = std::countr_zero(hidden);
-    aside[i] = taps.confidence[i], taps.confidence[i] = 0.0f;
+  for (int i = 0; i < kRun; i += kCell) {
+    const Eight here = load(taps.confidence + i);
+    store(aside + i, here);
+    store(taps.confidence + i, keep(~lanes_of(hidden, i), here));
   }
 }
 
 inline void put_back(uint64_t hidden, const float* aside, Taps& taps) {
-  for (; hidden; hidden &= hidden - 1) taps.confidence[std::countr_zero(hidden)] = aside[std::countr_zero(hidden)];
+  for (int i = 0; i < kRun; i += kCell) store(taps.confidence + i, select(lanes_of(hidden, i), load(aside + i), load(taps.confidence + i)));
 }
 
 inline void clip_run(const float* rgb, int values, float* out) {
@@ -191,7 +198,7 @@ bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths
             float* shown, float* confidence) {
   const bool streams = int64_t{in.width} * in.height >= kLeastStreamed;
   Taps taps;
-  float colours[3 * kRun + 8], rest[3 * kRun + 8] = {}, rest_depth[kRun] = {}, rest_alpha[kRun] = {}, aside[kRun];
+  float colours[3 * kRun + 8], rest[3 * kRun + 8] = {}, rest_depth[kRun] = {}, rest_alpha[kRun] = {}, aside[kRun] = {};
   float* sums = around.sums + int64_t{cell_row} * around.columns * kLanes;
   std::fill_n(sums, int64_t{around.columns} * kLanes, 0.0f);
   uint64_t some = 0;
@@ -224,9 +231,9 @@ bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths
         if (in.veto) {
           for (int i = 0; i < count; i++) taps.confidence[i] *= line.keep[first + i];
         }
-        set_aside(hidden, taps, aside);
+        if (hidden) set_aside(hidden, taps, aside);
         add_run(in, taps, count, rgb, colours, sums + first / kCell * kLanes);
-        put_back(hidden, aside, taps);
+        if (hidden) put_back(hidden, aside, taps);
         some |= hidden;
       } else {
         clip_run(rgb, 3 * count, colours);
@@ -241,38 +248,60 @@ bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths
   return some;
 }
 
-// What was added around pixels of a row, and the confidence by which it was: the cells' sums between their centres.
+// The cells' sums at the height of a row: what was added, and in the last lane the confidence by which it was.
 struct Surroundings {
-  Surroundings(const Around& around, int row, int rows) : columns(around.columns), at(row, kCell, rows) {
-    top = around.sums + int64_t{at.above} * columns * kLanes, low = around.sums + int64_t{at.below} * columns * kLanes;
+  Surroundings(const Around& around, int row, int rows) : columns(around.columns) {
+    const Between at(row, kCell, rows);
+    top = around.sums + int64_t{at.above} * columns * kLanes, low = around.sums + int64_t{at.below} * columns * kLanes, share = at.share;
   }
 
   Four operator()(int column) const {
-    const Between across(column, kCell, columns);
-    const Four left = mixed(top + across.above * kLanes, low + across.above * kLanes, at.share);
-    const Four right = mixed(top + across.below * kLanes, low + across.below * kLanes, at.share);
-    return left + (right - left) * across.share;
+    const int at = std::clamp(column, 0, columns - 1) * kLanes;
+    const Four above = load<Four>(top + at);
+    return above + (load<Four>(low + at) - above) * share;
   }
 
   int columns;
-  Between at;
   const float *top, *low;
-
- private:
-  static Four mixed(const float* a, const float* b, float share) { return load<Four>(a) + (load<Four>(b) - load<Four>(a)) * share; }
+  float share;
 };
 
+// The eight pixels of a cell's row.
+inline void surround_some(uint32_t hidden, const Surroundings& sums, int cell, const float* rgb, float* shown, float* confidence) {
+  const Four sides[3] = {sums(cell - 1), sums(cell), sums(cell + 1)};
+  for (; hidden; hidden &= hidden - 1) {
+    const int i = std::countr_zero(hidden), left = i / (kCell / 2);
+    const Four around = sides[left] + (sides[left + 1] - sides[left]) * kBetween[i];
+    const Four added = around * (confidence[i] / std::max(around[kLanes - 1], kLeastAround));
+    for (int c = 0; c < 3; c++) shown[3 * i + c] = std::min(std::max(rgb[3 * i + c] + added[c], 0.0f), 1.0f);
+    confidence[i] = 0.0f;
+  }
+}
+
+// Asks for the hidden pixels of a row ahead of need: they are few and apart, and streamed out of the caches.
+inline void prefetch_hidden(const CagsAddInput& in, const Around& around, int row, const float* shown, const float* confidence) {
+  for (int run = 0; run < around.runs; run++) {
+    uint64_t hidden = around.hidden[int64_t{row} * around.runs + run];
+    for (int64_t at = int64_t{row} * in.width + int64_t{run} * kRun; hidden; at += kCell, hidden >>= kCell) {
+      if (!(hidden & 0xff)) continue;
+      __builtin_prefetch(confidence + at, 1);
+      for (const int part : {0, 16}) __builtin_prefetch(in.rgb + 3 * at + part), __builtin_prefetch(shown + 3 * at + part, 1);
+    }
+  }
+}
+
 void surround(const CagsAddInput& in, int cell_row, const Around& around, float* shown, float* confidence) {
-  for (int row = cell_row * kCell; row < cell_row * kCell + rows_of(in, cell_row); row++) {
-    const Surroundings mean(around, row, (in.height + kCell - 1) / kCell);
+  const int first = cell_row * kCell, end = first + rows_of(in, cell_row);
+  prefetch_hidden(in, around, first, shown, confidence);
+  for (int row = first; row < end; row++) {
+    if (row + 1 < end) prefetch_hidden(in, around, row + 1, shown, confidence);
+    const Surroundings sums(around, row, (in.height + kCell - 1) / kCell);
     for (int run = 0; run < around.runs; run++) {
-      for (uint64_t hidden = around.hidden[int64_t{row} * around.runs + run]; hidden; hidden &= hidden - 1) {
-        const int column = run * kRun + std::countr_zero(hidden);
-        const int64_t at = int64_t{row} * in.width + column;
-        const Four sums = mean(column);
-        const float share = confidence[at] / std::max(sums[kLanes - 1], kLeastAround);
-        for (int c = 0; c < 3; c++) shown[3 * at + c] = std::clamp(in.rgb[3 * at + c] + share * sums[c], 0.0f, 1.0f);
-        confidence[at] = 0.0f;
+      uint64_t hidden = around.hidden[int64_t{row} * around.runs + run];
+      const int64_t start = int64_t{row} * in.width + int64_t{run} * kRun;
+      for (int i = 0; hidden; i += kCell, hidden >>= kCell) {
+        const int64_t at = start + i;
+        if (hidden & 0xff) surround_some(hidden & 0xff, sums, run * (kRun / kCell) + i / kCell, in.rgb + 3 * at, shown + 3 * at, confidence + at);
       }
     }
   }
