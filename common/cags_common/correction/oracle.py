@@ -2,8 +2,8 @@
 
 Kernels and shaders are tested against it, and it serves while there are none. Its steps: the reference is *expanded* to
 what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth);
-each pixel is *projected* into the reference and faded towards its border (holes are not: beyond the border they take the
-sample of its nearest point, so that they are never black); the sample is *added*, but where something nearer hides the
+each pixel is *projected* into the reference and faded towards its border (holes are not: beyond the border they take
+the sample of its nearest point, so that they are never black); the sample is *added*, but where something nearer hides the
 pixel from the reference (z-test): it takes the mean of what was added in its *surroundings*.
 """
 
@@ -167,7 +167,7 @@ def _bilinear(image: F64, u: F64, v: F64) -> F64:
 
 
 def _placed(depth: F64, placement: Placement) -> tuple[F64, F64, F64, NDArray[np.bool_], NDArray[np.bool_]]:
-    """x, y (the nearest point of the reference), z of each pixel there; whether it lies in it, and before its camera."""
+    """x, y (the nearest point of the reference), z of each pixel; whether it lies there, and before the camera."""
     v, u = np.indices(depth.shape) + 0.5
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ placement.matrix[:, :3].T
     p = rays * depth[..., None] + placement.matrix[:, 3]
