@@ -19,7 +19,7 @@ from cags_common.motion.knots import I32, knots
 from cags_common.motion.symbols import SymbolReader, SymbolWriter, fade_tables, life_tables
 from cags_common.packing import squeeze, unsqueeze
 
-VERSION = 1
+VERSION = 4
 LEVELS = 3
 REFINEMENT = 4
 """A level's unit is so many times the next one's."""

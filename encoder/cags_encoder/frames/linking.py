@@ -213,6 +213,7 @@ class _Linking:
         self.rows: Rows = np.full(len(after), -1, np.intp)
         self._free = np.ones(len(before.looks), bool)
         self._changed = np.ones(len(after), bool)
+        self._by_rows = False  # whether rows are identities
 
     def run(self) -> Rows:
         """Link what can be linked."""
@@ -228,7 +229,8 @@ class _Linking:
             self._search_by_flow()
         if self._open() and self._search_by_looks():
             self._search_by_flow()
-        self._settle_by_flow(expected)
+        if not self._by_rows:
+            self._settle_by_flow(expected)
         rows = by_row[self._free[by_row] & (self.rows[by_row] < 0)]
         self._link(rows, rows)
         self._part_strangers(expected)
@@ -283,6 +285,7 @@ class _Linking:
         sample = rows[:: max(1, len(rows) // SAMPLE)]
         if not len(sample) or not self._rows_hold(sample, expected):
             return np.zeros(0, np.intp)
+        self._by_rows = True
         scores = self._scores(rows, rows[:, None], expected, self._spacing)[:, 0]
         sure = rows[scores <= SURE]
         self._link(sure, sure)
@@ -398,8 +401,9 @@ class _Linking:
             best, kept = left, self.rows.copy()
             self.rows[linked[lost]] = -1
             self._free[came[lost]] = True
-            rows = np.flatnonzero(self._free)
-            self._search(self._moved_by_others(np.flatnonzero(self.rows >= 0), rows))
+            if self._open():
+                rows = np.flatnonzero(self._free)
+                self._search(self._moved_by_others(np.flatnonzero(self.rows >= 0), rows))
             if self._open():
                 self._search(expected)
         self._free[:] = True

@@ -83,6 +83,7 @@ class MovingGroups:
         self._span, self._threshold = settings.motion_span, settings.change_threshold
         self._steps = Steps(np.array(steps.moves, np.float32), np.array(steps.turns, np.float32))
         self._books: CodebookSet = codec.quantiser.books
+        self._tolerated = tolerances  # of this group
         self._tracks: list[_Track] = []
         self._held: SplatTable | None = None
         self._axes = np.zeros((0, 3), np.int64)  # [capacity] order of a splat's axes in its looks
@@ -94,6 +95,7 @@ class MovingGroups:
         """What ``frame`` sends; ``quantised`` [k] are those of its changes that look different."""
         if frame.key:
             self._tracks, self._held = [], None
+            self._tolerated = self._tolerances
         rows = np.flatnonzero(frame.looks)
         ids, births = frame.delta.ids[rows], frame.births[rows]
         self._room(frame.capacity)
@@ -102,6 +104,8 @@ class MovingGroups:
         changed = self._changed(ids, births, quantised.prepared, fresh, frame.delta.splats.take(rows))
         whole = births | changed.pop("whole")
         looks = self._looks(frame, ids[whole], quantised, np.flatnonzero(whole))
+        if frame.key:
+            self._tolerated = self._tolerances.over(self._moving_share(frame.index))
         self._mark_gone(frame.delta.removed)
         self._faded = []
         chunks = self._chunks(frame.index)
@@ -277,8 +281,18 @@ class MovingGroups:
         track.end, track.fades = window.last(), fades is not None
         return TrackSpan(
             *(track.key, window.means, window.quats, window.present, track.anchors, track.quats),
-            *(track.steps, track.round, starts, lives, fades, self._tolerances),
+            *(track.steps, track.round, starts, lives, fades, self._tolerated),
         )
+
+    def _moving_share(self, frame: int) -> float:
+        """Share of a key frame's splats that move within the first span."""
+        last, moving, splats = min(frame + self._span, self._trails.last(frame)), 0, 0
+        for track in self._tracks:
+            window = self._trails.window(track.ids, frame, last)
+            away = np.abs(window.means - track.anchors).max(axis=2)
+            moving += int((np.where(window.present, away, 0.0).max(axis=0) > 4 * track.steps.moves).sum())
+            splats += len(track.ids)
+        return moving / max(splats, 1)
 
     def _is_still(self, track: _Track, window: Window) -> bool:
         """Whether a client that has no chunk of these frames shows them well enough."""
@@ -290,7 +304,7 @@ class MovingGroups:
             means, quats = track.anchors, track.quats
         alive = window.present[0]
         away = np.abs(window.means[:, alive] - means[alive]).max(axis=2, initial=0.0)
-        moved, turned_ = (min(STILL * t.top, 1.0) for t in (self._tolerances.moves, self._tolerances.turns))
+        moved, turned_ = (min(STILL * t.top, 1.0) for t in (self._tolerated.moves, self._tolerated.turns))
         if (away > moved * track.steps.moves[alive]).any():
             return False
         closeness = np.abs((window.quats[:, alive].astype(np.float64) * quats[alive]).sum(axis=2))

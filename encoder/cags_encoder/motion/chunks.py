@@ -21,7 +21,7 @@ from cags_encoder.motion.smoothing import smoothed
 from cags_encoder.motion.tolerance import Tolerance, Tolerances
 from cags_encoder.motion.turns import CONJUGATE, relative_turns
 
-BLOCK = 128
+BLOCKS = (128, 32)
 """Splats that move as one rigid body before their own residuals."""
 
 STRAIGHT = 1.0
@@ -107,8 +107,8 @@ def exactness(values: F64, present: NDArray[np.bool_], tolerance: Tolerance, *, 
         return float(np.sqrt(np.square(off).mean())) if off.size else 0.0
 
     finer = next((finer for finer in range(most) if error(finer, 1) <= tolerance.base), most)
-    for told in range(1, LEVELS + 1):
-        if error(finer, told) <= tolerance.top:
+    for told in range(1, LEVELS):
+        if error(finer, told) <= tolerance.spare:
             return Exactness(finer, told)
     while finer < most and error(finer, LEVELS) > tolerance.top:
         finer += 1
@@ -249,18 +249,19 @@ def _beside(turns: F64, blocks: F64) -> F64:
 
 
 def _worthwhile(span: TrackSpan, anchors: F64, moves: F64) -> Blocks | None:
-    """Rigid blocks, where they save more than they cost (judged at the ends and in the middle)."""
+    """Rigid blocks of the size that saves most, where they save more than they cost (judged at some samples)."""
     unit = float(np.float32(max(float(np.percentile(span.steps.moves, 10)), 1e-30)))
     some = moves[[span.span // 2, span.span]]
     weights = np.asarray(span.present.any(axis=0), np.float64) + 1e-9
-    tried = rigid_blocks(anchors, some, weights, BLOCK, unit)
-    base, _ = carried(tried, anchors)
     moves_unit = span.steps.moves[None, :, None]
 
     def bits(left: F64) -> float:
         return float(np.log2(1.0 + np.abs(left / moves_unit)).sum())
 
-    saved = bits(some - anchors[None]) - bits(some - base)
-    if saved <= 1.5 * 6 * 8 * len(some) * (-(-len(anchors) // BLOCK)):
-        return None
-    return rigid_blocks(anchors, moves, weights, BLOCK, unit)
+    saved = {}
+    alone = bits(some - anchors[None])
+    for size in BLOCKS:
+        base, _ = carried(rigid_blocks(anchors, some, weights, size, unit), anchors)
+        saved[size] = alone - bits(some - base) - 1.5 * 6 * 8 * len(some) * (-(-len(anchors) // size))
+    best = max(saved, key=lambda size: saved[size])
+    return rigid_blocks(anchors, moves, weights, best, unit) if saved[best] > 0 else None

@@ -24,6 +24,12 @@ from cags_encoder.svq_codec import SvqCodec, SvqSplats
 SHARES = 0.2, 0.4
 """Parts of the squared error of quantised looks that motion, and that turning, may add: at the base and in all."""
 
+LEAST_SHARE = 0.05
+"""Of fewer moving splats each may not be more wrong."""
+
+SPARE = 0.35
+"""Levels tell nothing where without them errors are still this part of what is tolerable."""
+
 TRIES = 3
 """Trials by which the noise of an error is found: errors grow nearly with its square."""
 
@@ -38,6 +44,8 @@ class Tolerance:
     """With level 0 alone."""
     top: float = 0.5
     """With every level."""
+    spare: float = 0.25
+    """So little that a level more is not told."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +54,11 @@ class Tolerances:
 
     moves: Tolerance = Tolerance()
     turns: Tolerance = Tolerance()
+
+    def over(self, share: float) -> Tolerances:
+        """Those where only a ``share`` of the splats moves, and the pictures are wrong there alone."""
+        more = max(share, LEAST_SHARE) ** -0.5
+        return Tolerances(*(Tolerance(t.base * more, t.top * more, t.spare) for t in (self.moves, self.turns)))
 
 
 @dataclass(frozen=True)
@@ -78,7 +91,12 @@ def tolerances(codec: SvqCodec, splats: Splats, steps: Steps, looked: Looked) ->
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         return trial.error(replace(splats, quats=quats.astype(np.float32)))
 
-    return Tolerances(*(Tolerance(_noise(error, base), _noise(error, top)) for error in (moved, turned)))
+    return Tolerances(*(_tolerance(error, base, top) for error in (moved, turned)))
+
+
+def _tolerance(error: Callable[[float], float], base: float, top: float) -> Tolerance:
+    most = _noise(error, top)
+    return Tolerance(_noise(error, base), most, SPARE * most)
 
 
 def _noise(error: Callable[[float], float], allowed: float) -> float:
