@@ -357,6 +357,7 @@ class Streamer:
         self.stats.references += 1
         self.stats.render_ns += render.render_ns
         self.stats.mirror_ns += render.mirror_ns
+        self.stats.mirror_bytes = self._mirror.memory_bytes
         self.stats.encode_ns += render.encode_ns
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
