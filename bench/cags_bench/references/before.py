@@ -39,7 +39,7 @@ def played_before(python: str, case: Case) -> JsonObject:
         }
         for name, value in options.items():
             command += [f"--{name}", str(value)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - named by the caller
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             said = (done.stderr.strip().splitlines() or ["nothing"])[-1]
             raise ConfigError(f"before = {python!r} cannot play {case.scene}; it says: {said}")
@@ -74,4 +74,3 @@ def _executable(python: str) -> Path:
     if not path.is_file() or not os.access(path, os.X_OK):
         raise ConfigError(f"before = {python!r} is no program; give the python of an earlier installation")
     return path.absolute()
-

@@ -72,7 +72,9 @@ def _against_others(lines: Sequence[JsonObject]) -> Iterator[JsonObject]:
         if pairs:
             worst = min(pairs, key=lambda pair: pair.gain_db)
             value = f"{worst.gain_db:.2f} ({worst.name})"
-            yield check(f"{OURS} against {method}, worst case, dB", f">= {LEAST_DB:g}", value, worst.gain_db >= LEAST_DB)
+            yield check(
+                f"{OURS} against {method}, worst case, dB", f">= {LEAST_DB:g}", value, worst.gain_db >= LEAST_DB
+            )
     if ours:
         share = mean(float(line["worse_0.5_db_share"]) for line in ours)
         yield check("frames 0.5 dB worse than the client's own splats", "<= 0.01", round(share, 4), share <= 0.01)

@@ -40,7 +40,9 @@ class ReferenceBenchSettings:
     poses: str = setting("", "walks, separated by ';'; empty: recorded ones of --shared, else synthetic:walking")
     links: str = setting("10,30,60", "rates of the link in Mbps of the paper's scale: as many bits a splat and second")
     methods: str = setting(",".join(METHODS), f"methods, of {', '.join(METHODS)}")
-    full: bool = setting(False, f"{FULL['frames']} frames of {FULL['width']}x{FULL['height']}, every scene with every walk")
+    full: bool = setting(
+        False, f"{FULL['frames']} frames of {FULL['width']}x{FULL['height']}, every scene with every walk"
+    )
     frames: int = setting(0, f"media frames to play; 0: {QUICK['frames']}, or as --full says", low=0, high=100_000)
     width: int = setting(0, f"client width in pixels; 0: {QUICK['width']}, or as --full says", low=0, high=8192)
     height: int = setting(0, f"client height in pixels; 0: {QUICK['height']}, or as --full says", low=0, high=8192)

@@ -19,7 +19,16 @@ from cags_common.bundle import BundleReader
 from cags_encoder import EncodeSettings, content_key
 from cags_server.settings import ServerSettings
 
-SERIES = ("frame", "psnr_restored_db", "psnr_distorted_db", "ssim_restored", "lod_mean", "bytes_tiles")
+SERIES = (
+    "frame",
+    "psnr_restored_db",
+    "psnr_distorted_db",
+    "ssim_restored",
+    "lod_mean",
+    "bytes_tiles",
+    "aligned_share",
+    "reference_kind",
+)
 """What is kept of every frame."""
 
 

@@ -46,8 +46,8 @@ class Spent:
         wall = time.perf_counter()
         done = job.run(time.process_time_ns)
         wall_ms = (time.perf_counter() - wall) * 1e3
-        parts = (ns / 1e6 for ns in (done.render_ns, done.mirror_ns, done.encode_ns))
-        self.references.append(ReferenceCost(*parts, wall_ms))
+        truth_ms, mirror_ms, coding_ms = (ns / 1e6 for ns in (done.render_ns, done.mirror_ns, done.encode_ns))
+        self.references.append(ReferenceCost(truth_ms, mirror_ms, coding_ms, wall_ms))
         return done
 
     def decoding(self, work: Callable[[], Result]) -> Result:

@@ -30,9 +30,7 @@ class StreamSettings:
     height: int = setting(600, "client height in pixels", low=1, high=8192)
     fov: float = setting(60.0, "client's horizontal field of view in degrees", low=1, high=170)
     restore: str = setting("correct", "what is done with references: correct, none, or a restorer to compare with")
-    references: str = setting(
-        "auto", "what references say", choices=("auto", "difference", "picture", "none")
-    )
+    references: str = setting("auto", "what references say", choices=("auto", "difference", "picture", "none"))
     reference_footprint: str = setting("client", "how references are drawn", choices=("client", "plain"))
     erosion: bool = setting(True, "for restorers of aligned pictures: fill what is occluded from beside it")
     predictor: str = setting("autoregressive", "pose predictor")
