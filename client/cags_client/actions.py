@@ -16,7 +16,10 @@ from cags_protocol import events as ev
 
 @dataclass(frozen=True)
 class Restarted:
-    """From here on data comes over another connection, whose reference video is numbered from 1 again."""
+    """From here on data comes over another connection, whose references and marks are numbered from 1 again."""
+
+    inventory: tuple[HeldTile, ...] = ()
+    """What the server was told that the client holds."""
 
 
 DataEvent: TypeAlias = ev.TileReceived | ev.ReferenceReceived | ev.FrameEnded | ev.MarkReceived | Restarted
@@ -65,8 +68,8 @@ class Decode:
                             whole = max(whole, end.frame)
                         case ev.MarkReceived(mark):
                             errors += self.pipeline.on_mark(mark)
-                        case Restarted():
-                            self.pipeline.restarted()
+                        case Restarted(inventory):
+                            self.pipeline.restarted(inventory)
                 except DecodeError as error:
                     errors.append(error)
                     needs_idr |= isinstance(event, ev.ReferenceReceived)

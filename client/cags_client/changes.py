@@ -22,7 +22,7 @@ REMEMBERED = 64
 SEEN_SIGMAS = 2.0
 """Radius in which a splat is seen, standard deviations."""
 
-MOVED_PX = 1.0
+MOVED_PX = 2.0
 """Reference pixels by which a splat may have moved since without being taken for changed."""
 
 

@@ -25,7 +25,7 @@ from cags_client.stopwatch import Stopwatch
 from cags_common import correction, raster
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import tile_codec
-from cags_common.correction import Corrected, CorrectSettings
+from cags_common.correction import Corrected, CorrectSettings, Reference
 from cags_common.effects import Effect, EffectPlan, Situation, held_sh_degree, plan_frame
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
@@ -37,6 +37,10 @@ from cags_common.store.gof_store import Committed, GofStore
 from cags_common.store.tile_decode import Arrival, TileOpener
 from cags_common.store.tile_store import TileStore
 from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
+
+
+PATIENCE_FRAMES = 3
+"""Frames for which a late reference is waited for before more is shown than the one before it assumes."""
 
 
 class ClientPipeline:
@@ -64,9 +68,10 @@ class ClientPipeline:
         self._scene_store: GofStore | None = None
         self._sh_degree = 0  # highest band with anything in it since the group's first frame
         self._shown_frame = 0
+        self._committed_mark = 0
         self._used = 0  # order of the newest reference that was shown
         self._changes = Changes()
-        self._own: tuple[Received, F32] | None = None  # the client's own view of a picture
+        self._own: tuple[Received, Reference, F32] | None = None  # the client's own view of a picture
         self._corrector = correction.create("auto", settings.threads)
         self._correct_settings = CorrectSettings()
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
@@ -150,11 +155,11 @@ class ClientPipeline:
         """Whether ``frame`` can be drawn whole without anything from the network."""
         return self._store.holds(frame)
 
-    def restarted(self) -> None:
-        """What follows comes over another connection; what is held was told there. Pictures stay in use."""
+    def restarted(self, inventory: Sequence[HeldTile]) -> None:
+        """What follows comes over another connection, which was told that ``inventory`` is held. Pictures stay in use."""
         self._references.restart()
         self._marked_before = self._marked
-        self._store.restarted()
+        self._store.restarted(inventory)
 
     def held(self) -> list[HeldTile]:
         """The tiles that are decoded, for a server that takes the session over."""
@@ -166,6 +171,10 @@ class ClientPipeline:
         self._store.reset(frame)
         self._references.reset()
         self._scene = None
+
+    def forget_references(self) -> None:
+        """The viewer jumped within what is held: references of the pass before are of no use."""
+        self._references.reset()
 
     def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
         """LoDs shown of each tile (source frame, tile) that has a splat in the picture from ``camera``; draws it."""
@@ -235,22 +244,33 @@ class ClientPipeline:
         )
 
     def _committed(self, frame: int, share: float, reference: Received | None) -> tuple[GofStore, Committed]:
-        """Show what the frame's reference assumes; without one of its own, no more than the next ones assume.
-
-        A picture assumes nothing: everything is shown that has come.
-        """
+        """Show what came up to the mark that is right for the frame."""
         moved = self._store.move(frame, share) if share else None
         if moved is not None:
             return moved
-        if reference is not None and reference.frame == frame:
-            basis = reference.basis if reference.assumes else None
-        else:
-            basis = self._references.next_basis(frame, self._used, self.settings.reference_age)
+        basis = self._basis_at(frame, reference)
+        newest = self._marked
         store, committed = self._store.commit(frame, basis)
         if committed.fresh:
             self._changes.clear()
-        self._changes.committed(self._marked + 1 if basis is None else basis, committed.rows)
+        self._changes.committed(newest + 1 if basis is None else basis, committed.rows)
         return store, committed
+
+    def _basis_at(self, frame: int, reference: Received | None) -> int | None:
+        """The mark up to which ``frame`` is shown; None: all that has come.
+
+        That which the frame's own reference assumes. A picture assumes none: it is compared with what is shown, and
+        the newest mark is the furthest that no coming reference falls behind. While an own reference is late, what is
+        shown stays as the one before assumes.
+        """
+        if reference is not None and reference.frame == frame:
+            self._committed_mark = reference.basis if reference.assumes else self._marked
+        elif reference is None:
+            return None
+        elif frame - reference.frame > PATIENCE_FRAMES:
+            coming = self._references.next_basis(frame, self._used, self.settings.reference_age)
+            self._committed_mark = self._marked if coming is None else coming
+        return self._committed_mark
 
     def _situation(
         self, store: GofStore, committed: Committed, view: tuple[float, Camera], reference: Received | None
@@ -289,10 +309,10 @@ class ClientPipeline:
         self, plan: EffectPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
     ) -> Corrected:
         """The picture with what is lacking in it added."""
-        own = None
+        own = given = None
         if Effect.OWN_VIEW in plan:
             with watch("own"):
-                own = self._own_view(plan, drawn, reference)
+                given, own = self._compared(plan, drawn, reference)
         with watch("correct"):
             veto = None
             if Effect.VETO in plan:
@@ -304,15 +324,17 @@ class ClientPipeline:
                 stale = np.float32(1.0 - freshness)
                 veto = np.full(correction.veto_shape(drawn.camera), stale) if veto is None else np.maximum(veto, stale)
             settings = self._correct_settings
-            return self._corrector.correct(drawn.view, drawn.camera, reference.correction, own, settings, veto)
+            given = given or reference.difference
+            return self._corrector.correct(drawn.view, drawn.camera, given, own, settings, veto=veto)
 
-    def _own_view(self, plan: EffectPlan, drawn: _Drawn, reference: Received) -> F32:
-        """The client's splats from a picture's camera, as they were when it was first used."""
+    def _compared(self, plan: EffectPlan, drawn: _Drawn, reference: Received) -> tuple[Reference, F32]:
+        """A picture compared with the client's splats from its camera, as they were when it was first used; these."""
         if self._own is None or self._own[0] is not reference:
             footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
             options = replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint)
-            self._own = reference, drawn.scene.render(reference.camera, options).rgb
-        return self._own[1]
+            own = drawn.scene.render(reference.camera, options).rgb
+            self._own = reference, reference.compared(own), own
+        return self._own[1:]
 
     def _restored(
         self, plan: EffectPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch

@@ -36,7 +36,7 @@ from cags_common.geometry import DEFAULT_NEAR, Pose
 from cags_protocol import events as ev
 from cags_protocol.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
 from cags_protocol.client import ClientSession, ClientSessionSettings
-from cags_protocol.inventory import pack_inventory
+from cags_protocol.inventory import pack_inventory, unpack_inventory
 from cags_protocol.limits import PROTOCOL_VERSION
 from cags_protocol.messages import Control, Hello, Welcome
 from cags_protocol.session import SessionTimers
@@ -160,11 +160,12 @@ class Player:
     def connected(self, now_us: int) -> None:
         """There is a connection again: say Hello with what is held."""
         self._session = ClientSession(RESUMING, now_us=now_us)
-        self._arrivals.add(Restarted())
         self._restarts_due = 0
         self._resume_at = self._state_of_play(now_us)
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
-        self._session.hello(self._hello(frame, self._viewpoint.pose_at(now_us)), now_us=now_us)
+        hello = self._hello(frame, self._viewpoint.pose_at(now_us))
+        self._arrivals.add(Restarted(unpack_inventory(hello.inventory)))
+        self._session.hello(hello, now_us=now_us)
 
     def leave(self, now_us: int) -> None:
         """End the play here, with a goodbye."""
@@ -283,6 +284,8 @@ class Player:
             return
         if self._reconnect.away:
             self._reconnect.restored()
+            if not welcome.resumed:  # everything comes again
+                self._arrivals.add(Restarted())
             self.stats.reconnects += 1
             self.stats.away_us += now_us - self._lost_us
         self._welcome = welcome

@@ -261,7 +261,8 @@ class ReferenceFrame(Message):
 
     ``seq`` counts pictures from 1 without gaps; an ``idr`` picture needs none before it. ``basis`` is the
     :class:`Mark` that it assumes, ``knee`` that of a difference's compander
-    (:mod:`cags_common.correction.compander`). One that says nothing has the ``seq`` of the last picture.
+    (:mod:`cags_common.correction.compander`), ``error`` the mean squared error that coding has left in a picture
+    ([0, 1] RGB). One that says nothing has the ``seq`` of the last picture.
     """
 
     TAG = "reference"
@@ -274,6 +275,7 @@ class ReferenceFrame(Message):
     kind: str = wire(Choice(tuple(ReferenceKind)), ReferenceKind.PICTURE.value)
     basis: int = wire(_SEQ, 0)
     knee: float = wire(Real(1e-3, 10.0), 0.1)
+    error: float = wire(Real(0.0, 1.0), 0.0)
 
 
 @dataclass(frozen=True, slots=True)

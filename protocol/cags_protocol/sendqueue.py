@@ -1,8 +1,8 @@
 """The server's queue: bounded, ordered by value, cut into fragments, stale data dropped.
 
-Order: marks, reference pictures, then everything else by priority, first come first served within one. The most
-valuable fragment goes next, so a reference picture never waits behind tiles, not even behind the rest of a tile half
-sent, and between the moment that a mark is queued and its sending nothing else is sent to its end.
+Order: reference pictures and marks as they come, then everything else by priority, first come first served within one.
+The most valuable fragment goes next, so a reference picture never waits behind tiles, not even behind the rest of a tile
+half sent; and from the moment that a mark is queued nothing but references is sent to its end before it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from cags_protocol import limits
 from cags_protocol.encoding import encode, encode_parts
 from cags_protocol.events import Outgoing
-from cags_protocol.messages import Fragment, Mark, Message, ReferenceFrame
+from cags_protocol.messages import Fragment, Mark, ReferenceFrame
 
 FRAGMENT_HEADER_BYTES = 96
 """Room left in a packet for the header of a :class:`Fragment`; its fields at their widest take 91 bytes."""
@@ -26,8 +26,8 @@ SLACK_ENTRIES = 64
 
 Rank = tuple[int, int, int]
 
-MARKS, REFERENCES, OTHERS = range(3)
-"""Classes of messages, the most urgent first."""
+REFERENCES, OTHERS = range(2)
+"""Classes of messages, the more urgent first; marks are of the first."""
 
 
 @dataclass(eq=False)
@@ -61,7 +61,7 @@ class Entry:
     @property
     def is_reference(self) -> bool:
         """Whether this is a reference picture, or a mark for one."""
-        return self.rank[0] <= REFERENCES
+        return self.rank[0] == REFERENCES
 
     def chunk(self) -> bytes | memoryview:
         """The bytes of the next fragment."""
@@ -102,7 +102,8 @@ class SendQueue:
         Raises :class:`ProtocolError` for a message that must not travel.
         """
         ident, self._next_ident = self._next_ident, self._next_ident + 1
-        rank = (_class(outgoing.message), outgoing.priority, ident)
+        urgent = isinstance(outgoing.message, ReferenceFrame | Mark)
+        rank = (REFERENCES if urgent else OTHERS, outgoing.priority, ident)
         head, body = encode_parts(outgoing.message, outgoing.payload)
         entry = Entry(ident, outgoing, rank, head, memoryview(body))
         self._replace(entry)
@@ -144,7 +145,7 @@ class SendQueue:
         if not self._heap:
             return None
         best = self._entries[self._heap[0][1]]
-        if best.rank[0] == MARKS or best.started or self._started < limits.MAX_PARTIAL_MESSAGES // 2:
+        if best.is_reference or best.started or self._started < limits.MAX_PARTIAL_MESSAGES // 2:
             return best
         return min((e for e in self._entries.values() if e.started), key=lambda e: e.rank)
 
@@ -198,8 +199,3 @@ class SendQueue:
             self._deadlines = [item for item in self._deadlines if item[1] in self._entries]
             heapq.heapify(self._deadlines)
 
-
-def _class(message: Message) -> int:
-    if isinstance(message, Mark):
-        return MARKS
-    return REFERENCES if isinstance(message, ReferenceFrame) else OTHERS

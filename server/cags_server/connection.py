@@ -217,7 +217,7 @@ class Connection:
                     self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
                 elif isinstance(event, ev.ControlReceived) and event.control.action == "seek":
                     self.session.cancel(lambda _: True, now_us=now_us)
-                    self._queue_marks(self.streamer, now_us)
+                self._queue_marks(self.streamer, now_us)
 
     def _enforce(self, broken: str | None, now_us: int) -> None:
         if broken is not None:

@@ -55,7 +55,7 @@ class ServerSettings:
     )
     reference_full_size: bool = setting(False, "references as large as the client's display (remote rendering)")
     reference_share: float = setting(
-        0.5, "share of the link that the reference video is to take at most; its quality follows", low=0.01, high=1
+        0.4, "share of the link that the reference video is to take at most; its quality follows", low=0.01, high=1
     )
     reference_most: float = setting(
         0.6, "share of the link that references may take; beyond it there are fewer of them, 1: never", low=0.01, high=1

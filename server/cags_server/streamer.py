@@ -14,7 +14,7 @@ from cags_common.geometry import Camera, Pose
 from cags_common.held_tile import HeldTile
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
 from cags_server.ahead import Ahead
 from cags_server.bandwidth.base import BandwidthEstimator
@@ -37,6 +37,9 @@ from cags_server.timeline import Timeline
 from cags_server.viewer import Viewer
 from cags_server.visible import VisibleTile
 
+
+MARK_EVERY_US = 30_000
+"""While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
 
 GREETING_DEADLINE_US = 2_000_000
 """After so long a first picture is of no use: tiles have come."""
@@ -74,7 +77,7 @@ class Streamer:
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
         self._marks: list[ev.Outgoing] = []
-        self._joined_us = 0
+        self._joined_us = self._marked_us = 0
         self._greets = False  # a first picture is due, before the viewer says when to play
         self._damaged = False  # something that was sent did not arrive whole
 
@@ -138,6 +141,8 @@ class Streamer:
             case ev.Sent(outgoing, _):
                 if isinstance(outgoing.message, TileLayers | FrameEnd):
                     self._mirror.sent(outgoing.message, outgoing.payload)
+                    if now_us - self._marked_us >= MARK_EVERY_US and self._coder.kind is not None:
+                        self._mark(now_us)
             case ev.Delivered(outgoing, _):
                 self._on_settled(outgoing, delivered=True)
             case ev.Dropped(outgoing, reason, sent_bytes, _):
@@ -158,18 +163,18 @@ class Streamer:
             self._tiles.go_back(control.frame)
             self._tiles.from_nothing = True
             self._video.broken()
-            self._restart_if_forgotten(control.frame)
+            self._restart_if_forgotten(control.frame, now_us)
 
-    def _restart_if_forgotten(self, frame: int) -> None:
+    def _restart_if_forgotten(self, frame: int, now_us: int) -> None:
         """The client is to hold nothing any more: say so, and let the mirror follow."""
         if self._tiles.forgotten:
             self._tiles.forgotten = False
             self._mirror.restart(min(frame, self._library.manifest.frames - 1))
-            self._mark(restart=True)
+            self._mark(now_us, restart=True)
 
-    def _mark(self, *, restart: bool = False) -> int:
+    def _mark(self, now_us: int, *, restart: bool = False) -> int:
         """Note what will have been sent before the next message: the basis of references."""
-        number = self._mirror.mark()
+        number, self._marked_us = self._mirror.mark(), now_us
         self._marks.append(ev.Outgoing(Mark(number, restart)))
         return number
 
@@ -209,7 +214,7 @@ class Streamer:
         if self._damaged:
             self._damaged = False
             self._tiles.start_anew()
-            self._restart_if_forgotten(frame)
+            self._restart_if_forgotten(frame, now_us)
         plan = self._render_plan = self._plan(tick, frame, covered, now_us)
         return self._job(plan, now_us)
 
@@ -262,14 +267,14 @@ class Streamer:
             record.reference_late = not between
             self.stats.references_late += record.reference_late
         ahead = plan.ahead.frame
-        self._enter(ahead)
+        self._enter(ahead, now_us)
         told = seen and self._sight.tells_of(ahead)
         visible = self._sight.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
         return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
 
-    def _enter(self, frame: int) -> None:
+    def _enter(self, frame: int, now_us: int) -> None:
         self._tiles.enter(frame)
-        self._restart_if_forgotten(frame)
+        self._restart_if_forgotten(frame, now_us)
 
     def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
         """Of a frame that is served without a render; the render's own where that is out."""
@@ -334,7 +339,7 @@ class Streamer:
             predicted=predicted,
             margins=self._viewer.margins(frame, predicted),
             idr=self._video.needs_idr,
-            basis=self._mark(),
+            basis=self._mark(now_us) if self._coder.kind is not None else 0,
         )
 
     # ----------------------------------------------------------------------------------------------------- finishing
@@ -362,7 +367,7 @@ class Streamer:
         self._sight.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
         if not overtaken:
-            self._enter(plan.ahead.frame)
+            self._enter(plan.ahead.frame, now_us)
         ahead, self._went_ahead = self._went_ahead, None
         record = ahead if ahead is not None and ahead.tick == plan.tick else self._record(plan)
         record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
@@ -431,7 +436,9 @@ class Streamer:
         tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
-        spare_us = to_display_us - lead_us - MARGIN_US  # before the reference that is to assume it is made
+        spare_us = to_display_us - MARGIN_US
+        if self._coder.kind is ReferenceKind.DIFFERENCE:  # what is to be shown is there when it is compared with
+            spare_us -= lead_us
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
         timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))

@@ -172,6 +172,8 @@ class InteractivePlayer(Player):
             self._arrivals.clear()
             self.pipeline.reset(frame)
             self._restarts_due += not self.away
+        else:
+            self.pipeline.forget_references()
         self.frame = frame
         self._tell("seek", frame, now_us, now_us)
         if self.playing:

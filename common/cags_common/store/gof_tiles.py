@@ -155,7 +155,8 @@ class GofTiles:
 
     def _hand_over_looks(self, held: Held, lods: int, other: GofTiles) -> None:
         state = held.versions.newest.fork()
-        for _, lod, payload in self._late.get(held.key, []):
+        late = self._late.get(held.key, []) if lods > held.lods else []  # of whole tiles nothing can be taken back
+        for _, lod, payload in late:
             with suppress(DecodeError):
                 state.add_layer(lod, payload)
         state = state.reduced(min(lods, state.lod + 1))

@@ -23,10 +23,10 @@ from cags_server.settings import ServerSettings
 
 DIFFERENCE, PICTURE, NOTHING = ReferenceKind.DIFFERENCE, ReferenceKind.PICTURE, ReferenceKind.NOTHING
 
-INVISIBLE = (0.3 / 255) ** 2
-"""Mean squared difference under which nothing is sent: a third of a step of a display's 8 bits."""
+INVISIBLE = (0.5 / 255) ** 2
+"""Mean squared difference under which nothing is sent: half a step of a display's 8 bits."""
 
-QUIET = (0.5 / 255) ** 2
+QUIET = (0.8 / 255) ** 2
 """Mean squared difference of a block that is left out: coding it would bring as much noise as it takes away."""
 
 BLOCK_PX = 8
@@ -46,7 +46,7 @@ KNEE_OF_RMS = 2.5
 KEEP_KNEE = 1.8
 """A knee in use stays while it is within this factor of the best."""
 
-TRIAL_EVERY, TRIAL_LENGTH = 32, 4
+TRIAL_EVERY, TRIAL_LENGTH = 20, 4
 """References from one trial of the other kind to the next, and in it. Its first picture, which needs no other, does not
 count.
 """
@@ -67,10 +67,10 @@ RATE_WINDOW, FIRST_WINDOW = 24, 6
 fewer.
 """
 
-ABOVE, FAR_ABOVE, BELOW = 1.25, 1.8, 0.5
+ABOVE, FAR_ABOVE, BELOW, FAR_BELOW = 1.25, 1.8, 0.5, 0.3
 """Rates, shares of what is asked for, beyond which quality changes."""
 
-KEY_SHARE = 6.0
+KEY_SHARE = 2.5
 """Pictures that need no other may take so many times what a picture is to take: their quality is chosen for that."""
 
 RATE_STEP, BUFFER_S, LEAST_BPS = 1.25, 0.1, 50_000
@@ -122,10 +122,11 @@ class ReferenceCoder:
         self._bps = settings.reference_kbps * 1000 if settings.reference_kbps else None
         self._crf = settings.reference_crf
         self._videos: dict[ReferenceKind, _Video] = {}
-        self._trial = _Trial()
+        self._trial = _Trial(first=TRIAL_LENGTH)
         self._knee = KNEES[-1]
         self._begin_anew = True
         self._mean_bytes, self._counted = 0.0, 0
+        self._picture_left = 0.0  # error of the newest picture that was coded
         self._target_bytes = 0.0  # of a picture that needs others; 0: not known
 
     @property
@@ -146,8 +147,8 @@ class ReferenceCoder:
             return
         self._target_bytes = target_bps * period_us / 8e6
         share = self._mean_bytes / self._target_bytes
-        known = self._counted >= RATE_WINDOW
-        if (known and not BELOW <= share <= ABOVE) or (self._counted >= FIRST_WINDOW and share > FAR_ABOVE):
+        far = self._counted >= FIRST_WINDOW and not FAR_BELOW <= share <= FAR_ABOVE
+        if far or (self._counted >= RATE_WINDOW and not BELOW <= share <= ABOVE):
             self._set_crf(self._crf + CRF_OF_DOUBLE * np.log2(share))
 
     def _set_crf(self, crf: float) -> bool:
@@ -171,6 +172,8 @@ class ReferenceCoder:
         before = _power(lack)
         if self.compares and before < INVISIBLE:
             return Coded(NOTHING, before=before, after=before)
+        if self.kinds[0] is PICTURE and DIFFERENCE in self.kinds and before < self._picture_left:
+            self._change_kind()  # the client's own view is better than what a picture would make of it
         kind = self.kinds[0]
         coded = self._coded(kind, truth, lack, idr=idr or self._begin_anew)
         most = KEY_SHARE * self._target_bytes
@@ -193,8 +196,8 @@ class ReferenceCoder:
             video, idr = self._videos.setdefault(kind, _Video(self._opened())), True
         if kind is PICTURE:
             unit, decoded = video.coded(truth, idr=idr)
-            left = (truth - decoded)[::LOOKED_AT, ::LOOKED_AT]
-            return Coded(kind, unit, self._knee, is_idr(unit), after=_power(left))
+            self._picture_left = _power((truth - decoded)[::LOOKED_AT, ::LOOKED_AT])
+            return Coded(kind, unit, self._knee, is_idr(unit), after=self._picture_left)
         worth, rms = _without_quiet_blocks(lack)
         knee = self._knee = _knee(rms, self._knee)
         unit, decoded = video.coded(_companded(worth, knee), idr=idr)
@@ -214,9 +217,13 @@ class ReferenceCoder:
         if step and not used.idr:
             self._trial.count(used, tried)
         if self._trial.won:
-            self.kinds = (other, used.kind)
-            self._trial = _Trial()
-            self._begin_anew = True
+            self._change_kind()
+
+    def _change_kind(self) -> None:
+        self.kinds = self.kinds[::-1]
+        self._videos.pop(self.kinds[0], None)
+        self._trial = _Trial()
+        self._begin_anew = True
 
     def _follow_at_constant_rate(self, wanted_bps: int) -> None:
         if self._bps is None or not self._bps / RATE_STEP <= wanted_bps <= self._bps * RATE_STEP:
@@ -245,18 +252,19 @@ class ReferenceCoder:
 class _Trial:
     """A comparison of the two kinds, over a few references every now and then."""
 
-    def __init__(self) -> None:
-        self._at = 0
+    def __init__(self, first: int = TRIAL_EVERY) -> None:
+        """The ``first`` reference is the first of a trial."""
+        self._at = -first
         self._used: list[float] = []
         self._tried: list[float] = []
 
     def step(self) -> int | None:
-        """Of the trial under way: its picture's number; None between trials. One is soon after a change, and then
-        every :data:`TRIAL_EVERY` references.
+        """Of the trial under way: its picture's number; None between trials, which come every :data:`TRIAL_EVERY`
+        references.
         """
         at, self._at = self._at, self._at + 1
-        step = (at - TRIAL_LENGTH) % TRIAL_EVERY
-        if step >= TRIAL_LENGTH:
+        step = at % TRIAL_EVERY
+        if at < 0 or step >= TRIAL_LENGTH:
             return None
         if step == 0:
             self._used, self._tried = [], []
@@ -276,7 +284,7 @@ class _Trial:
 
 def _kinds(settings: ServerSettings, hello: Hello) -> tuple[ReferenceKind, ...]:
     """What both sides want, the one to begin with first."""
-    wanted = {"auto": (DIFFERENCE, PICTURE), "difference": (DIFFERENCE,), "picture": (PICTURE,), "none": ()}
+    wanted = {"auto": (PICTURE, DIFFERENCE), "difference": (DIFFERENCE,), "picture": (PICTURE,), "none": ()}
     kinds: tuple[ReferenceKind, ...] = wanted[settings.references]
     if hello.references == NO_REFERENCES:
         return ()

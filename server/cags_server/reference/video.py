@@ -37,7 +37,8 @@ class ReferenceVideo:
         if coded.idr:
             self._idr_seq = self._seq
         pose, kind = plan.predicted.pose, coded.kind.value
+        error = coded.after if coded.kind is ReferenceKind.PICTURE else 0.0
         message = ReferenceFrame(
-            plan.frame, self._seq, pose, render.intrinsics, coded.idr, kind, basis=plan.basis, knee=coded.knee
+            plan.frame, self._seq, pose, render.intrinsics, coded.idr, kind, plan.basis, coded.knee, error
         )
         return ev.Outgoing(message, coded.access_unit, 0, deadline_us)

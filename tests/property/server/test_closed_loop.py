@@ -46,7 +46,7 @@ BUNDLES: dict[str, Callable[[int], BundleReader]] = {
 
 
 @pytest.mark.parametrize("kind", sorted(BUNDLES))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32), few=st.booleans())
 def test_at_every_reference_the_mirror_holds_what_the_client_shows(kind: str, seed: int, few: bool) -> None:
     rng = np.random.default_rng(seed)

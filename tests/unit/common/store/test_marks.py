@@ -10,6 +10,7 @@ from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import LEVELS
 from cags_common.store.tile_store import TileStore
+from support.closed_loop import encoded_clip
 from support.small_motion import looks, motion, moving, recoloured, update
 from support.small_store import base, books, layer, removed, xs
 
@@ -195,6 +196,22 @@ def test_of_what_is_held_an_inventory_may_say_less(store: TileStore) -> None:
     assert xs(store, 1)[:2] == [5, pytest.approx(7, abs=0.1)]
 
 
+@pytest.mark.parametrize(("said", "bits"), [(None, 1), (2, 3)])
+def test_layers_of_a_replaced_tile_go_over_where_the_inventory_says_so(
+    store: TileStore, said: int | None, bits: int
+) -> None:
+    for frame in range(2):
+        store.add(frame, 0, 0, [base([0], 5 + frame)])
+        store.end(frame, removed())
+    store.commit(1)
+    store.add(0, 0, 1, [layer(1, 1)])
+    assert HeldTile(0, 0, 1) in store.held()
+    store.restarted(None if said is None else [HeldTile(0, 0, said)])
+    store.end(0, removed())
+    gof, _ = store.commit(0)
+    assert (gof.splats.means[0, 0], gof.splats.sh0[0, 0]) == (5, bits)
+
+
 def test_what_was_given_up_may_come_again_over_another_connection(
     store: TileStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -265,3 +282,20 @@ def test_a_group_of_which_only_motion_has_come_has_not_begun(store: TileStore) -
     store.end(4, removed())
     assert xs(store, 4)[0] == 5
     assert not store.commit(4)[1].fresh
+
+
+def test_of_whole_tiles_a_better_one_that_came_late_does_not_go_over_to_another_connection() -> None:
+    """Nothing of it could be taken back: the client once showed a better tile than the inventory said."""
+    reader = encoded_clip("video")
+    payload = [memoryview(reader.payload(0, 0, quality)) for quality in (0, 1)]
+    store, ids = TileStore(reader.manifest, reader.codec), reader.tile_ids(0, 0)
+    store.add(0, 0, 0, payload[:1])
+    store.end(0, removed())
+    store.end(1, ids)
+    store.commit(1)
+    store.add(0, 0, 1, payload[1:])
+    assert store.held() == [HeldTile(0, 0, 1)]
+    store.restarted()
+    store.end(0, removed())
+    gof, _ = store.commit(0)
+    assert np.array_equal(gof.splats.sh0[ids], reader.codec.open_tile(payload[0]).dequantise().sh0)  # type: ignore[union-attr]
