@@ -45,7 +45,9 @@ class Arrivals:
         """The next batch, and :meth:`decoded` when it is done; empty while one is out. Without ``tiles`` it ends before
         the first of these.
         """
-        count = 0 if self.decoding else min(len(self._waiting), DECODE_BATCH)
+        if self.decoding:
+            return ()
+        count = min(len(self._waiting), DECODE_BATCH)
         if not tiles:
             held = (at for at, event in enumerate(self._waiting) if isinstance(event, ev.TileReceived))
             count = min(count, next(held, count))

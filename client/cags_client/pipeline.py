@@ -38,7 +38,6 @@ from cags_common.store.tile_decode import Arrival, TileOpener
 from cags_common.store.tile_store import TileStore
 from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
-
 PATIENCE_FRAMES = 3
 """Frames for which a late reference is waited for before more is shown than the one before it assumes."""
 
@@ -156,7 +155,10 @@ class ClientPipeline:
         return self._store.holds(frame)
 
     def restarted(self, inventory: Sequence[HeldTile]) -> None:
-        """What follows comes over another connection, which was told that ``inventory`` is held. Pictures stay in use."""
+        """What follows comes over another connection, which was told that ``inventory`` is held.
+
+        References that are there stay in use.
+        """
         self._references.restart()
         self._marked_before = self._marked
         self._store.restarted(inventory)

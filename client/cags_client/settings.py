@@ -42,7 +42,7 @@ class ClientSettings:
         "what is done with references: correct adds what they say is lacking, none nothing; to compare with: reference "
         "(the aligned picture alone), srresnet (or NETWORK@RUNTIME)",
     )
-    align: str = setting("auto", "aligner of pictures for restorers: auto, cpu, fast, reference, unaligned or rotation")
+    align: str = setting("fast", "aligner of pictures for restorers: fast, reference, unaligned or rotation")
     erosion: bool = setting(True, "fill occluded pixels of the aligned picture from their clean neighbours")
     chroma: str = setting("yuv444p", "finest colour sampling of references to ask for", choices=CHROMAS)
     effects: str = setting(

@@ -219,6 +219,13 @@ ServerEvent: TypeAlias = (
     | Closed
 )  # fmt: skip
 ClientEvent: TypeAlias = (
-    Welcomed | BlobReceived | TileReceived | ReferenceReceived | FrameEnded | MarkReceived | NoticeReceived | Refused
+    Welcomed
+    | BlobReceived
+    | TileReceived
+    | ReferenceReceived
+    | FrameEnded
+    | MarkReceived
+    | NoticeReceived
+    | Refused
     | Closed
 )

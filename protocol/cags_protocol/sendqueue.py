@@ -1,8 +1,8 @@
 """The server's queue: bounded, ordered by value, cut into fragments, stale data dropped.
 
 Order: reference pictures and marks as they come, then everything else by priority, first come first served within one.
-The most valuable fragment goes next, so a reference picture never waits behind tiles, not even behind the rest of a tile
-half sent; and from the moment that a mark is queued nothing but references is sent to its end before it.
+The most valuable fragment goes next, so a reference picture never waits behind tiles, not even behind the rest of a
+tile half sent; and from the moment that a mark is queued nothing but references is sent to its end before it.
 """
 
 from __future__ import annotations
@@ -198,4 +198,3 @@ class SendQueue:
         if len(self._deadlines) > bound:
             self._deadlines = [item for item in self._deadlines if item[1] in self._entries]
             heapq.heapify(self._deadlines)
-

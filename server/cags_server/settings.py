@@ -8,7 +8,6 @@ from typing import ClassVar
 from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
 
-
 CLIENT, PLAIN = "client", "plain"
 """Footprints of references (``reference_footprint``)."""
 
@@ -60,9 +59,7 @@ class ServerSettings:
     reference_most: float = setting(
         0.6, "share of the link that references may take; beyond it there are fewer of them, 1: never", low=0.01, high=1
     )
-    tiles_ahead: int = setting(
-        3, "frames by which tiles go before the references that assume them", low=1, high=30
-    )
+    tiles_ahead: int = setting(3, "frames by which tiles go before the references that assume them", low=1, high=30)
     opening_tiles: bool = setting(True, "send the base layers of the first frame before the play begins")
     rasteriser: str = setting(
         "auto", "rendering backend: auto (gpu where there is one, else cpu), reference, cpu or gpu"

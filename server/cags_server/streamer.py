@@ -25,9 +25,9 @@ from cags_server.library import SceneLibrary
 from cags_server.mirror import Mirror
 from cags_server.pace import MARGIN_US
 from cags_server.records import FrameRecord, StreamStats
-from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.budget import ReferenceBudget
 from cags_server.reference.coder import ReferenceCoder
+from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.video import ReferenceVideo
 from cags_server.schedule import Schedule
 from cags_server.settings import PLAIN, ServerSettings
@@ -36,7 +36,6 @@ from cags_server.tiles import TileSender
 from cags_server.timeline import Timeline
 from cags_server.viewer import Viewer
 from cags_server.visible import VisibleTile
-
 
 MARK_EVERY_US = 30_000
 """While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
@@ -436,7 +435,7 @@ class Streamer:
         tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
-        spare_us = to_display_us - MARGIN_US
+        spare_us = float(to_display_us - MARGIN_US)
         if self._coder.kind is ReferenceKind.DIFFERENCE:  # what is to be shown is there when it is compared with
             spare_us -= lead_us
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)

@@ -12,7 +12,7 @@ from cags_common.cli import command_parser, run_command
 EXAMPLES = """\
   cags-train predictor --poses poses/ --held-out 09,10,11,12 --out autoregressive.npz
   cags-train fov --poses poses/ --held-out 09,10,11,12 --out lstm.npz --seed 1
-  cags-train restore --scene a.ply --held-out c.sog --steps 12000 --out lite/
+  cags-train restore --scene a.ply --held-out c.sog --steps 12000 --out srresnet/
 """
 
 SUBCOMMANDS = {

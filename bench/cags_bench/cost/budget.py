@@ -55,14 +55,14 @@ def _quality(one: Measured) -> float:
 
 def write_config(path: Path, proposal: Proposal, settings: CostSettings) -> None:
     """Write the proposal as TOML that ``cags-client --config`` and ``cags-server --config`` both accept."""
-    exactness, iterations, tier = proposal.client.point.label.split(" / ")
+    exactness, resolution, way = proposal.client.point.label.split(" / ")
     size, crf = proposal.server.point.label.split(" / crf ")
     width, height = size.split("x")
     path.write_text(
         f"# proposed by cags-bench cost --budget-ms {settings.budget_ms:g}\n\n"
         f"[client]  # {_worth(proposal.client)}\n"
         f"width = {settings.width}\nheight = {settings.height}\n"
-        f'exactness = "{exactness}"\nerosion = {"true" if iterations != "0" else "false"}\nrestore = "{tier}"\n\n'
+        f'exactness = "{exactness}"\nresolution = "{resolution}"\nrestore = "{way}"\n\n'
         f"[server]  # {_worth(proposal.server)}\n"
         f"reference_width = {width}\nreference_height = {height}\nreference_crf = {float(crf)}\n",
         encoding="utf-8",

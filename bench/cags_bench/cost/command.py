@@ -25,7 +25,7 @@ class CostSettings:
     scene: str = setting("procedural:size=60000,frames=24", "scene: a file, a folder, motion:PATH or procedural[:...]")
     frames: int = setting(24, "media frames of the session that inputs are taken from", low=4, high=10_000)
     trace: str = setting(
-        "generated:steady-6", "network trace of that session; slow, so that there is something to restore"
+        "generated:steady-6", "network trace of that session; slow, so that there is something to correct"
     )
     poses: str = setting("synthetic:walking", "head motion of that session")
     width: int = setting(800, "client width in pixels", low=64, high=8192)

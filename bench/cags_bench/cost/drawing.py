@@ -25,7 +25,7 @@ def drawing_stages(bench: Workbench) -> list[Stage]:
     return [
         _exactness(scene, moment.camera, best),
         _sh_degree(scene, moment.camera, best),
-        _depth_kind(bench, scene),
+        _depth_kind(bench),
         _threads(scene, moment.camera, best),
         _picture_size(scene, moment.camera, best),
     ]
@@ -60,25 +60,31 @@ def _sh_degree(scene: RasterScene, camera: Camera, best: RenderedView) -> Stage:
     return Stage("view-dependent colour", "max_sh_degree", "client", "psnr_db", points)
 
 
-def _depth_kind(bench: Workbench, scene: RasterScene) -> Stage:
-    """Depth is judged by what it is for: the aligned reference against the truth."""
-    from cags_client import align
+def _depth_kind(bench: Workbench) -> Stage:
+    """Depth is judged by what it is for: the picture corrected by way of it."""
+    from cags_bench.cost.serving import Referring
 
-    moment, aligner = bench.moment, align.create("auto")
+    moment = bench.moment
+    referring = Referring(moment)
+    reference = referring.received(referring.made())
+    held = moment.view()
+    assert held.depth is not None
+    plane = np.full_like(held.depth, np.median(held.depth[np.isfinite(held.depth)]))  # without: the view as one plane
 
     def judge(view: RenderedView) -> Outcome:
-        depth = view.depth if view.depth is not None else np.full(view.alpha.shape, bench_depth, np.float32)
-        aligned = aligner.align(moment.reference, depth, moment.camera)
-        known = aligned.confidence > 0
-        return {"aligned_psnr_db": psnr(aligned.rgb, moment.truth, known) if known.any() else 0.0}
+        seen = replace(view, depth=plane if view.depth is None else view.depth)
+        return {"corrected_psnr_db": psnr(referring.corrected(reference, seen), moment.truth)}
 
-    finite = moment.seen.depth[np.isfinite(moment.seen.depth)]
-    bench_depth = float(np.median(finite))  # without a depth picture: the whole view as one plane
     points = tuple(
-        Point(kind.value, _render(scene, moment.camera, RenderOptions(depth=kind)), judge, kind is DepthKind.EXPECTED)
+        Point(
+            kind.value,
+            _render(moment.held, moment.camera, RenderOptions(depth=kind)),
+            judge,
+            kind is DepthKind.EXPECTED,
+        )
         for kind in DepthKind
     )
-    return Stage("depth", "kind", "client", "aligned_psnr_db", points)
+    return Stage("depth", "kind", "client", "corrected_psnr_db", points)
 
 
 def _threads(scene: RasterScene, camera: Camera, best: RenderedView) -> Stage:

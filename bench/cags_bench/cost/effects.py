@@ -9,21 +9,27 @@ from typing import Any
 
 from cags_bench.cost.engine import Measured, Outcome, Point, Stage
 from cags_bench.cost.moments import JUDGED_LOD, Workbench
+from cags_bench.cost.serving import DIFFERENCES
 from cags_bench.jsonl import check
 from cags_client.pipeline import ClientPipeline
 from cags_client.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
+from cags_common.bundle.player import BundlePlayer
 from cags_common.effects import ALWAYS, NEEDED
 from cags_common.geometry import Camera
 from cags_common.metrics import psnr
 from cags_common.raster import create
 from cags_common.raster.base import Footprint, RenderOptions
-from cags_common.video.h264 import H264Encoder
-from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.limits import PROTOCOL_VERSION
+from cags_protocol.messages import FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from cags_server.reference.coder import ReferenceCoder
 
 EFFECTS = "effects"
 """Name of the stage."""
+
+MOST = 1.05
+"""Of times that differ by a depth picture and a band of colours at most, a twentieth may be noise."""
 
 DECISIONS = 5
 """Frames over which the time outside the stages is taken."""
@@ -38,7 +44,7 @@ def effect_stages(bench: Workbench) -> list[Stage]:
         for held, lods in depths.items()
         for policy in (ALWAYS, NEEDED)
     )
-    return [Stage(EFFECTS, "policy, what is held", "client", "restored_psnr_db", points)]
+    return [Stage(EFFECTS, "policy, what is held", "client", "corrected_psnr_db", points)]
 
 
 def effect_checks(measured: Sequence[Measured]) -> list[dict[str, Any]]:
@@ -48,7 +54,9 @@ def effect_checks(measured: Sequence[Measured]) -> list[dict[str, Any]]:
     ratio = whole[NEEDED].median_ms / whole[ALWAYS].median_ms
     outside = max(one.outcome["outside_ms"] for one in measured)
     return [
-        check("whole scene: time of what is needed over that of everything", "<= 1", round(ratio, 3), ratio <= 1),
+        check(
+            "whole scene: time of what is needed over that of everything", f"<= {MOST}", round(ratio, 3), ratio <= MOST
+        ),
         check("deciding effects, and a frame's figures [ms]", "<= 0.5", round(outside, 3), outside <= 0.5),
     ]
 
@@ -56,15 +64,16 @@ def effect_checks(measured: Sequence[Measured]) -> list[dict[str, Any]]:
 def _point(bench: Workbench, reader: BundleReader, label: str, policy: str, lods: int) -> Point:
     i = bench.moment.camera.intrinsics
     settings = ClientSettings(width=i.width_px, height=i.height_px, effects=policy)
-    pipeline = ClientPipeline(reader.manifest, reader.codebooks(), settings, clock=time.perf_counter)
+    pipeline = ClientPipeline(reader.manifest, settings, clock=time.perf_counter)
+    pipeline.on_codebooks(reader.codebooks())
     _fill(pipeline, reader, lods)
-    _refer(pipeline, reader, bench)
+    _refer(pipeline, reader, bench, lods)
     camera = bench.moment.camera
     truth = create("auto").load(reader.source(0).splats).render(camera, RenderOptions()).rgb.clip(0, 1)
 
     def judge(shown: PresentedFrame) -> Outcome:
         outside = median(_outside_ms(pipeline, camera) for _ in range(DECISIONS))
-        return {"restored_psnr_db": psnr(shown.rgb, truth), "effects_on": len(shown.effects.on), "outside_ms": outside}
+        return {"corrected_psnr_db": psnr(shown.rgb, truth), "effects_on": len(shown.effects.on), "outside_ms": outside}
 
     return Point(label, lambda: pipeline.present(0, camera), judge, default=label == f"{NEEDED}, in part")
 
@@ -86,11 +95,25 @@ def _fill(pipeline: ClientPipeline, reader: BundleReader, lods: int) -> None:
     pipeline.on_frame_end(FrameEnd(0), memoryview(reader.removed_payload(0)))
 
 
-def _refer(pipeline: ClientPipeline, reader: BundleReader, bench: Workbench) -> None:
-    """Hand over a reference of the first frame, seen from where the moment's was."""
-    camera = bench.moment.reference.camera
+def _refer(pipeline: ClientPipeline, reader: BundleReader, bench: Workbench, lods: int) -> None:
+    """Hand over the reference of the first frame, seen from where the moment's was: of all levels there is nothing
+    lacking.
+    """
+    basis = 1
+    pipeline.on_mark(Mark(basis))
+    camera = bench.moment.reference_camera
     there = Camera(camera.intrinsics, camera.pose, reader.manifest.near)
+    if lods == reader.manifest.lods:
+        message = ReferenceFrame(0, 0, there.pose, there.intrinsics, kind=ReferenceKind.NOTHING.value, basis=basis)
+        pipeline.on_reference(message, memoryview(b""))
+        return
+    held = BundlePlayer(reader, lods - 1).frame(0).splats
     options = RenderOptions(footprint=Footprint.of(bench.moment.camera.intrinsics, there.intrinsics))
-    rgb = create("auto").load(reader.source(0).splats).render(there, options).rgb.clip(0, 1)
-    unit = H264Encoder(there.width_px, there.height_px, reader.manifest.fps).encode(rgb, idr=True)
-    pipeline.on_reference(ReferenceFrame(0, 1, there.pose, there.intrinsics, idr=True), memoryview(unit))
+    truth, own = (
+        create("auto").load(splats).render(there, options).rgb.clip(0, 1) for splats in (reader.source(0).splats, held)
+    )
+    hello = Hello(PROTOCOL_VERSION, bench.moment.camera.intrinsics, there.pose)
+    coded = ReferenceCoder(DIFFERENCES, hello, reader.manifest.fps).code(truth, own, idr=True)
+    kind = coded.kind.value
+    message = ReferenceFrame(0, 1, there.pose, there.intrinsics, idr=True, kind=kind, basis=basis, knee=coded.knee)
+    pipeline.on_reference(message, memoryview(coded.access_unit))

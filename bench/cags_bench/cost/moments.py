@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.seeing import Seen, see
 from cags_bench.sim.session import Scenario, simulate
-from cags_client.align import ReferencePicture
 from cags_client.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_client.truth import BundleTruth
@@ -17,12 +15,13 @@ from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
+from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
 from cags_common.splats import Splats
 
 MOMENTS = 3
 
 JUDGED_LOD = 4
-"""Depth of the splats that alignment and restoration are judged on: low, where there is something to put right."""
+"""Depth of the splats that corrections are judged on: low, where there is something to put right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +30,18 @@ class Moment:
 
     frame: int
     camera: Camera
-    reference: ReferencePicture
-    """The one that was at hand, carried to this frame."""
-    seen: Seen
+    reference_camera: Camera
+    """Where the server thought that the client would look from."""
+    true: RasterScene
+    """The unquantised splats."""
+    held: RasterScene
     """What the client draws when all has come up to LoD ``JUDGED_LOD``."""
     truth: F32  # [H, W, 3] in [0, 1]
-    truth_alpha: F32  # [H, W]
     source: Splats
+
+    def view(self, options: RenderOptions | None = None) -> RenderedView:
+        """The client's own view."""
+        return self.held.render(self.camera, options or RenderOptions())
 
 
 @dataclass(frozen=True)
@@ -57,13 +61,13 @@ class Workbench:
 def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Workbench:
     """Play ``bundle`` in virtual time and keep a few moments at which a reference was at hand.
 
-    Raises :class:`ConfigError` where the link brings everything at once, so that nothing is ever restored.
+    Raises :class:`ConfigError` where the link brings everything at once, so that nothing is ever corrected.
     """
     scenario = Scenario(bundle, trace, poses, client=ClientSettings(width=width, height=height), scored=False)
     kept: list[PresentedFrame] = []
 
     def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
-        if presented.aligned is not None:
+        if presented.confidence is not None:
             kept.append(presented)
 
     simulate(scenario, watch)
@@ -78,15 +82,18 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
     rasteriser = raster.create("auto")
     moments = []
     for presented in chosen:
-        reference = presented.reference
-        assert reference is not None
-        rgb, alpha = truth(presented.frame, presented.camera)
-        source = reader.source(presented.frame).splats
-        then, seen = (
-            see(rasteriser.load(decoder.frame(frame).splats), presented.camera)
-            for frame in (reference.frame, presented.frame)
+        assert presented.reference is not None
+        frame, source = presented.frame, reader.source(presented.frame).splats
+        moments.append(
+            Moment(
+                frame=frame,
+                camera=presented.camera,
+                reference_camera=presented.reference.camera,
+                true=rasteriser.load(source),
+                held=rasteriser.load(decoder.frame(frame).splats),
+                truth=truth(frame, presented.camera)[0].clip(0, 1),
+                source=source,
+            )
         )
-        reference = seen.carried(reference, then, presented.frame)
-        moments.append(Moment(presented.frame, presented.camera, reference, seen, rgb.clip(0, 1), alpha, source))
     reader.close()
     return Workbench(bundle, scenario, tuple(moments))

@@ -1,22 +1,18 @@
-"""Stages of the server's reference: its size, footprint, quality and colour sampling, alone and together."""
+"""Stages of the server's reference: its kind, size, footprint, quality and colour sampling, alone and together."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-
-import numpy as np
+from typing import Any
 
 from cags_bench.cost.engine import Outcome, Point, Stage
-from cags_bench.cost.moments import Workbench
-from cags_client.align import ReferencePicture
-from cags_client.restore import create
-from cags_common import raster
-from cags_common.geometry import F32, Camera
+from cags_bench.cost.moments import Moment, Workbench
+from cags_bench.cost.serving import DIFFERENCES, Referring
 from cags_common.metrics import psnr
-from cags_common.raster.base import Footprint, RasterScene, RenderOptions
+from cags_common.raster.base import Footprint
 from cags_common.video.colour import Chroma
-from cags_common.video.h264 import H264Decoder, H264Encoder
+from cags_server.reference.coder import Coded
 from cags_server.settings import ServerSettings
 
 SHIPPED = ServerSettings()
@@ -24,100 +20,81 @@ SHIPPED_SIZE = SHIPPED.reference_width, SHIPPED.reference_height
 SHIPPED_CHROMA = Chroma(SHIPPED.reference_chroma)
 """What the server does when it is not told otherwise."""
 
+KINDS = ("none", "picture", "difference")
 SIZES = ((200, 150), (400, 300), (800, 600))
 CRFS = (34.0, 28.0, 24.0, 20.0, 16.0)
 COMBINED_CRFS = (28.0, 20.0, 16.0)
 
 
 def reference_stages(bench: Workbench) -> list[Stage]:
-    """Drawing and coding a reference, judged by the picture that a client restores with it."""
-    scene = raster.create("auto").load(bench.moment.source)
+    """Drawing and coding a reference, judged by the picture that a client corrects with it."""
     return [
-        _reference_size(bench, scene),
-        _reference_footprint(bench, scene),
-        _reference_quality(bench, scene),
-        _reference_chroma(bench, scene),
-        _whole_reference(bench, scene),
+        _kind(bench.moment),
+        _size(bench.moment),
+        _footprint(bench.moment),
+        _quality(bench.moment),
+        _chroma(bench.moment),
+        _whole_reference(bench.moment),
     ]
 
 
-def _reference_camera(bench: Workbench, width: int, height: int) -> Camera:
-    camera = bench.moment.reference.camera
-    return replace(camera, intrinsics=camera.intrinsics.resized(width, height))
+def _point(referring: Referring, label: str, *, default: bool, drawn_once: bool = False) -> Point:
+    """Draw and code; code alone where the knob does not touch drawing (``drawn_once``)."""
+    views = referring.drawn() if drawn_once else None
 
+    def run() -> Coded:
+        return referring.made() if views is None else referring.coded(*views)
 
-def _restored(bench: Workbench, camera: Camera, rgb: F32) -> float:
-    """PSNR of the shipped restoration with this reference."""
-    reference = ReferencePicture(np.ascontiguousarray(rgb.clip(0, 1)), camera, bench.moment.frame)
-    return psnr(bench.moment.seen.restored(reference, create("affine")), bench.moment.truth)
-
-
-def _sent(camera: Camera, rgb: F32, crf: float, chroma: Chroma) -> tuple[bytes, F32]:
-    encoder = H264Encoder(camera.width_px, camera.height_px, 30, crf=crf, chroma=chroma)
-    data = encoder.encode(rgb, idr=True)
-    decoded = H264Decoder().decode(data)
-    assert decoded is not None, "an IDR decodes by itself"
-    return data, decoded
-
-
-def _reference_point(
-    bench: Workbench,
-    scene: RasterScene,
-    label: str,
-    size: tuple[int, int],
-    footprint: Footprint | None,
-    *,
-    default: bool,
-    crf: float = SHIPPED.reference_crf,
-) -> Point:
-    """Draw and code; ``footprint`` None is the client's own."""
-    camera = _reference_camera(bench, *size)
-    used = footprint or Footprint.of(bench.moment.camera.intrinsics, camera.intrinsics)
-
-    def run() -> tuple[bytes, F32]:
-        return _sent(camera, scene.render(camera, RenderOptions(footprint=used)).rgb, crf, SHIPPED_CHROMA)
-
-    def judge(sent: tuple[bytes, F32]) -> Outcome:
-        return {"bytes": len(sent[0]), "restored_psnr_db": _restored(bench, camera, sent[1])}
+    def judge(coded: Coded) -> Outcome:
+        shown = referring.corrected(referring.received(coded))
+        return {"bytes": len(coded.access_unit), "corrected_psnr_db": psnr(shown, referring.moment.truth)}
 
     return Point(label, run, judge, default)
 
 
-def _reference_size(bench: Workbench, scene: RasterScene) -> Stage:
-    points = tuple(
-        _reference_point(bench, scene, f"{w}x{h}", (w, h), None, default=(w, h) == SHIPPED_SIZE) for w, h in SIZES
-    )
-    return Stage("reference size", "width x height", "server", "restored_psnr_db", points)
+def _stage(name: str, knob: str, points: tuple[Point, ...], repetitions: int = 5) -> Stage:
+    return Stage(name, knob, "server", "corrected_psnr_db", points, repetitions)
 
 
-def _reference_footprint(bench: Workbench, scene: RasterScene) -> Stage:
+def _changed(moment: Moment, **changes: Any) -> Referring:
+    return Referring(moment, replace(DIFFERENCES, **changes))
+
+
+def _kind(moment: Moment) -> Stage:
+    """``auto`` takes whichever leaves less; differences where splats are as good as they mostly are."""
+    points = tuple(_point(_changed(moment, references=k), k, default=k == DIFFERENCES.references) for k in KINDS)
+    return _stage("reference kind", "references", points)
+
+
+def _sized(moment: Moment, size: tuple[int, int], **changes: Any) -> Referring:
+    return _changed(moment, reference_width=size[0], reference_height=size[1], **changes)
+
+
+def _size(moment: Moment) -> Stage:
+    points = tuple(_point(_sized(moment, s), f"{s[0]}x{s[1]}", default=s == SHIPPED_SIZE) for s in SIZES)
+    return _stage("reference size", "width x height", points)
+
+
+def _footprint(moment: Moment) -> Stage:
     kinds = {"plain": Footprint.classic(), "antialiased": Footprint.antialiased(), "client": None}
     points = tuple(
-        _reference_point(bench, scene, name, SHIPPED_SIZE, footprint, default=footprint is None)
+        _point(Referring(moment, footprint=footprint), name, default=footprint is None)
         for name, footprint in kinds.items()
     )
-    return Stage("reference footprint", "footprint", "server", "restored_psnr_db", points)
+    return _stage("reference footprint", "footprint", points)
 
 
-def _coded(bench: Workbench, scene: RasterScene, label: str, crf: float, chroma: Chroma, *, default: bool) -> Point:
-    camera = _reference_camera(bench, *SHIPPED_SIZE)
-    options = RenderOptions(footprint=Footprint.of(bench.moment.camera.intrinsics, camera.intrinsics))
-    drawn = scene.render(camera, options).rgb
-
-    def judge(sent: tuple[bytes, F32]) -> Outcome:
-        return {"bytes": len(sent[0]), "restored_psnr_db": _restored(bench, camera, sent[1])}
-
-    return Point(label, lambda: _sent(camera, drawn, crf, chroma), judge, default)
-
-
-def _reference_quality(bench: Workbench, scene: RasterScene) -> Stage:
+def _quality(moment: Moment) -> Stage:
     points = tuple(
-        _coded(bench, scene, f"crf {crf:g}", crf, SHIPPED_CHROMA, default=crf == SHIPPED.reference_crf) for crf in CRFS
+        _point(
+            _changed(moment, reference_crf=crf), f"crf {crf:g}", default=crf == SHIPPED.reference_crf, drawn_once=True
+        )
+        for crf in CRFS
     )
-    return Stage("reference H.264 quality", "crf", "server", "restored_psnr_db", points)
+    return _stage("reference H.264 quality", "crf", points)
 
 
-def _reference_chroma(bench: Workbench, scene: RasterScene) -> Stage:
+def _chroma(moment: Moment) -> Stage:
     choices = (
         ("4:2:0 crf 24", 24.0, Chroma.HALF),
         ("4:2:0 crf 20", 20.0, Chroma.HALF),
@@ -125,24 +102,25 @@ def _reference_chroma(bench: Workbench, scene: RasterScene) -> Stage:
         ("4:4:4 crf 24", 24.0, Chroma.FULL),
     )
     points = tuple(
-        _coded(bench, scene, label, crf, chroma, default=(crf, chroma) == (SHIPPED.reference_crf, SHIPPED_CHROMA))
+        _point(
+            _changed(moment, reference_crf=crf, reference_chroma=chroma.value),
+            label,
+            default=(crf, chroma) == (SHIPPED.reference_crf, SHIPPED_CHROMA),
+            drawn_once=True,
+        )
         for label, crf, chroma in choices
     )
-    return Stage("reference colour sampling", "chroma", "server", "restored_psnr_db", points)
+    return _stage("reference colour sampling", "chroma", points)
 
 
-def _whole_reference(bench: Workbench, scene: RasterScene) -> Stage:
+def _whole_reference(moment: Moment) -> Stage:
     """Every combination of size and quality: a large coarse picture against a small fine one."""
     points = tuple(
-        _reference_point(
-            bench,
-            scene,
+        _point(
+            _sized(moment, (w, h), reference_crf=crf),
             f"{w}x{h} / crf {crf:g}",
-            (w, h),
-            None,
             default=((w, h), crf) == (SHIPPED_SIZE, SHIPPED.reference_crf),
-            crf=crf,
         )
         for (w, h), crf in product(SIZES, COMBINED_CRFS)
     )
-    return Stage("whole reference", "size / quality", "server", "restored_psnr_db", points, repetitions=3)
+    return _stage("whole reference", "size / quality", points, repetitions=3)

@@ -12,13 +12,13 @@ from cags_bench.bundles import cached_bundle
 from cags_bench.cost.budget import CLIENT_STAGE, SERVER_STAGE, propose, write_config
 from cags_bench.cost.coding import coding_stages
 from cags_bench.cost.command import CostSettings
+from cags_bench.cost.correcting import correcting_stages
 from cags_bench.cost.drawing import drawing_stages
 from cags_bench.cost.effects import EFFECTS, effect_checks, effect_stages
 from cags_bench.cost.engine import Measured, Stage, marginal_ms_per_db, measure, pareto
 from cags_bench.cost.looking import looking_stages
 from cags_bench.cost.moments import capture
 from cags_bench.cost.referring import reference_stages
-from cags_bench.cost.restoring import restoring_stages
 from cags_bench.cost.shrinking import shrinking_stages
 from cags_bench.jsonl import check, provenance, summary
 from cags_common.errors import ConfigError
@@ -38,7 +38,7 @@ def sweep(settings: CostSettings) -> Iterator[dict[str, Any]]:
         *drawing_stages(bench),
         *reference_stages(bench),
         *looking_stages(settings.poses, bench.moment.camera.intrinsics),
-        *restoring_stages(bench),
+        *correcting_stages(bench),
         *effect_stages(bench),
         *shrinking_stages(bench),
         *coding_stages(bench),

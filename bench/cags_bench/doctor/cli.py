@@ -117,13 +117,16 @@ def _times(timings: Timings) -> Any:
     from rich.table import Table
 
     title = f"milliseconds a frame: {timings.splats:,} splats, {timings.backend}, {timings.threads} threads"
-    columns = ["picture", "draw", "align", "own view", "restore", "together"]
+    columns = ["picture", "draw", "correct", "own view", "together"]
     table = Table(*columns, *(["GPU draws"] if timings.adapter else []), title=title)
     for size in timings.sizes:
-        cells = (size.raster_ms, size.align_ms, size.own_ms, size.restore_ms, size.total_ms)
+        cells = (size.raster_ms, size.correct_ms, size.own_ms, size.total_ms)
         drawn = [] if size.gpu_ms is None else [size.gpu_ms]
         table.add_row(f"{size.width}x{size.height}", *(f"{value:.1f}" for value in (*cells, *drawn)))
-    table.caption = f"server: reference {timings.reference_ms:.1f}, H.264 {timings.encode_ms:.1f}"
+    table.caption = (
+        f"server: reference {timings.reference_ms:.1f}, the client's view {timings.mirror_ms:.1f}, "
+        f"difference and H.264 {timings.encode_ms:.1f}"
+    )
     if timings.adapter:
         table.caption += f"; GPU: {timings.adapter}"
     return table

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.geometry import F32, Camera, Intrinsics, Pose
 
 if TYPE_CHECKING:
+    from cags_common.correction import Reference
+    from cags_common.raster.base import RasterScene
     from cags_common.splats import Splats
     from cags_gpu.raster import GpuScene
 
@@ -27,8 +30,15 @@ FRAME_MS = 1000.0 / 30.0
 DRAW_SHARE = 0.6
 """Of a frame's time that drawing may take: decoding and the page want the rest."""
 
-RESTORED_MS = 1000.0 / 24.0
-"""A frame that is restored may take: those are the first ones of a scene, and those of slow links."""
+CORRECTED_MS = 1000.0 / 24.0
+"""A frame that is corrected from a new picture may take; one from a difference takes less."""
+
+FPS = 30.0
+KNEE = 0.12
+"""Of the differences that are corrected."""
+
+FLAWS = 0.05
+"""Standard deviation of the errors that the client's colours are given, so that there is something to correct."""
 
 REFERENCE_SHARE = 0.6
 """Of a frame's time that a reference may take the server's threads."""
@@ -36,31 +46,38 @@ REFERENCE_SHARE = 0.6
 
 @dataclass(frozen=True, slots=True)
 class SizeTimes:
-    """Median milliseconds of each stage at one picture size; ``own``: the splats as the reference sees them."""
+    """Median milliseconds of each stage at one picture size.
+
+    ``own``: the splats as a reference sees them; drawn once for each picture that comes, and never for a difference.
+    """
 
     width: int
     height: int
     raster_ms: float
-    align_ms: float
+    correct_ms: float
     own_ms: float
-    restore_ms: float
     gpu_ms: float | None = None
     """Drawn by the graphics processor and read back, where there is one."""
 
     @property
     def total_ms(self) -> float:
-        """The display path without decoding, of a frame that is restored."""
-        return self.raster_ms + self.align_ms + self.own_ms + self.restore_ms
+        """The display path without decoding, of a frame that is corrected from a new picture."""
+        return self.raster_ms + self.correct_ms + self.own_ms
 
 
 @dataclass(frozen=True, slots=True)
 class Timings:
-    """What was measured: ``splats`` in view, the server's reference frame, and the client at several sizes."""
+    """What was measured: ``splats`` in view, the server's reference, and the client at several sizes.
+
+    For a reference the server draws the truth (``reference_ms``) and what the client holds (``mirror_ms``), and codes
+    the difference (``encode_ms``).
+    """
 
     backend: str
     splats: int
     threads: int
     reference_ms: float
+    mirror_ms: float
     encode_ms: float
     sizes: tuple[SizeTimes, ...]
     adapter: str = ""
@@ -79,8 +96,8 @@ class Advice:
 def measure(threads: int) -> Timings:
     """Time one scene at several sizes; a few seconds with the kernels, half a minute without."""
     from cags_common import raster
-    from cags_common.raster.base import Footprint, RenderOptions
-    from cags_common.video.h264 import H264Encoder
+    from cags_common.correction import Reference, compand
+    from cags_common.raster.base import DepthKind, Footprint, RenderOptions
     from cags_encoder.scenes import open_scene
 
     rasteriser = raster.create()
@@ -92,19 +109,53 @@ def measure(threads: int) -> Timings:
     pose = Pose.looking_at((float(eye[0]), float(eye[1]), float(eye[2])), focus.centre, source.up)
     sizes = SIZES if native else READABLE_SIZES
     reference = _camera(400, 300, pose)
-    options = RenderOptions(threads=threads, contribution=True, footprint=Footprint.antialiased())
-    view = scene.render(reference, options)
+    options = RenderOptions(threads=threads, depth=DepthKind.NONE, footprint=Footprint.antialiased())
+    seeing = replace(options, contribution=True)
+    held = rasteriser.load(_flawed(source.frame(0)))
+    pictures = [
+        (scene.render(camera, options).rgb, held.render(camera, options).rgb)
+        for camera in (reference, reference.at(_beside(pose)))
+    ]
     gpu, adapter = _gpu_scene(source.frame(0))
-    encoder = H264Encoder(400, 300, 30.0)
+    difference = Reference(compand(np.subtract(*pictures[0]), KNEE).astype(np.float32), reference, knee=KNEE)
+    times = [_at_size(held, _camera(w, h, pose), difference, threads) for w, h in sizes]
     return Timings(
         backend=rasteriser.name,
         splats=splats,
         threads=threads,
-        reference_ms=median_ms(lambda: scene.render(reference, options)),
-        encode_ms=median_ms(lambda: encoder.encode(np.clip(view.rgb, 0, 1))),
-        sizes=tuple(_with_gpu(_at_size(scene, _camera(w, h, pose), reference, threads), gpu, pose) for w, h in sizes),
+        reference_ms=median_ms(lambda: scene.render(reference, seeing)),
+        mirror_ms=median_ms(lambda: held.render(reference, options)),
+        encode_ms=_coding_ms(pictures, reference.intrinsics),
+        sizes=tuple(_with_gpu(each, gpu, pose) for each in times),
         adapter=adapter,
     )
+
+
+def _flawed(splats: Splats) -> Splats:
+    """``splats`` as a client may hold them: their colours are off."""
+    off = np.random.default_rng(0).normal(0.0, FLAWS, splats.sh0.shape)
+    return replace(splats, sh0=splats.sh0 + np.float32(off))
+
+
+def _beside(pose: Pose) -> Pose:
+    """A step away, so that one reference differs from the next."""
+    x, y, z = pose.position
+    return Pose((x + 0.01, y, z), pose.rotation)
+
+
+def _coding_ms(pictures: Sequence[tuple[F32, F32]], intrinsics: Intrinsics) -> float:
+    """Of the difference of a true and a client's view, of one pair after the other."""
+    from cags_protocol.limits import PROTOCOL_VERSION
+    from cags_protocol.messages import Hello
+    from cags_server.reference.coder import ReferenceCoder
+    from cags_server.settings import ServerSettings
+
+    settings = ServerSettings(
+        references="difference", reference_width=intrinsics.width_px, reference_height=intrinsics.height_px
+    )
+    coder = ReferenceCoder(settings, Hello(PROTOCOL_VERSION, intrinsics, Pose.identity()), FPS)
+    turn = cycle(pictures)
+    return median_ms(lambda: coder.code(*next(turn), idr=False))
 
 
 def _gpu_scene(splats: Splats) -> tuple[GpuScene | None, str]:
@@ -129,29 +180,22 @@ def _with_gpu(times: SizeTimes, scene: GpuScene | None, pose: Pose) -> SizeTimes
     return replace(times, gpu_ms=median_ms(lambda: shown(scene, camera, RenderOptions(), None)))
 
 
-def _at_size(scene: object, camera: Camera, reference: Camera, threads: int) -> SizeTimes:
-    from cags_client import align, restore
-    from cags_client.align import ReferencePicture
-    from cags_client.restore import RestoreInput
-    from cags_common.raster.base import Footprint, RasterScene, RenderOptions
+def _at_size(scene: RasterScene, camera: Camera, reference: Reference, threads: int) -> SizeTimes:
+    """Every frame with a reference of its own, as it comes: nothing of it has been worked out before."""
+    from cags_common import correction
+    from cags_common.raster.base import DepthKind, Footprint, RenderOptions
 
-    drawn: RasterScene = scene  # type: ignore[assignment]
     options = RenderOptions(threads=threads)
-    view = drawn.render(camera, options)
-    assert view.depth is not None
-    depth = view.depth
-    as_seen = RenderOptions(threads=threads, footprint=Footprint.antialiased())
-    own = drawn.render(reference, as_seen)
-    picture = ReferencePicture(np.clip(own.rgb, 0, 1), reference, 0)
-    aligner, restorer = align.create("auto"), restore.create("affine")
-    inputs = RestoreInput(np.clip(view.rgb, 0, 1), view.alpha, aligner.align(picture, depth, camera), picture, own)
+    view = scene.render(camera, options)
+    footprint = Footprint.of(camera.intrinsics, reference.camera.intrinsics)
+    as_seen = replace(options, depth=DepthKind.NONE, footprint=footprint)
+    corrector = correction.create("auto", threads)
     return SizeTimes(
         camera.width_px,
         camera.height_px,
-        median_ms(lambda: drawn.render(camera, options)),
-        median_ms(lambda: aligner.align(picture, depth, camera)),
-        median_ms(lambda: drawn.render(reference, as_seen)),
-        median_ms(lambda: restorer.restore(inputs.afresh())),
+        median_ms(lambda: scene.render(camera, options)),
+        median_ms(lambda: corrector.correct(view, camera, replace(reference))),
+        median_ms(lambda: scene.render(reference.camera, as_seen)),
     )
 
 
@@ -174,24 +218,24 @@ def median_ms(work: Callable[[], object]) -> float:
 
 
 def advise(timings: Timings) -> Advice:
-    """The largest picture that is drawn in time, and restored in the time of 24 frames a second.
+    """The largest picture that is drawn in time, and corrected in the time of 24 frames a second.
 
-    Where no size is restored in time but one is drawn, ``auto`` restores what frames have room for.
+    Where no size is corrected in time but one is drawn, the client may halve its pixels while frames take too long.
     """
-    work = timings.reference_ms + timings.encode_ms
+    work = timings.reference_ms + timings.mirror_ms + timings.encode_ms
     every = max(1, math.ceil(work / (FRAME_MS * REFERENCE_SHARE)))
     server = f"--render-threads {timings.threads}" + (f" --reference-every {every}" if every > 1 else "")
     drawn = [size for size in timings.sizes if size.raster_ms <= FRAME_MS * DRAW_SHARE]
-    restored = [size for size in drawn if size.total_ms <= RESTORED_MS]
+    corrected = [size for size in drawn if size.total_ms <= CORRECTED_MS]
     scene = f"at {timings.splats:,} splats"
     if not drawn:
         least = min(timings.sizes, key=lambda s: s.width)
         why = f"{least.raster_ms:.0f} ms to draw a frame {scene}: 30 a second are out of reach"
-        return Advice(server, _flags(least, timings, "none") + " --exactness fast", why)
-    best = max(restored or drawn, key=lambda s: s.width)
-    why = f"{scene} a frame takes {best.raster_ms:.0f} ms, one that is restored {best.total_ms:.0f}"
-    return Advice(server, _flags(best, timings, "affine" if restored else "auto"), why)
+        return Advice(server, _flags(least, timings, "--restore none --exactness fast"), why)
+    best = max(corrected or drawn, key=lambda s: s.width)
+    why = f"{scene} a frame takes {best.raster_ms:.0f} ms, one that is corrected {best.total_ms:.0f}"
+    return Advice(server, _flags(best, timings, f"--resolution {'full' if corrected else 'auto'}"), why)
 
 
-def _flags(size: SizeTimes, timings: Timings, tier: str) -> str:
-    return f"--width {size.width} --height {size.height} --restore {tier} --threads {timings.threads}"
+def _flags(size: SizeTimes, timings: Timings, more: str) -> str:
+    return f"--width {size.width} --height {size.height} {more} --threads {timings.threads}"

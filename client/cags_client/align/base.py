@@ -22,8 +22,6 @@ from cags_common.settings import check_settings, setting
 class AlignSettings:
     """How occlusion is told and how it is repaired."""
 
-    threads: int = setting(2, "threads of an alignment", low=1, high=64)
-
     depth_tolerance: float = setting(
         0.03, "a pixel is occluded where it lies this share of the depth behind what the reference shows", low=0, high=1
     )
@@ -98,11 +96,6 @@ class Reprojection:
         """Every how many pixels and rows the client's view is sampled for what hides what: twice a reference pixel."""
         return max(1, int(min(self.cell_px) / 2))
 
-    @property
-    def block_px(self) -> int:
-        """Side of the blocks of the client's view that are about as large as a reference pixel."""
-        return max(1, int(min(self.cell_px) + 0.5))
-
     @cached_property
     def projected(self) -> tuple[F32, F32, F32, NDArray[np.bool_]]:
         """x, y, z [H, W] in the reference, 0 where the pixel is not in it, and where it is."""
@@ -118,11 +111,6 @@ class Reprojection:
             inside &= (x <= self.reference.width_px) & (y <= self.reference.height_px)
         zero = np.float32(0)
         return np.where(inside, x, zero), np.where(inside, y, zero), np.where(inside, z, zero), inside
-
-    @property
-    def xy(self) -> tuple[F32, F32]:
-        """x and y of :attr:`projected`."""
-        return self.projected[:2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,20 +128,9 @@ class Aligned:
     def rgb(self) -> F32:
         """[H, W, 3] in [0, 1]; black where the reference says nothing and no clean neighbour is near.
 
-        Made when first looked at, unless the aligner was asked for it: restorers at the reference's resolution
-        never look.
+        Made when first looked at, unless the aligner was asked for it at once.
         """
         return self.paint()
-
-    @property
-    def x(self) -> F32:
-        """[H, W] reference pixels; finite everywhere, meaningful where confidence > 0. Worked out when first asked."""
-        return self.geometry.xy[0]
-
-    @property
-    def y(self) -> F32:
-        """[H, W], see :attr:`x`."""
-        return self.geometry.xy[1]
 
 
 class Aligner(Protocol):
@@ -176,7 +153,7 @@ class Aligner(Protocol):
         """Align ``reference`` to ``camera`` by its depth [H, W] (camera-space z; non-finite or <= 0 is void).
 
         Without ``occlusion`` every pixel counts as seen: for cameras at one place, where nothing can be hidden.
-        With ``colours`` they are made in the same pass, which is cheaper than when they are first looked at.
+        With ``colours`` they are made at once, as a part of the alignment's time, else when they are first looked at.
         Raises ``ValueError`` where ``depth`` does not have the camera's size.
         """
         ...

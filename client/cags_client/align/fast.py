@@ -1,4 +1,4 @@
-"""Alignment in vectorised float32 numpy and OpenCV: what runs where the kernels are not installed."""
+"""Alignment in vectorised float32 numpy and OpenCV."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ class FastAligner:
             _erode(rgb, occluded, inside & ~occluded & ~occluder, s)
             return rgb
 
-        return Aligned(paint, confidence.astype(np.float32, copy=False), occluded, geometry)
+        aligned = Aligned(paint, confidence.astype(np.float32, copy=False), occluded, geometry)
+        if colours:
+            _ = aligned.rgb  # kept by the object
+        return aligned
 
 
 def sample(image: F32, x: F32, y: F32) -> F32:

@@ -104,7 +104,8 @@ class PngSink:
 
 
 class StagesSink:
-    """Intermediate pictures of every ``every``-th frame: ``frame_0030_{reference,distorted,correction,aligned,restored}.png``.
+    """Intermediate pictures of every ``every``-th frame: ``frame_0030_restored.png`` and likewise reference, distorted,
+    correction (what the reference changed) and, of a restorer of aligned pictures, aligned.
 
     They wait in a temporary file until the play has ended: coding four of them takes longer than a frame lasts.
     """

@@ -6,7 +6,8 @@ alone. ``correct`` and ``none`` need none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 from cags_client.restore.base import RestoreInput, Restorer
@@ -17,16 +18,39 @@ from cags_protocol.messages import ANY_REFERENCE, NO_REFERENCES, PICTURES_ONLY
 if TYPE_CHECKING:
     from cags_client.restore.networks.weights import Weights
 
-__all__ = ["CORRECT", "NONE", "RESTORERS", "RestoreInput", "Restorer", "create", "references_wanted", "switchable"]
+__all__ = [
+    "CORRECT",
+    "NONE",
+    "RESTORERS",
+    "RestoreInput",
+    "Restorer",
+    "check_name",
+    "create",
+    "references_wanted",
+    "switchable",
+]
 
-CORRECT, NONE, REFERENCE = "correct", "none", "reference"
+CORRECT, NONE = "correct", "none"
+"""What needs no restorer: adding what is lacking, and nothing."""
+
+
+def _network(name: str, threads: int | None = None, weights: Weights | None = None) -> Restorer:
+    from cags_client.restore import networks
+
+    if weights is not None:
+        return networks.from_weights(weights, name.partition("@")[2], threads)
+    return networks.create(name, threads)
+
 
 NETWORK_NAMES = ("srresnet", "sr-align-ref", "cr-no-ref")
 
-RESTORERS = (CORRECT, NONE, REFERENCE, *NETWORK_NAMES)
-"""What can be done with references, by name; a network may name its runtime (``srresnet@openvino``)."""
+RESTORERS: dict[str, Callable[[], Restorer]] = {
+    "reference": ReferenceRestorer,
+    **{name: partial(_network, name) for name in NETWORK_NAMES},
+}
+"""Restorers of aligned pictures by name; a network may name its runtime (``srresnet@openvino``)."""
 
-REPLACING = frozenset({REFERENCE, "sr-align-ref", "cr-no-ref"})
+REPLACING = frozenset({"reference", "sr-align-ref", "cr-no-ref"})
 """Restorers that do not correct the distorted picture but stand in its place: they run at the highest LoD too."""
 
 
@@ -37,21 +61,18 @@ def create(name: str, *, threads: int | None = None, weights: Mapping[str, Weigh
     number to the restorer. Raises :class:`ConfigError` for an unknown one.
     """
     check_name(name)
-    network, _, runtime = name.partition("@")
-    if network == REFERENCE:
-        return ReferenceRestorer()
-    if network not in NETWORK_NAMES:
-        raise ConfigError(f"restorer {name!r} works on no aligned picture; one of {REFERENCE}, {', '.join(NETWORK_NAMES)} does")
-    from cags_client.restore import networks
-
-    own = (weights or {}).get(network)
-    return networks.create(name, threads) if own is None else networks.from_weights(own, runtime, threads)
+    network = name.partition("@")[0]
+    if network in NETWORK_NAMES:
+        return _network(name, threads, (weights or {}).get(network))
+    if name not in RESTORERS:
+        raise ConfigError(f"restorer {name!r} works on no aligned picture; these do: {', '.join(RESTORERS)}")
+    return RESTORERS[name]()
 
 
 def check_name(name: str) -> None:
-    """Raise :class:`ConfigError` where there is no restorer called ``name``; nothing is loaded."""
-    if name not in RESTORERS and name.partition("@")[0] not in NETWORK_NAMES:
-        raise ConfigError(f"restorer {name!r} is unknown; known: {', '.join(RESTORERS)}")
+    """Raise :class:`ConfigError` where nothing called ``name`` can be done with references; nothing is loaded."""
+    if name not in (CORRECT, NONE, *RESTORERS) and name.partition("@")[0] not in NETWORK_NAMES:
+        raise ConfigError(f"restorer {name!r} is unknown; known: {', '.join((CORRECT, NONE, *RESTORERS))}")
 
 
 def references_wanted(name: str) -> str:
@@ -63,4 +84,4 @@ def switchable(name: str) -> tuple[str, ...]:
     """What a viewer that began with ``name`` can change to, by the references that it gets."""
     if name == NONE:
         return (NONE,)
-    return (CORRECT, NONE) if name == CORRECT else tuple(dict.fromkeys((name, CORRECT, *RESTORERS)))
+    return (CORRECT, NONE) if name == CORRECT else tuple(dict.fromkeys((name, CORRECT, NONE, *RESTORERS)))

@@ -26,7 +26,9 @@ class TileStore:
     One thread may add, end, flush and mark while another commits and moves.
     """
 
-    def __init__(self, manifest: Manifest, codec: TileCodec | None, threads: int = 1, *, opener: Opener | None = None) -> None:
+    def __init__(
+        self, manifest: Manifest, codec: TileCodec | None, threads: int = 1, *, opener: Opener | None = None
+    ) -> None:
         """``threads`` of decoding; what is shown does not depend on their number. ``opener`` makes other decoders than
         those of ``codec``.
         """

@@ -50,20 +50,23 @@ def test_points_run_in_rounds_after_one_warm_up():
 
 
 SERVER = stage(
-    "restored_psnr_db", ("200x150 / crf 28", 2, 26), ("400x300 / crf 20", 6, 28), ("800x600 / crf 16", 30, 29)
+    "corrected_psnr_db", ("200x150 / crf 28", 2, 26), ("400x300 / crf 20", 6, 28), ("800x600 / crf 16", 30, 29)
 )
 
 
 def test_the_proposal_is_the_best_that_fits_with_headroom(tmp_path):
     frames = stage(
-        "restored_psnr_db", ("fast / 0 / none", 5, 25), ("balanced / 8 / affine", 12, 30), ("exact / 8 / lite", 40, 31)
+        "corrected_psnr_db",
+        ("fast / half / none", 5, 25),
+        ("balanced / full / correct", 12, 30),
+        ("exact / full / correct", 40, 31),
     )
     chosen = propose(frames, SERVER, 16.7)
-    assert (chosen.client.point.label, chosen.server.point.label) == ("balanced / 8 / affine", "400x300 / crf 20")
-    assert propose(frames, SERVER, 60).client.point.label == "exact / 8 / lite"
+    assert (chosen.client.point.label, chosen.server.point.label) == ("balanced / full / correct", "400x300 / crf 20")
+    assert propose(frames, SERVER, 60).client.point.label == "exact / full / correct"
     write_config(tmp_path / "c.toml", chosen, CostSettings(budget_ms=16.7))
     assert tomllib.loads((tmp_path / "c.toml").read_text()) == {
-        "client": {"width": 800, "height": 600, "exactness": "balanced", "erosion": True, "restore": "affine"},
+        "client": {"width": 800, "height": 600, "exactness": "balanced", "resolution": "full", "restore": "correct"},
         "server": {"reference_width": 400, "reference_height": 300, "reference_crf": 20.0},
     }
 
@@ -75,7 +78,7 @@ def test_client_and_server_both_accept_the_one_file(tmp_path):
     from cags_common.settings import add_settings, load_settings
     from cags_server.settings import ServeSettings
 
-    chosen = propose(stage("restored_psnr_db", ("fast / 0 / none", 5, 25)), SERVER[:1], 16.7)
+    chosen = propose(stage("corrected_psnr_db", ("fast / half / none", 5, 25)), SERVER[:1], 16.7)
     write_config(tmp_path / "c.toml", chosen, CostSettings(budget_ms=16.7))
 
     def loaded(settings, *more):
@@ -84,13 +87,13 @@ def test_client_and_server_both_accept_the_one_file(tmp_path):
         return load_settings(settings, parser.parse_args(["--config", str(tmp_path / "c.toml"), *more]))
 
     client, server = loaded(ClientSettings), loaded(ServeSettings, "--bundle", "somewhere")
-    assert (client.exactness, client.erosion, client.restore, client.width) == ("fast", False, "none", 800)
+    assert (client.exactness, client.resolution, client.restore, client.width) == ("fast", "half", "none", 800)
     assert (server.reference_width, server.reference_height, server.reference_crf) == (200, 150, 28.0)
 
 
 def test_a_budget_that_nothing_fits_is_refused_with_the_way_out():
     with pytest.raises(ConfigError, match=r"budget_ms = 1.*5\.0 ms"):
-        propose(stage("restored_psnr_db", ("fast / 0 / none", 5, 25)), SERVER, 1)
+        propose(stage("corrected_psnr_db", ("fast / half / none", 5, 25)), SERVER, 1)
 
 
 def test_the_page_shows_every_point_and_escapes(tmp_path):

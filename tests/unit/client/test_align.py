@@ -208,8 +208,8 @@ def check_sane(out: Aligned, camera: Camera) -> None:
         assert np.isfinite(array).all()
         assert array.min() >= 0.0
         assert array.max() <= 1.0
-    assert np.isfinite(out.x).all()
-    assert np.isfinite(out.y).all()
+    for array in out.geometry.projected[:3]:
+        assert np.isfinite(array).all()
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.inf, -math.inf, math.nan, 1e30, 1e-30])
@@ -277,8 +277,18 @@ def test_unaligned_ignores_the_pose_but_not_the_field_of_view() -> None:
     np.testing.assert_allclose(here.rgb, straight.rgb, atol=1e-4)
 
 
+def test_colours_are_made_at_once_where_they_are_asked_for_and_are_the_same_later() -> None:
+    reference, depth, _ = step_scene()
+    at_once, later = (
+        create("fast").align(reference, depth, Camera(LARGE, Pose.identity()), colours=colours)
+        for colours in (True, False)
+    )
+    assert ("rgb" in vars(at_once), "rgb" in vars(later)) == (True, False)
+    np.testing.assert_array_equal(at_once.rgb, later.rgb)
+
+
 def test_an_unknown_aligner_is_named() -> None:
-    with pytest.raises(ConfigError, match="'magic' is unknown; known: auto"):
+    with pytest.raises(ConfigError, match="'magic' is unknown; known: reference, fast"):
         create("magic")
 
 

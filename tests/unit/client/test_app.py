@@ -94,7 +94,8 @@ def test_what_was_given_up_for_want_of_memory_is_told_to_the_server(monkeypatch:
     client, _ = shell()
     told = list[HeldTile]()
     monkeypatch.setattr(client.player._session, "report_evictions", told.extend)
-    pipe = ClientPipeline(manifest(), books().to_bytes(), ClientSettings())
+    pipe = ClientPipeline(manifest(), ClientSettings())
+    pipe.on_codebooks(books().to_bytes())
     monkeypatch.setattr("cags_common.store.reorder_buffer.MAX_WAITING_BYTES", 100)
     late = [ev.TileReceived(TileLayers(0, n, 1, 2, (60,), (0,)), memoryview(bytes(60))) for n in range(3)]
     decode = Decode(tuple(late), pipe)
@@ -237,7 +238,8 @@ async def test_pictures_between_frames_go_to_who_looks_and_are_counted_apart() -
     ours, _ = memory_pair()
     made = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us())
     client = Shell(ours, made, (file, page), None, nowhere)
-    pipe = ClientPipeline(manifest(), books().to_bytes(), ClientSettings(width=16, height=12))
+    pipe = ClientPipeline(manifest(), ClientSettings(width=16, height=12))
+    pipe.on_codebooks(books().to_bytes())
     made._end_frame, made._next_frame = 9, 5
     for share in (0.0, 0.5):
         await client._present(Present(4, now_us(), Pose.identity(), pipe, Traffic(), share))

@@ -27,12 +27,24 @@ def test_batches_come_in_order_one_at_a_time() -> None:
     for event in events:
         arrivals.add(event)
     assert arrivals.take() == tuple(events[:-1])
-    assert not arrivals.ready, "one batch is out"
+    assert arrivals.take() == () == arrivals.take(), "one batch is out"
+    assert arrivals.decoding == tuple(events[:-1])
     arrivals.decoded()
-    assert arrivals.ready
     assert arrivals.take() == (events[-1],)
     arrivals.decoded()
-    assert not arrivals.ready
+    assert arrivals.take() == ()
+
+
+def test_before_tiles_can_be_decoded_what_comes_before_them_is() -> None:
+    arrivals = Arrivals()
+    first, later = reference(7), reference(8)
+    for event in (first, tile(0), later):
+        arrivals.add(event)
+    assert arrivals.take(tiles=False) == (first,)
+    arrivals.decoded()
+    assert arrivals.take(tiles=False) == (), "the order stays"
+    arrivals.decoded()
+    assert len(arrivals.take()) == 2
 
 
 def test_traffic_is_counted_once_and_survives_decoding() -> None:

@@ -22,8 +22,8 @@ NOWHERE = ["--url", "ws://127.0.0.1:1/stream", "--reconnect-s", "0"]
     ("flag", "value", "words"),
     [
         ("--raster", "ray", "rasteriser 'ray' is unknown; known: auto"),
-        ("--align", "left", "aligner 'left' is unknown; known: auto"),
-        ("--restore", "magic", "restorer 'magic' is unknown; known: none"),
+        ("--align", "left", "aligner 'left' is unknown; known: reference, fast"),
+        ("--restore", "magic", "restorer 'magic' is unknown; known: correct, none"),
         ("--restore", "magic@torch", "restorer 'magic@torch' is unknown"),
         ("--poses", "synthetic:flying", "synthetic walk 'flying' is unknown; known:"),
         ("--poses", "no such file.csv", "no such file.csv"),
@@ -39,7 +39,7 @@ def test_what_is_misspelt_is_told_without_a_server(
     assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize("restore", ["auto", "lite", "lite@torch", "affine"])
+@pytest.mark.parametrize("restore", ["correct", "none", "reference", "srresnet@torch"])
 def test_what_is_right_goes_on_to_the_server(capsys: pytest.CaptureFixture[str], restore: str) -> None:
     assert cli.main([*NOWHERE, "--restore", restore]) == 1
     assert "no server answers" in capsys.readouterr().err

@@ -9,26 +9,18 @@ import pytest
 
 from cags_client import align, pipeline
 from cags_client.align import Aligned, ReferencePicture
-from cags_client.pipeline import ClientPipeline
 from cags_client.presented import PresentedFrame
-from cags_client.settings import ClientSettings
-from cags_common import raster
 from cags_common.bundle import BundleReader
-from cags_common.effects import ALWAYS, POLICIES, Effect, EffectPlan, Situation, plan_frame
+from cags_common.effects import ALWAYS, Effect, EffectPlan, Situation, plan_frame
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.metrics import psnr
-from cags_common.packing import encode_ids
-from cags_common.poses import Focus, synthetic_walk
-from cags_common.raster.base import Footprint, RenderOptions
 from cags_common.splats import SH_REST_OF_DEGREE
-from cags_common.video.colour import Chroma
-from cags_common.video.h264 import H264Decoder, H264Encoder
-from cags_common.video.noise import coding_noise
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
-from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.messages import ReferenceKind
+from support.client_stage import Stage, walk
 
-VIEW = Intrinsics.of_fov(80, 60, 1.3, 1.1)
+PICTURE = ReferenceKind.PICTURE
 
 
 @pytest.fixture(scope="module", params=[0, 2], ids=["flat", "glossy"])
@@ -49,46 +41,10 @@ def reader(tmp_path_factory: pytest.TempPathFactory, degree: int) -> BundleReade
     return BundleReader.open(str(folder))
 
 
-class Stage:
-    """A pipeline, and what it is sent."""
-
-    def __init__(self, reader: BundleReader, **settings: object) -> None:
-        self.reader = reader
-        client = ClientSettings(width=160, height=120, **settings)  # type: ignore[arg-type]
-        self.pipe = ClientPipeline(reader.manifest, reader.codebooks(), client)
-        self.seq = 0
-
-    def send(self, frame: int, lods: int = 1) -> None:
-        for entry in self.reader.frame(frame).tiles:
-            levels = min(lods, len(entry.lod_bytes))
-            parts = [self.reader.payload(frame, entry.tile, lod) for lod in range(levels)]
-            message = TileLayers(frame, entry.tile, 0, levels, tuple(map(len, parts)), entry.crcs[:levels])
-            assert self.pipe.on_tiles([(message, memoryview(b"".join(parts)))]) == []
-        self.pipe.on_frame_end(FrameEnd(frame), memoryview(self.reader.removed_payload(frame)))
-
-    def refer(self, frame: int, pose: Pose) -> None:
-        self.seq += 1
-        camera = Camera(VIEW, pose, self.reader.manifest.near)
-        scene = raster.create("auto").load(self.reader.source(frame).splats)
-        options = RenderOptions(footprint=Footprint.of(self.pipe.settings.intrinsics, VIEW))
-        rgb = scene.render(camera, options).rgb.clip(0, 1)
-        unit = H264Encoder(80, 60, 30, chroma=Chroma.FULL).encode(rgb, idr=True)
-        decoded = H264Decoder().decode(unit)
-        assert decoded is not None
-        noise = coding_noise(rgb, decoded).packed()
-        self.pipe.on_reference(ReferenceFrame(frame, self.seq, pose, VIEW, True, noise), memoryview(unit))
-
-    def show(self, frame: int, pose: Pose) -> PresentedFrame:
-        return self.pipe.present(frame, self.pipe.camera(pose))
-
-    def truth(self, frame: int, pose: Pose) -> np.ndarray:
-        scene = raster.create("auto").load(self.reader.source(frame).splats)
-        return scene.render(self.pipe.camera(pose), RenderOptions()).rgb.clip(0, 1)
-
-
-def walk(reader: BundleReader, t_us: int) -> Pose:
-    m = reader.manifest
-    return synthetic_walk("walking", Focus(m.focus_centre, m.focus_radius, m.up), duration_s=2).pose_at(t_us)
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What has come is shown, whether or not its reference is late."""
+    monkeypatch.setattr(pipeline, "PATIENCE_FRAMES", 0)
 
 
 def turned(pose: Pose, other: Pose) -> Pose:
@@ -96,51 +52,58 @@ def turned(pose: Pose, other: Pose) -> Pose:
     return Pose(pose.position, other.rotation)
 
 
-def moving_parallax(stage: Stage) -> list[PresentedFrame]:
-    here, there = walk(stage.reader, 1_400_000), walk(stage.reader, 1_300_000)
+def of_the_moment(stage: Stage) -> list[PresentedFrame]:
+    """Frames with references of their own, seen from a little aside."""
+    frames = []
+    for frame in range(2):
+        stage.send(frame)
+        stage.refer(frame, walk(stage.reader, 1_300_000))
+        frames.append(stage.show(frame, walk(stage.reader)))
+    return frames
+
+
+def of_a_picture(stage: Stage) -> list[PresentedFrame]:
     stage.send(0)
-    stage.refer(0, there)
-    first = stage.show(0, here)
+    stage.refer(0, walk(stage.reader, 1_300_000), PICTURE)
+    first = stage.show(0, walk(stage.reader))
     stage.send(1, 2)
-    return [first, stage.show(1, here)]
+    return [first, stage.show(1, walk(stage.reader))]
 
 
 def turning_on_the_spot(stage: Stage) -> list[PresentedFrame]:
-    here, there = walk(stage.reader, 1_400_000), walk(stage.reader, 1_000_000)
+    here = walk(stage.reader)
     stage.send(0)
-    stage.refer(0, turned(here, there))
+    stage.refer(0, turned(here, walk(stage.reader, 1_000_000)), PICTURE)
     return [stage.show(0, here)]
 
 
+def refined_since(stage: Stage) -> list[PresentedFrame]:
+    """The next frame has no reference, and its splats are whole by then: what was lacking is not any more."""
+    stage.send(0)
+    stage.refer(0, walk(stage.reader))
+    first = stage.show(0, walk(stage.reader))
+    stage.send(0, stage.reader.manifest.lods, first=1)
+    stage.send(1, stage.reader.manifest.lods)
+    stage.mark()
+    return [stage.show(1, walk(stage.reader)), first]
+
+
 def all_there(stage: Stage) -> list[PresentedFrame]:
-    here = walk(stage.reader, 1_400_000)
+    here = walk(stage.reader)
     stage.send(0, stage.reader.manifest.lods)
-    stage.refer(0, walk(stage.reader, 1_300_000))
+    stage.refer(0, walk(stage.reader, 1_300_000), PICTURE)
     return [stage.show(0, here), stage.show(0, here)]
-
-
-def torn(stage: Stage) -> list[PresentedFrame]:
-    """The splats of the left of the view are gone, but the reference shows them."""
-    here = walk(stage.reader, 1_400_000)
-    stage.send(0, 2)
-    stage.show(0, here)
-    source = stage.reader.source(0)
-    left = (source.splats.means - np.asarray(here.position)) @ here.rotation_matrix[:, 0] < 0
-    gone = np.sort(source.ids[left])
-    stage.pipe.on_frame_end(FrameEnd(1), memoryview(encode_ids(gone)))
-    stage.refer(1, walk(stage.reader, 1_300_000))
-    return [stage.show(1, here)]
 
 
 def nothing_to_look_at(stage: Stage) -> list[PresentedFrame]:
     stage.send(0)
-    return [stage.show(0, walk(stage.reader, 1_400_000))]
+    return [stage.show(0, walk(stage.reader))]
 
 
-SCRIPTS = [moving_parallax, turning_on_the_spot, nothing_to_look_at]
+SCRIPTS = [of_the_moment, of_a_picture, turning_on_the_spot, refined_since, nothing_to_look_at]
 
 
-@pytest.mark.parametrize("restorer", ["affine", "reference", "none"])
+@pytest.mark.parametrize("restorer", ["correct", "reference", "none"])
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_leaving_out_what_is_not_needed_changes_nothing(
     reader: BundleReader, script: Callable[[Stage], list[PresentedFrame]], restorer: str
@@ -153,34 +116,31 @@ def test_leaving_out_what_is_not_needed_changes_nothing(
         np.testing.assert_array_equal(a.distorted, b.distorted)
 
 
-def test_at_the_highest_level_restoration_is_left_out_and_would_do_no_harm(tmp_path: Path) -> None:
-    scene = open_scene("procedural:size=20000,frames=1")
-    encode(scene, EncodeSettings(frames=1, train_splats=4096), str(tmp_path / "fine"))
-    reader = BundleReader.open(str(tmp_path / "fine"))
-    stages = [Stage(reader, effects=policy) for policy in POLICIES]
-    needed, always = (all_there(stage)[0] for stage in stages)
-    assert Effect.ALIGNMENT not in needed.effects
-    assert Effect.ALIGNMENT in always.effects
-    truth = stages[0].truth(0, walk(reader, 1_400_000))
-    assert psnr(always.rgb, truth) >= psnr(needed.rgb, truth) - 0.1
-    np.testing.assert_array_equal(needed.rgb, needed.distorted)
-
-
 def test_what_is_on_follows_the_moment(reader: BundleReader, degree: int) -> None:
-    view = {Effect.VIEW_COLOUR} if degree else set()
-    first, second = (set(f.effects.on) for f in moving_parallax(Stage(reader)))
-    restoring = {Effect.RESTORATION, Effect.ALIGNMENT, Effect.OCCLUSION, Effect.OWN_VIEW, Effect.STAND_IN}
-    usual = restoring | {Effect.DEPTH}
-    assert first == usual | view | {Effect.DELTAS}
-    assert second == usual | view | {Effect.DELTAS, Effect.FADE, Effect.CARRY}
-    assert set(turning_on_the_spot(Stage(reader))[0].effects.on) == (usual - {Effect.OCCLUSION}) | view | {
-        Effect.DELTAS
-    }
-    first, second = (set(f.effects.on) for f in all_there(Stage(reader)))
-    assert first == view | {Effect.DELTAS}
-    assert second == view
-    assert Effect.EROSION in moving_parallax(Stage(reader, restore="reference"))[0].effects
-    assert all_there(Stage(reader))[0].depth is None
+    usual = {Effect.DELTAS, *([Effect.VIEW_COLOUR] if degree else [])}
+    correcting = usual | {Effect.CORRECTION, Effect.DEPTH}
+    first, second = (set(f.effects.on) for f in of_the_moment(Stage(reader)))
+    assert first == second == correcting
+    first, second = (set(f.effects.on) for f in of_a_picture(Stage(reader)))
+    assert first == correcting | {Effect.OWN_VIEW}
+    assert second == correcting | {Effect.OWN_VIEW, Effect.VETO, Effect.FADE}
+    assert set(nothing_to_look_at(Stage(reader))[0].effects.on) == usual
+    assert nothing_to_look_at(Stage(reader))[0].depth is None
+
+
+def test_what_is_on_for_restorers_follows_the_moment(reader: BundleReader, degree: int) -> None:
+    usual = {Effect.DELTAS, *([Effect.VIEW_COLOUR] if degree else [])}
+    restoring = usual | {Effect.RESTORATION, Effect.ALIGNMENT, Effect.DEPTH}
+    hidden = {Effect.OCCLUSION, Effect.EROSION}
+    first, second = (set(f.effects.on) for f in of_a_picture(Stage(reader, restore="reference")))
+    assert first == restoring | hidden
+    assert second == restoring | hidden | {Effect.FADE}
+    assert set(turning_on_the_spot(Stage(reader, restore="reference"))[0].effects.on) == restoring
+    pytest.importorskip("torch")
+    first, second = all_there(Stage(reader, restore="srresnet"))
+    assert set(first.effects.on) == usual, "it puts colours right, and they are"
+    assert set(second.effects.on) == usual - {Effect.DELTAS}
+    np.testing.assert_array_equal(first.rgb, first.distorted)
 
 
 Planner = Callable[[Situation, str], EffectPlan]
@@ -194,11 +154,11 @@ def quality(stage: Stage, script: Callable[[Stage], list[PresentedFrame]]) -> fl
 @pytest.mark.parametrize(
     ("effect", "script", "settings", "loss_db"),
     [
-        (Effect.RESTORATION, moving_parallax, {}, 1.0),
-        (Effect.ALIGNMENT, moving_parallax, {}, 1.0),
-        (Effect.OWN_VIEW, turning_on_the_spot, {}, 0.01),
-        (Effect.DEPTH, moving_parallax, {}, 1.0),
-        (Effect.STAND_IN, torn, {}, 2.0),
+        (Effect.CORRECTION, of_the_moment, {}, 1.0),
+        (Effect.CORRECTION, of_a_picture, {}, 1.0),
+        (Effect.VETO, refined_since, {}, 3.0),
+        (Effect.RESTORATION, of_a_picture, {"restore": "reference"}, 1.0),
+        (Effect.DEPTH, of_a_picture, {"restore": "reference"}, 1.0),
     ],
 )
 def test_a_scene_that_needs_an_effect_shows_its_absence(
@@ -217,13 +177,13 @@ def test_a_scene_that_needs_an_effect_shows_its_absence(
 def test_glossy_splats_need_view_dependent_colour(
     reader: BundleReader, degree: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = quality(Stage(reader), all_there)
+    whole = quality(Stage(reader, restore="none"), all_there)
     monkeypatch.setattr(pipeline, "plan_frame", lambda s, policy: plan_frame(s, policy).without(Effect.VIEW_COLOUR))
-    flat = quality(Stage(reader), all_there)
+    flat = quality(Stage(reader, restore="none"), all_there)
     assert flat < whole - 1 if degree else flat == whole
 
 
-@pytest.mark.parametrize("name", ["cpu", "fast", "reference"])
+@pytest.mark.parametrize("name", ["fast", "reference"])
 def test_what_hides_something_is_found_only_where_it_is_looked_for(name: str) -> None:
     """A near square before a far wall, seen from the side: pixels behind it in the reference are hidden."""
     seen, blind = (_past_an_edge(name, occlusion=occlusion) for occlusion in (True, False))

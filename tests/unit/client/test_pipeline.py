@@ -1,33 +1,31 @@
-"""From messages to pictures: a small clip, encoded here, decoded and drawn by the pipeline."""
+"""From messages to pictures: a small clip, encoded here, decoded, drawn and corrected by the pipeline."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cags_client import pipeline
 from cags_client.actions import Decode
 from cags_client.pipeline import ClientPipeline
 from cags_client.score import averages, score
 from cags_client.settings import ClientSettings
-from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.errors import ConfigError, DecodeError
-from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.geometry import Camera, Pose
 from cags_common.metrics import psnr
 from cags_common.packing import crc32
-from cags_common.poses import Focus, synthetic_walk
-from cags_common.raster.base import Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.video.h264 import H264Encoder
+from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from support.client_stage import VIEW, Stage, walk
 from support.small_motion import looks, motion, moving
 from support.small_store import books
 
-SMALL = Intrinsics.of_fov(80, 60, 1.2, 1.0)
+DIFFERENCE, PICTURE, NOTHING = ReferenceKind.DIFFERENCE, ReferenceKind.PICTURE, ReferenceKind.NOTHING
 
 
 @pytest.fixture(scope="module")
@@ -38,45 +36,12 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> BundleReader:
     return BundleReader.open(str(folder))
 
 
-def pipeline(reader: BundleReader, **settings: object) -> ClientPipeline:
-    made = ClientSettings(**{"width": 160, "height": 120, **settings})  # type: ignore[arg-type]
-    return ClientPipeline(reader.manifest, reader.codebooks(), made)
-
-
-def send(pipe: ClientPipeline, reader: BundleReader, frame: int, lods: int = 1) -> None:
-    for entry in reader.frame(frame).tiles:
-        levels = min(lods, len(entry.lod_bytes))
-        parts = [reader.payload(frame, entry.tile, lod) for lod in range(levels)]
-        message = TileLayers(frame, entry.tile, 0, levels, tuple(map(len, parts)), entry.crcs[:levels])
-        assert pipe.on_tiles([(message, memoryview(b"".join(parts)))]) == []
-    pipe.on_frame_end(FrameEnd(frame), memoryview(reader.removed_payload(frame)))
-
-
-def pose_of(reader: BundleReader, t_us: int = 1_400_000) -> Pose:
-    m = reader.manifest
-    return synthetic_walk("walking", Focus(m.focus_centre, m.focus_radius, m.up), duration_s=2).pose_at(t_us)
-
-
-def truth(reader: BundleReader, frame: int, camera: Camera, footprint: Footprint | None = None) -> np.ndarray:
-    scene = raster.create("auto").load(reader.source(frame).splats)
-    return np.clip(scene.render(camera, RenderOptions(footprint=footprint or Footprint())).rgb, 0, 1)
-
-
-def reference(
-    pipe: ClientPipeline, reader: BundleReader, frame: int, pose: Pose, seq: int = 1
-) -> tuple[ReferenceFrame, memoryview]:
-    view = Intrinsics.of_fov(80, 60, 1.3, 1.1)
-    camera = Camera(view, pose, reader.manifest.near)
-    rgb = truth(reader, frame, camera, Footprint.of(pipe.settings.intrinsics, view))
-    return ReferenceFrame(frame, seq, pose, view, idr=True), memoryview(H264Encoder(80, 60, 30).encode(rgb, idr=True))
-
-
-def test_a_frame_is_restored_towards_the_truth(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader), pose_of(reader)
-    send(pipe, reader, 0)
-    assert pipe.on_reference(*reference(pipe, reader, 0, pose))
-    shown = pipe.present(0, pipe.camera(pose))
-    true = truth(reader, 0, shown.camera)
+@pytest.mark.parametrize("kind", [DIFFERENCE, PICTURE])
+def test_a_frame_is_corrected_towards_the_truth(reader: BundleReader, kind: ReferenceKind) -> None:
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    stage.refer(0, pose, kind)
+    shown, true = stage.show(0, pose), stage.truth(0, pose)
     scores = score(shown, true, np.ones((120, 160), np.float32))
     assert scores["psnr_restored_db"] > scores["psnr_distorted_db"] + 1
     assert scores["psnr_restored_db"] == pytest.approx(psnr(shown.rgb, true))
@@ -86,56 +51,95 @@ def test_a_frame_is_restored_towards_the_truth(reader: BundleReader) -> None:
 
 
 def test_without_a_reference_the_distorted_picture_is_shown(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader), pose_of(reader)
-    send(pipe, reader, 0)
-    shown = pipe.present(0, pipe.camera(pose))
-    assert shown.aligned is None
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    shown = stage.show(0, pose)
+    assert shown.aligned is shown.confidence is shown.reference is None
     np.testing.assert_array_equal(shown.rgb, shown.distorted)
 
 
-def test_at_the_top_of_the_ladder_nothing_is_restored(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader), pose_of(reader)
-    send(pipe, reader, 0, lods=reader.manifest.lods)
-    pipe.on_reference(*reference(pipe, reader, 0, pose))
-    shown = pipe.present(0, pipe.camera(pose))
-    np.testing.assert_array_equal(shown.rgb, shown.distorted)
+def test_a_reference_that_says_nothing_changes_nothing(reader: BundleReader) -> None:
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0, reader.manifest.lods)
+    stage.refer(0, pose, NOTHING)
+    shown = stage.show(0, pose)
+    assert shown.reference is not None
     assert shown.lod_mean == reader.manifest.lods - 1
+    np.testing.assert_array_equal(shown.rgb, shown.distorted)
 
 
 def test_a_restorer_that_replaces_the_picture_does_so_at_the_top_too(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader, restore="reference"), pose_of(reader)
-    send(pipe, reader, 0, lods=reader.manifest.lods)
-    pipe.on_reference(*reference(pipe, reader, 0, pose))
-    shown = pipe.present(0, pipe.camera(pose))
+    stage, pose = Stage(reader, restore="reference"), walk(reader)
+    stage.send(0, reader.manifest.lods)
+    stage.refer(0, pose, PICTURE)
+    shown = stage.show(0, pose)
     assert shown.aligned is not None
     assert not np.array_equal(shown.rgb, shown.distorted)
 
 
-def test_an_old_reference_fades_and_a_very_old_one_is_not_used(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader, reference_age=2), pose_of(reader)
-    strict = pipeline(reader, reference_age=1)
-    for each in (pipe, strict):
-        for frame in range(3):
-            send(each, reader, frame)
-        each.on_reference(*reference(each, reader, 0, pose))
-    fresh, beside, older = (pipe.present(frame, pipe.camera(pose)) for frame in range(3))
-    assert fresh.aligned is not None
-    assert beside.aligned is not None
-    assert older.aligned is not None
-    assert beside.aligned.confidence.max() == fresh.aligned.confidence.max()
-    assert older.aligned.confidence.max() == pytest.approx(fresh.aligned.confidence.max() * 2 / 3)
-    assert strict.present(2, strict.camera(pose)).aligned is None
+@pytest.mark.parametrize(("restorer", "kind"), [("correct", DIFFERENCE), ("correct", PICTURE), ("reference", PICTURE)])
+def test_an_old_reference_fades_and_a_very_old_one_is_not_used(
+    reader: BundleReader, restorer: str, kind: ReferenceKind
+) -> None:
+    """Of a still picture, so that nothing else takes from what the reference says."""
+    pose = walk(reader)
+    stage, strict = (Stage(reader, restore=restorer, reference_age=age) for age in (2, 1))
+    for each in (stage, strict):
+        each.send(0)
+        each.refer(0, pose, kind)
+    most = []
+    for frame in range(3):
+        for each in (stage, strict) if frame else ():
+            each.end(frame)
+        confidence = stage.show(frame, pose).confidence
+        assert confidence is not None
+        most.append(confidence.max())
+        shown = strict.show(frame, pose)
+    assert most[1] == most[0] > 0
+    assert most[2] == pytest.approx(most[0] * 2 / 3)
+    assert shown.confidence is None
 
 
 def test_a_reference_of_a_frame_to_come_is_not_used(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader), pose_of(reader)
-    send(pipe, reader, 0)
-    pipe.on_reference(*reference(pipe, reader, 1, pose))
-    assert pipe.present(0, pipe.camera(pose)).reference is None
-    send(pipe, reader, 1)
-    shown = pipe.present(1, pipe.camera(pose))
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    stage.show(0, pose)
+    stage.send(1)
+    stage.refer(1, pose)
+    assert stage.show(0, pose).reference is None
+    shown = stage.show(1, pose)
     assert shown.reference is not None
     assert not np.array_equal(shown.rgb, shown.distorted)
+
+
+def test_what_comes_after_a_mark_waits_for_the_next_reference(reader: BundleReader) -> None:
+    """A difference is right for the splats that it was taken from, and for those alone."""
+    plain, stage, pose = Stage(reader), Stage(reader), walk(reader)
+    for each in (plain, stage):
+        each.send(0)
+        each.refer(0, pose)
+    stage.send(0, reader.manifest.lods, first=1)
+    early, same = stage.show(0, pose), plain.show(0, pose)
+    np.testing.assert_array_equal(early.rgb, same.rgb)
+    assert early.lod_mean == 0
+    stage.send(1, reader.manifest.lods)
+    stage.refer(1, pose)
+    assert stage.show(1, pose).lod_mean > 0
+
+
+def test_while_a_reference_is_late_what_is_shown_stays_and_not_for_ever(
+    reader: BundleReader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "PATIENCE_FRAMES", 1)
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    stage.refer(0, pose)
+    stage.show(0, pose)
+    stage.send(0, reader.manifest.lods, first=1)
+    stage.send(1, reader.manifest.lods)
+    stage.mark()
+    assert stage.show(1, pose).lod_mean == 0, "as the reference before assumes"
+    assert stage.show(2, pose).lod_mean > 0
 
 
 class CountingScene:
@@ -145,132 +149,127 @@ class CountingScene:
         self.scene, self.drawn = scene, 0
 
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
-        self.drawn += camera.width_px == 80
+        self.drawn += camera.width_px == VIEW.width_px
         return self.scene.render(camera, options)
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.scene, name)
 
 
-def test_own_views_of_a_reference_are_drawn_only_where_the_splats_have_changed(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader), pose_of(reader)
-    for frame in range(3):
-        send(pipe, reader, frame)
-    pipe.on_reference(*reference(pipe, reader, 0, pose))
+@pytest.mark.parametrize(("kind", "counted"), [(PICTURE, [0, 1, 1, 1, 2]), (DIFFERENCE, [0, 0, 0, 0, 0])])
+def test_the_own_view_is_drawn_once_for_a_picture_and_never_for_a_difference(
+    reader: BundleReader, kind: ReferenceKind, counted: list[int]
+) -> None:
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
     counts = []
-    for frame in (0, 0, 1, 2, 2):
-        if frame == 2 and len(counts) == 3:
-            pipe.on_reference(*reference(pipe, reader, 2, pose))
-        shown = pipe.present(frame, pipe.camera(pose))
-        assert not np.array_equal(shown.rgb, shown.distorted)
-        if not isinstance(pipe._scene, CountingScene):
-            assert pipe._scene is not None
-            counter = CountingScene(pipe._scene)
-            pipe._scene = counter  # type: ignore[assignment]
+    for number, frame in enumerate((0, 0, 0, 1, 2)):
+        if number and frame:
+            stage.send(frame)
+        if number in (1, 4):
+            stage.refer(frame, pose, kind)
+        stage.show(frame, pose)
+        if not isinstance(stage.pipe._scene, CountingScene):
+            assert stage.pipe._scene is not None
+            counter = CountingScene(stage.pipe._scene)
+            stage.pipe._scene = counter  # type: ignore[assignment]
         counts.append(counter.drawn)
-    assert counts == [0, 0, 1, 2, 2], "nothing changed; as of now; of the new reference; nothing changed"
+    assert counts == counted
 
 
 def test_a_frame_that_did_not_come_shows_the_looks_of_the_one_before_and_their_motion_goes_on(
     reader: BundleReader,
 ) -> None:
-    pipe, pose = pipeline(reader), pose_of(reader)
-    send(pipe, reader, 0)
-    pipe.present(0, pipe.camera(pose))
-    assert pipe.on_display is not None
-    splats = pipe.on_display.splats
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    stage.show(0, pose)
+    assert stage.pipe.on_display is not None
+    splats = stage.pipe.on_display.splats
     before = splats.take(slice(None))
     before = replace(before, **{name: column.copy() for name, column in before.arrays()})
-    assert pipe.present(1, pipe.camera(pose)).missed
+    assert stage.show(1, pose).missed
     for name in ("log_scales", "sh0", "sh_rest"):
         np.testing.assert_array_equal(getattr(splats, name), getattr(before, name))
     assert (splats.means != before.means).any()
-    send(pipe, reader, 1)
-    assert not pipe.present(1, pipe.camera(pose)).missed
+    stage.send(1)
+    assert not stage.show(1, pose).missed
 
 
-def test_a_half_received_frame_is_no_worse_for_being_restored(reader: BundleReader) -> None:
-    """Every other tile of the first frame has not come: the reference shows what the client has no splats for."""
-    pipe, pose = pipeline(reader), pose_of(reader)
-    for entry in reader.frame(0).tiles[::2]:
-        payload = reader.payload(0, entry.tile, 0)
-        message = TileLayers(0, entry.tile, 0, 1, (len(payload),), entry.crcs[:1])
-        assert pipe.on_tiles([(message, memoryview(payload))]) == []
-    pipe.on_frame_end(FrameEnd(0), memoryview(reader.removed_payload(0)))
-    pipe.on_reference(*reference(pipe, reader, 0, pose))
-    shown, true = pipe.present(0, pipe.camera(pose)), truth(reader, 0, pipe.camera(pose))
-    assert psnr(shown.rgb, true) >= psnr(shown.distorted, true) - 0.1
+@pytest.mark.parametrize("kind", [DIFFERENCE, PICTURE])
+def test_what_has_not_come_is_put_in_by_the_reference(reader: BundleReader, kind: ReferenceKind) -> None:
+    """Every other tile of the first frame is missing: the server knows, and the reference says what they would show."""
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0, every=2)
+    stage.refer(0, pose, kind)
+    shown, true = stage.show(0, pose), stage.truth(0, pose)
+    assert psnr(shown.rgb, true) >= psnr(shown.distorted, true) + 5
     assert np.isfinite(shown.rgb).all()
     assert 0 <= shown.rgb.min() <= shown.rgb.max() <= 1
 
 
-def test_adaptation_improves_the_clients_own_picture_frame_by_frame(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader, adapt="sirt"), pose_of(reader)
-    send(pipe, reader, 0)
-    pipe.on_reference(*reference(pipe, reader, 0, pose))
-    true = truth(reader, 0, pipe.camera(pose))
-    quality = [psnr(pipe.present(0, pipe.camera(pose)).distorted, true) for _ in range(4)]
-    assert quality[1] > quality[0] + 0.5
-    assert quality[3] > quality[1]
-
-
-def test_adaptation_in_the_background_gives_the_same_pictures(reader: BundleReader) -> None:
-    """A step is taken over when it is done; before splats change it is waited for."""
-    pose, shown = pose_of(reader), []
-    with ThreadPoolExecutor(1) as executor:
-        for background in (None, executor):
-            pipe = ClientPipeline(
-                reader.manifest,
-                reader.codebooks(),
-                ClientSettings(width=160, height=120, adapt="sirt"),
-                background=background,
-            )
-            for frame in range(3):
-                send(pipe, reader, frame)
-                pipe.on_reference(*reference(pipe, reader, frame, pose, frame + 1))
-                shown.append(pipe.present(frame, pipe.camera(pose)).rgb)
-                executor.submit(int).result()  # the step has ended
-    for inline, behind in zip(shown[:3], shown[3:], strict=True):
-        np.testing.assert_array_equal(inline, behind)
-
-
 def test_a_damaged_reference_asks_for_an_idr_and_is_not_shown(reader: BundleReader) -> None:
-    pipe, pose = pipeline(reader), pose_of(reader)
-    send(pipe, reader, 0)
-    message, unit = reference(pipe, reader, 0, pose)
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    message, _ = stage.reference(0, pose)
     with pytest.raises(DecodeError):
-        pipe.on_reference(message, memoryview(b"\x00" * 40))
-    late = ReferenceFrame(1, 3, pose, message.intrinsics, idr=False)
-    assert not pipe.on_reference(late, unit[:0] or memoryview(bytes(unit)[:0] or b"\x00\x00\x01\x41\x9a"))
-    assert pipe.present(0, pipe.camera(pose)).reference is None
-    assert pipe.last_reference_seq == 0
+        stage.pipe.on_reference(message, memoryview(b"\x00" * 40))
+    late = ReferenceFrame(1, 3, pose, VIEW, idr=False)
+    assert not stage.pipe.on_reference(late, memoryview(b"\x00\x00\x01\x41\x9a"))
+    assert stage.show(0, pose).reference is None
+    assert stage.pipe.last_reference_seq == 0
+
+
+def test_after_a_jump_that_forgets_the_mark_begins_anew(reader: BundleReader) -> None:
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    stage.refer(0, pose)
+    stage.show(0, pose)
+    stage.pipe.reset(0)
+    stage.pipe.on_mark(Mark(2, restart=True))
+    assert stage.pipe.held() == []
+    assert stage.show(0, pose).reference is None
+
+
+def test_over_another_connection_marks_count_on_from_what_is_held(reader: BundleReader) -> None:
+    stage, pose = Stage(reader), walk(reader)
+    stage.send(0)
+    stage.refer(0, pose)
+    stage.show(0, pose)
+    stage.pipe.restarted(stage.pipe.held())
+    other = Stage(reader)
+    other.pipe = stage.pipe
+    other.send(0)  # what is held comes to the other server by the inventory; here it comes twice
+    other.refer(0, pose)
+    shown = other.show(0, pose)
+    assert shown.reference is not None
+    assert shown.reference.basis == 2, "one mark of either connection"
+    assert psnr(shown.rgb, stage.truth(0, pose)) > psnr(shown.distorted, stage.truth(0, pose)) + 1
 
 
 def test_unknown_restorers_are_named(reader: BundleReader) -> None:
     with pytest.raises(ConfigError, match="magic"):
-        pipeline(reader, restore="magic")
+        Stage(reader, restore="magic")
 
 
 def test_the_end_of_a_frame_that_the_clip_does_not_have_is_reported_like_any_damage(reader: BundleReader) -> None:
-    pipe = pipeline(reader, restore="none")
+    stage = Stage(reader, restore="none")
     ends = [ev.FrameEnded(FrameEnd(frame), memoryview(b"")) for frame in (2**31 - 1, 0)]
-    result = Decode(tuple(ends), pipe).run()
+    result = Decode(tuple(ends), stage.pipe).run()
     assert [str(error) for error in result.errors] == ["frame 2147483647 is outside the clip's 3 frames"]
     assert result.whole == 0
 
 
 @pytest.mark.parametrize("size", [(160, 120), (161, 119)])
-def test_at_half_resolution_a_frame_is_restored_and_everything_looked_at_is_whole(
+def test_at_half_resolution_a_frame_is_corrected_and_everything_looked_at_is_whole(
     reader: BundleReader, size: tuple[int, int]
 ) -> None:
     width, height = size
     scores = {}
     for resolution in ("full", "half"):
-        pipe, pose = pipeline(reader, width=width, height=height, resolution=resolution), pose_of(reader)
-        send(pipe, reader, 0)
-        pipe.on_reference(*reference(pipe, reader, 0, pose))
-        shown = pipe.present(0, pipe.camera(pose))
-        true = truth(reader, 0, shown.camera)
+        stage, pose = Stage(reader, width=width, height=height, resolution=resolution), walk(reader)
+        stage.send(0)
+        stage.refer(0, pose)
+        shown, true = stage.show(0, pose), stage.truth(0, pose)
         scores[resolution] = score(shown, true, np.ones((height, width), np.float32))
         assert shown.rgb.shape == shown.distorted.shape == (height, width, 3)
         assert shown.rgb.min() >= 0
@@ -285,7 +284,8 @@ def moving_pipeline(**settings: object) -> ClientPipeline:
     """A splat that moves by a metre a frame, and one that stands still; all of it has come."""
     of = moving()
     made = ClientSettings(**{"width": 160, "height": 120, **settings})  # type: ignore[arg-type]
-    pipe = ClientPipeline(of, books().to_bytes(), made)
+    pipe = ClientPipeline(of, made)
+    pipe.on_codebooks(books().to_bytes())
     for tile, payloads in enumerate((looks([0], 5), looks([1], 9), motion((0, 0), 1, [0, 1, 2, 3]))):
         parts = payloads.payloads
         message = TileLayers(0, tile, 0, len(parts), tuple(map(len, parts)), tuple(map(crc32, parts)))
@@ -317,23 +317,3 @@ def test_between_frames_of_nothing_that_was_shown_the_frame_itself_is() -> None:
     pipe, plain = moving_pipeline(), moving_pipeline()
     camera = pipe.camera(MOVING_VIEW)
     np.testing.assert_array_equal(pipe.present(1, camera, 0.5).rgb, plain.present(1, camera).rgb)
-
-
-def test_a_reference_of_an_earlier_frame_is_compared_with_what_is_where_it_is_now() -> None:
-    pipe = moving_pipeline(restore="affine", effects="always", reference_age=10)
-    camera = pipe.camera(MOVING_VIEW)
-    view = Camera(Intrinsics.of_fov(80, 60, 1.2, 1.0), MOVING_VIEW, pipe.info.near)
-    pipe.present(0, camera)
-    store = pipe.on_display
-    assert store is not None
-    scene = raster.create("cpu").load(store.splats)
-    options = RenderOptions(footprint=Footprint.of(pipe.settings.intrinsics, view.intrinsics))
-    then = scene.render(view, options).rgb
-    picture = H264Encoder(80, 60, 30).encode(np.clip(then, 0, 1), idr=True)
-    assert pipe.on_reference(ReferenceFrame(0, 1, MOVING_VIEW, view.intrinsics, idr=True), memoryview(picture))
-    for frame, share in ((1, 0.0), (2, 0.0), (2, 0.5), (3, 0.0)):
-        shown = pipe.present(frame, camera, share)
-        assert shown.reference is not None
-        fresh = raster.create("cpu").load(pipe.on_display.splats).render(view, options)  # type: ignore[union-attr]
-        assert pipe._views._now is not None
-        np.testing.assert_array_equal(pipe._views._now.picture.rgb, fresh.rgb)

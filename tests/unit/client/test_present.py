@@ -30,7 +30,8 @@ def presented(frame: int, *, aligned: bool = True) -> Any:
         distorted=picture(0.2),
         rgb=picture(0.4),
         aligned_rgb=picture(0.6) if aligned else None,
-        reference=SimpleNamespace(rgb=np.full((3, 5, 3), 0.8, np.float32)),
+        correction=picture(0.6),
+        reference=SimpleNamespace(coded=np.full((3, 5, 3), 0.8, np.float32)),
     )
 
 
@@ -46,8 +47,8 @@ def test_stages_are_written_once_the_play_has_ended(tmp_path: Path) -> None:
     assert not list((tmp_path / "stages").iterdir()), "coding pictures while playing costs frames"
     sink.close(completed=True)
     names = {path.name for path in (tmp_path / "stages").iterdir()}
-    first = {f"frame_0000_{name}.png" for name in ("reference", "distorted", "aligned", "restored")}
-    assert names == first | {f"frame_0002_{name}.png" for name in ("reference", "distorted", "restored")}
+    first = {f"frame_0000_{name}.png" for name in ("reference", "distorted", "correction", "aligned", "restored")}
+    assert names == first | {f"frame_0002_{name}.png" for name in ("reference", "distorted", "correction", "restored")}
     read = cv2.imread(str(stage_path(tmp_path / "stages", 0, "reference")))
     assert read is not None
     assert read.shape == (3, 5, 3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from cags_client.references import KEPT, References
 from cags_common.errors import DecodeError
 from cags_common.geometry import Intrinsics, Pose
 from cags_common.video.h264 import H264Encoder
-from cags_protocol.messages import ReferenceFrame
+from cags_protocol.messages import ReferenceFrame, ReferenceKind
 
 VIEW = Intrinsics.of_fov(64, 48, 1.2, 1.0)
 
@@ -20,17 +22,19 @@ class Video:
     def __init__(self) -> None:
         self._encoder, self._seq = H264Encoder(VIEW.width_px, VIEW.height_px, 30), 0
 
-    def picture(self, frame: int, *, idr: bool = False, view: Intrinsics = VIEW) -> tuple[ReferenceFrame, memoryview]:
+    def picture(
+        self, frame: int, *, idr: bool = False, view: Intrinsics = VIEW, basis: int = 1
+    ) -> tuple[ReferenceFrame, memoryview, int]:
         self._seq += 1
         grey = np.full((VIEW.height_px, VIEW.width_px, 3), 0.1 + 0.03 * frame, np.float32)
         unit = self._encoder.encode(grey, idr=idr or self._seq == 1)
         message = ReferenceFrame(frame, self._seq, Pose.identity(), view, idr or self._seq == 1)
-        return message, memoryview(unit)
+        return message, memoryview(unit), basis
 
 
 def grey(references: References, frame: int, max_age: int = 0) -> float | None:
     picture = references.newest(frame, max_age)
-    return None if picture is None else float(picture.rgb.mean())
+    return None if picture is None or picture.coded is None else float(picture.coded.mean())
 
 
 def test_pictures_belong_to_their_frames() -> None:
@@ -80,9 +84,9 @@ def test_a_picture_of_another_size_than_it_says_is_refused() -> None:
 def test_after_damage_the_video_waits_for_an_idr(damage: bytes) -> None:
     references, video = References(), Video()
     assert references.add(*video.picture(0))
-    message, _ = video.picture(1)
+    message, _, basis = video.picture(1)
     with pytest.raises(DecodeError):
-        references.add(message, memoryview(damage))
+        references.add(message, memoryview(damage), basis)
     assert not references.add(*video.picture(2)), "it would be coded against a picture that is not there"
     assert references.add(*video.picture(3, idr=True))
 
@@ -109,3 +113,67 @@ def test_another_servers_video_begins_anew_and_the_pictures_stay() -> None:
     other.picture(3)  # the first of the other's, lost
     assert not references.add(*other.picture(4))
     assert references.add(*other.picture(5, idr=True))
+
+
+def nothing(frame: int, basis: int, seq: int = 0) -> tuple[ReferenceFrame, memoryview, int]:
+    message = ReferenceFrame(frame, seq, Pose.identity(), VIEW, kind=ReferenceKind.NOTHING.value, basis=basis)
+    return message, memoryview(b""), basis
+
+
+def difference(video: Video, frame: int, basis: int) -> tuple[ReferenceFrame, memoryview, int]:
+    message, unit, _ = video.picture(frame, basis=basis)
+    return replace(message, kind=ReferenceKind.DIFFERENCE.value, basis=basis, knee=0.06), unit, basis
+
+
+def test_what_says_nothing_is_a_reference_without_a_picture_and_leaves_the_video_whole() -> None:
+    references, video = References(), Video()
+    assert references.add(*video.picture(0))
+    assert references.add(*nothing(1, basis=4, seq=1))
+    assert references.add(*video.picture(2)), "no gap"
+    silent = references.newest(1, 0)
+    assert silent is not None
+    assert (silent.coded, silent.picture, silent.basis) == (None, None, 4)
+    message, _, basis = nothing(3, basis=5)
+    with pytest.raises(DecodeError, match="frame 3 says nothing in 2 bytes"):
+        references.add(message, memoryview(b"ab"), basis)
+
+
+def test_correctors_and_aligners_get_what_is_theirs() -> None:
+    references, video = References(), Video()
+    assert references.add(*video.picture(0))
+    assert references.add(*difference(video, 1, basis=3))
+    picture, lacking = (references.newest(frame, 0) for frame in range(2))
+    assert picture is not None
+    assert lacking is not None
+    assert picture.coded is not None
+    assert (picture.compared(picture.coded).picture, lacking.difference.picture) == (True, False)
+    assert lacking.difference.knee == 0.06
+    assert picture.picture is not None
+    assert lacking.picture is None
+    assert (picture.assumes, lacking.assumes) == (False, True)
+
+
+def test_the_next_basis_is_the_least_that_waits_and_pictures_assume_none() -> None:
+    references, video = References(), Video()
+    assert references.next_basis(0, 0, 10) is None
+    assert references.add(*difference(video, 5, basis=3))
+    assert references.add(*difference(video, 6, basis=4))
+    assert references.next_basis(4, 0, 10) == 3
+    assert references.next_basis(5, 1, 10) == 4, "the first has been used"
+    assert references.next_basis(6, 2, 10) is None
+    assert references.add(*video.picture(7, basis=9))
+    assert references.next_basis(6, 2, 10) is None
+    assert references.add(*nothing(8, basis=7))
+    assert references.next_basis(6, 2, 10) == 7
+
+
+def test_of_a_picture_nothing_counts_that_coding_may_have_left() -> None:
+    references, video = References(), Video()
+    message, unit, basis = video.picture(0)
+    assert references.add(replace(message, error=1e-4), unit, basis)
+    received = references.newest(0, 0)
+    assert received is not None
+    assert received.coded is not None
+    close, far = received.coded + np.float32(0.01), received.coded + np.float32(0.3)
+    np.testing.assert_allclose(received.compared(close).coded, close, atol=1e-6)
+    np.testing.assert_allclose(received.compared(far).coded, received.coded, atol=0.001)

@@ -6,10 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import cags_kernels
-from cags_client.resolution import AUTO, FULL, HALF, Resolutions
-from cags_client.restore.auto import DOWN_AFTER_S, UP_AFTER_S
+from cags_client.resolution import AUTO, DOWN_AFTER_S, FULL, HALF, UP_AFTER_S, Resolutions, Tier, TierController
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster.halving import enlarged, halved
 
@@ -37,7 +38,7 @@ class Machine:
             pixels_ms = self.full_ms * (1.0 if chosen == FULL else self.half_share)
             frame_ms = pixels_ms + self.rest_ms
             self.now_s += max(frame_ms, FRAME_MS) / 1e3
-            self.resolutions.observe(self.now_s, {"raster": pixels_ms / 2, "align": pixels_ms / 2}, frame_ms)
+            self.resolutions.observe(self.now_s, {"raster": pixels_ms / 2, "correct": pixels_ms / 2}, frame_ms)
         return out
 
 
@@ -75,6 +76,45 @@ def test_auto_does_not_flicker_at_the_edge(full_ms, half_share):
     late = len(chosen) // 2
     assert sum(a != b for a, b in pairwise(chosen[late:])) <= 4
     assert DOWN_AFTER_S < UP_AFTER_S
+
+
+TIERS = (Tier("low", 0.0), Tier("middle", 5.0), Tier("high", 15.0), Tier("highest", 400.0))
+
+
+@pytest.mark.parametrize(("rest_ms", "name"), [(8, "high"), (20, "middle"), (200, "low")])
+def test_the_dearest_tier_that_fits_is_picked_at_the_start(rest_ms, name):
+    assert TierController(TIERS, FRAME_MS, rest_ms).name == name
+
+
+def test_one_slow_frame_changes_nothing():
+    controller = TierController(TIERS, FRAME_MS, 8.0)
+    for i in range(60):
+        controller.observe(i / 30, 15.0, 120.0 if i == 30 else 23.0)
+        assert controller.name == "high"
+
+
+def test_frames_of_which_nothing_is_known_do_not_change_the_tier():
+    controller = TierController(TIERS, FRAME_MS, 20.0)
+    for i in range(300):
+        controller.observe(i / 30, None, 20.0)
+    assert controller.name == "middle"
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.none() | st.floats(0, 1e4), st.floats(0, 1e4)), max_size=60))
+def test_whatever_is_observed_the_tier_is_one_of_them_and_moves_by_one(observed):
+    controller, now_s = TierController(TIERS, FRAME_MS), 0.0
+    places = {tier.name: i for i, tier in enumerate(TIERS)}
+    before = places[controller.name]
+    for step_s, pixels_ms, frame_ms in observed:
+        now_s += step_s
+        place = places[controller.observe(now_s, pixels_ms, frame_ms)]
+        assert abs(place - before) <= 1
+        before = place
+
+
+def test_no_tiers_are_refused():
+    with pytest.raises(ValueError, match="nothing to choose from"):
+        TierController((), FRAME_MS)
 
 
 @pytest.mark.parametrize("native", [True, False])

@@ -10,21 +10,25 @@ from hypothesis import strategies as st
 from cags_common.effects import ALWAYS, Effect, Situation, held_sh_degree, plan_frame, tally
 from cags_common.splats import SH_REST_OF_DEGREE
 
-COMPARING = frozenset({Effect.ALIGNMENT, Effect.OWN_VIEW})
 PAINTING = frozenset({Effect.ALIGNMENT, Effect.EROSION})
+CORRECTING = frozenset({Effect.CORRECTION, Effect.OWN_VIEW, Effect.VETO})
+RESTORING = frozenset({Effect.RESTORATION, Effect.ALIGNMENT, Effect.OCCLUSION, Effect.EROSION})
 BUSY = Situation(
     sh_degree=2,
     scene_sh_degree=3,
     changed=True,
     whole=False,
     reference=True,
+    picture=True,
     same_place=False,
     same_frame=False,
-    restorer=PAINTING | COMPARING,
+    corrects=True,
+    stale=True,
+    restorer=PAINTING,
     replaces=False,
-    adapts=True,
     depth_shown=True,
 )
+RESTORED = replace(BUSY, corrects=False)
 situations = st.builds(
     Situation,
     sh_degree=st.integers(0, 3),
@@ -32,19 +36,22 @@ situations = st.builds(
     changed=st.booleans(),
     whole=st.booleans(),
     reference=st.booleans(),
+    picture=st.booleans(),
     same_place=st.booleans(),
     same_frame=st.booleans(),
-    restorer=st.sampled_from([frozenset(), COMPARING, PAINTING]),
+    corrects=st.booleans(),
+    stale=st.booleans(),
+    restorer=st.sampled_from([frozenset(), PAINTING]),
     replaces=st.booleans(),
-    adapts=st.booleans(),
     depth_shown=st.booleans(),
 )
 
 
-def test_a_busy_moment_needs_everything() -> None:
+def test_a_busy_moment_needs_everything_of_its_way() -> None:
     plan = plan_frame(BUSY)
-    assert plan.on == frozenset(Effect)
+    assert plan.on == frozenset(Effect) - RESTORING
     assert plan.sh_degree == 2
+    assert plan_frame(RESTORED).on == frozenset(Effect) - CORRECTING
 
 
 @pytest.mark.parametrize(
@@ -52,24 +59,38 @@ def test_a_busy_moment_needs_everything() -> None:
     [
         ({"sh_degree": 0}, {Effect.VIEW_COLOUR}),
         ({"changed": False}, {Effect.DELTAS}),
-        ({"same_place": True}, {Effect.OCCLUSION, Effect.EROSION}),
-        ({"same_frame": True}, {Effect.FADE, Effect.CARRY}),
-        ({"replaces": True}, {Effect.CARRY, Effect.STAND_IN}),
-        ({"restorer": COMPARING}, {Effect.EROSION}),
-        ({"adapts": False}, {Effect.ADAPTATION}),
-        # a reference is carried by way of own views
-        ({"adapts": False, "restorer": PAINTING}, {Effect.ADAPTATION, Effect.STAND_IN}),
-        (
-            {"adapts": False, "restorer": PAINTING, "same_frame": True},
-            {Effect.ADAPTATION, Effect.OWN_VIEW, Effect.CARRY, Effect.FADE, Effect.STAND_IN},
-        ),
-        ({"depth_shown": False}, set()),  # alignment needs it
-        ({"whole": True, "depth_shown": False}, set(Effect) - {Effect.VIEW_COLOUR, Effect.DELTAS}),
-        ({"reference": False, "depth_shown": False}, set(Effect) - {Effect.VIEW_COLOUR, Effect.DELTAS}),
+        ({"same_frame": True}, {Effect.FADE}),
+        ({"picture": False}, {Effect.OWN_VIEW}),
+        ({"stale": False}, {Effect.VETO}),
+        ({"same_place": True}, set()),  # what hides something is looked for within the correction
+        ({"whole": True}, set()),  # the server says so, if there is nothing lacking
+        ({"depth_shown": False}, set()),  # the correction needs it
+        ({"reference": False}, {*CORRECTING, Effect.FADE}),
+        ({"reference": False, "depth_shown": False}, {*CORRECTING, Effect.FADE, Effect.DEPTH}),
     ],
 )
-def test_each_condition_takes_its_own_effects_away(change: dict[str, object], gone: set[Effect]) -> None:
-    assert set(Effect) - plan_frame(replace(BUSY, **change)).on == gone  # type: ignore[arg-type]
+def test_each_condition_takes_its_own_effects_of_a_correction_away(
+    change: dict[str, object], gone: set[Effect]
+) -> None:
+    assert plan_frame(BUSY).on - plan_frame(replace(BUSY, **change)).on == gone  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("change", "gone"),
+    [
+        ({"same_place": True}, {Effect.OCCLUSION, Effect.EROSION}),
+        ({"same_frame": True}, {Effect.FADE}),
+        ({"stale": False}, set()),
+        ({"restorer": frozenset({Effect.ALIGNMENT})}, {Effect.EROSION}),
+        ({"depth_shown": False}, set()),  # alignment needs it
+        ({"picture": False, "depth_shown": False}, {*RESTORING, Effect.FADE, Effect.DEPTH}),
+        ({"restorer": frozenset(), "depth_shown": False}, {*RESTORING, Effect.FADE, Effect.DEPTH}),
+        ({"whole": True, "depth_shown": False}, {*RESTORING, Effect.FADE, Effect.DEPTH}),
+        ({"whole": True, "replaces": True}, set()),
+    ],
+)
+def test_each_condition_takes_its_own_effects_of_a_restorer_away(change: dict[str, object], gone: set[Effect]) -> None:
+    assert plan_frame(RESTORED).on - plan_frame(replace(RESTORED, **change)).on == gone  # type: ignore[arg-type]
 
 
 @given(situations)
@@ -83,10 +104,12 @@ def test_what_is_needed_is_a_part_of_always(situation: Situation) -> None:
 def test_plans_are_consistent(situation: Situation) -> None:
     plan = plan_frame(situation)
     assert (Effect.VIEW_COLOUR in plan) == (plan.sh_degree > 0)
-    assert Effect.DEPTH in plan or Effect.ALIGNMENT not in plan
-    assert Effect.OWN_VIEW in plan or not plan.on & {Effect.ADAPTATION, Effect.CARRY}
-    assert Effect.ALIGNMENT in plan or not plan.on & {Effect.OCCLUSION, Effect.FADE, Effect.EROSION}
-    assert situation.reference or not plan.on & {Effect.RESTORATION, Effect.ADAPTATION, Effect.OWN_VIEW}
+    assert Effect.DEPTH in plan or not plan.on & {Effect.ALIGNMENT, Effect.CORRECTION}
+    assert Effect.CORRECTION in plan or not plan.on & {Effect.OWN_VIEW, Effect.VETO}
+    assert Effect.ALIGNMENT in plan or not plan.on & {Effect.OCCLUSION, Effect.EROSION}
+    assert plan.on & {Effect.RESTORATION, Effect.CORRECTION} or Effect.FADE not in plan
+    assert not plan.on >= {Effect.RESTORATION, Effect.CORRECTION}
+    assert situation.reference or not plan.on & {Effect.RESTORATION, Effect.CORRECTION}
 
 
 def test_without_takes_the_degree_along() -> None:

@@ -146,19 +146,34 @@ def test_a_part_that_fails_is_a_finding_with_a_remedy() -> None:
 
 
 def timed(*totals: tuple[int, float, float]) -> Timings:
-    sizes = tuple(SizeTimes(w, w * 3 // 4, raster, 1.0, 2.0, rest - 3.0) for w, raster, rest in totals)
-    return Timings("cpu", 30_000, 2, 5.0, 2.0, sizes)
+    sizes = tuple(SizeTimes(w, w * 3 // 4, raster, rest - 2.0, 2.0) for w, raster, rest in totals)
+    return Timings("cpu", 30_000, 2, 5.0, 1.0, 1.0, sizes)
 
 
-def test_the_largest_picture_that_is_drawn_and_restored_in_time_is_recommended() -> None:
+def test_the_largest_picture_that_is_drawn_and_corrected_in_time_is_recommended() -> None:
     best = advise(timed((400, 3, 10), (640, 12, 20), (800, 19, 28), (1600, 70, 90)))
-    assert best.client == "--width 640 --height 480 --restore affine --threads 2"
-    assert "a frame takes 12 ms, one that is restored 32" in best.reason
+    assert best.client == "--width 640 --height 480 --resolution full --threads 2"
+    assert "a frame takes 12 ms, one that is corrected 32" in best.reason
     slow = advise(timed((400, 18, 40), (800, 30, 50)))
-    assert slow.client == "--width 400 --height 300 --restore auto --threads 2"
+    assert slow.client == "--width 400 --height 300 --resolution auto --threads 2"
     hopeless = advise(timed((320, 900, 20)))
-    assert "--exactness fast" in hopeless.client
+    assert "--restore none --exactness fast" in hopeless.client
     assert "out of reach" in hopeless.reason
+
+
+def test_every_stage_of_a_frame_and_of_a_reference_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timing, "NATIVE_SPLATS", 500)
+    monkeypatch.setattr(timing, "READABLE_SPLATS", 500)
+    monkeypatch.setattr(timing, "SIZES", ((64, 48), (96, 72)))
+    monkeypatch.setattr(timing, "READABLE_SIZES", ((64, 48),))
+    monkeypatch.setenv("CAGS_GPU_ADAPTER", "no such adapter")
+    timings = timing.measure(1)
+    assert (timings.splats, timings.threads, timings.sizes[0].width) == (500, 1, 64)
+    assert min(timings.reference_ms, timings.mirror_ms, timings.encode_ms) > 0
+    for size in timings.sizes:
+        assert size.total_ms == size.raster_ms + size.correct_ms + size.own_ms
+        assert min(size.raster_ms, size.correct_ms, size.own_ms) > 0
+        assert size.gpu_ms is None
 
 
 @pytest.mark.parametrize(
@@ -240,7 +255,7 @@ def test_the_graphics_processor_is_named_with_driver_and_limits_and_timed() -> N
     with software_passes():
         found = parts.gpu()
         scene, adapter = timing._gpu_scene(random_splats(100))
-        times = timing._with_gpu(SizeTimes(64, 48, 1.0, 1.0, 1.0, 1.0), scene, camera().pose)
+        times = timing._with_gpu(SizeTimes(64, 48, 1.0, 1.0, 1.0), scene, camera().pose)
     assert found.verdict is Verdict.OK
     assert adapter in found.found
     assert "MiB" in found.found

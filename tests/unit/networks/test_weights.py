@@ -21,9 +21,9 @@ def archive(about, **arrays):
 
 
 def test_round_trip(tmp_path):
-    Weights("lite", ARRAYS, {"command": "x", "best": {"gain_db": 1.5}}).save(tmp_path / "w.npz")
+    Weights("srresnet", ARRAYS, {"command": "x", "best": {"gain_db": 1.5}}).save(tmp_path / "w.npz")
     back = Weights.load(tmp_path / "w.npz")
-    assert back.network == "lite"
+    assert back.network == "srresnet"
     assert back.about == {"command": "x", "best": {"gain_db": 1.5}}
     assert back.count == 8
     for name, array in ARRAYS.items():
@@ -32,7 +32,7 @@ def test_round_trip(tmp_path):
 
 def test_equal_weights_give_equal_bytes():
     reversed_order = dict(reversed(ARRAYS.items()))
-    assert Weights("lite", ARRAYS, {}).to_bytes() == Weights("lite", reversed_order, {}).to_bytes()
+    assert Weights("srresnet", ARRAYS, {}).to_bytes() == Weights("srresnet", reversed_order, {}).to_bytes()
 
 
 @pytest.mark.parametrize(
@@ -40,13 +40,13 @@ def test_equal_weights_give_equal_bytes():
     [
         (b"", "no weights file"),
         (b"not a zip at all", "no weights file"),
-        (Weights("lite", ARRAYS, {}).to_bytes()[:-30], "no weights file"),
+        (Weights("srresnet", ARRAYS, {}).to_bytes()[:-30], "no weights file"),
         (b"\0" * (MAX_FILE_BYTES + 1), "more than a weights file"),
         (archive({"version": 1}), "which network"),
         (archive([1, 2]), "which network"),
-        (archive({"version": 9, "network": "lite"}), "version 9"),
-        (archive({"version": 1, "network": "lite"}, a=np.zeros(2)), "float32"),
-        (archive({"version": 1, "network": "lite"}, a=np.float32([np.nan])), "finite"),
+        (archive({"version": 9, "network": "srresnet"}), "version 9"),
+        (archive({"version": 1, "network": "srresnet"}, a=np.zeros(2)), "float32"),
+        (archive({"version": 1, "network": "srresnet"}, a=np.float32([np.nan])), "finite"),
     ],
 )
 def test_anything_else_is_refused(data, says):
@@ -57,7 +57,7 @@ def test_anything_else_is_refused(data, says):
 
 def test_pickled_arrays_are_refused():
     out = io.BytesIO()
-    np.savez(out, about=np.array([{"network": "lite"}], dtype=object))
+    np.savez(out, about=np.array([{"network": "srresnet"}], dtype=object))
     with pytest.raises(ConfigError, match="no weights file"):
         Weights.from_bytes(out.getvalue(), "w.npz")
 
@@ -87,6 +87,6 @@ def test_missing_file_is_named(tmp_path):
 
 def test_weights_must_fit_their_network():
     with pytest.raises(ConfigError, match="missing, unknown or of another shape"):
-        network_of(Weights("lite", ARRAYS, {}))
+        network_of(Weights("srresnet", ARRAYS, {}))
     with pytest.raises(ConfigError, match="'other'"):
         from_weights(Weights("other", ARRAYS, {}))

@@ -17,6 +17,7 @@ CAMERA = Intrinsics.of_fov(400, 300, 1.0, 0.8)
 
 EXAMPLES: list[tuple[m.Message, bytes]] = [
     (hello(token="secret", start_frame=7, inventory=b"\1\2"), b""),
+    (hello(references="picture", chroma="yuv420p"), b""),
     (m.PoseBatch((m.PoseSample(1, POSE), m.PoseSample(2, Pose.identity()))), b""),
     (m.Ack((m.SeqRange(5, 9), m.SeqRange(1, 3)), 77, 5, 100, (HeldTile(1, 2, 3),)), b""),
     (m.Control("seek", 12, 99, 0.5, True), b""),
@@ -28,6 +29,10 @@ EXAMPLES: list[tuple[m.Message, bytes]] = [
     (m.Blob("codebooks", 4, 10), b"abcdef"),
     (m.TileLayers(3, 1, 0, 2, (3, 1), (1, 2)), b"abcd"),
     (m.ReferenceFrame(3, 9, POSE, CAMERA, True), b"\0\0\1"),
+    (m.ReferenceFrame(3, 9, POSE, CAMERA, kind="difference", basis=7, knee=0.06), b"\0\0\1"),
+    (m.ReferenceFrame(3, 9, POSE, CAMERA, kind="nothing", basis=7), b""),
+    (m.Mark(7), b""),
+    (m.Mark(8, restart=True), b""),
     (m.FrameEnd(3), b"\5"),
     (m.FrameEnd(3), b""),
     (m.Notice("slow", "the link is slow"), b""),
@@ -35,6 +40,11 @@ EXAMPLES: list[tuple[m.Message, bytes]] = [
     (m.Fragment(1, 2, 0, 5), b"hello"),
     (m.Abandon((4, 5)), b""),
 ]
+
+
+VIEW = [400, 300, 400.0, 400.0, 200.0, 150.0]
+HELLO = {"type": "hello", "version": 3, "intrinsics": VIEW, "pose": [0, 0, 0, 1, 0, 0, 0]}
+REFERENCE = {"type": "reference", "frame": 0, "seq": 1, "pose": [0, 0, 0, 1, 0, 0, 0], "intrinsics": VIEW}
 
 
 def pack(header: dict[str, object], payload: bytes = b"") -> bytes:
@@ -108,7 +118,14 @@ def test_records_may_grow():
         ({"type": "poses", "samples": [[0, [0, 0, 0, 0.5, 0, 0, 0]]]}, "unit quaternion"),
         ({"type": "poses", "samples": [[0, [0, 0, float("inf"), 1, 0, 0, 0]]]}, "samples.pose"),
         ({"type": "poses", "samples": [[0, [0, 0, 0]]]}, "seven numbers"),
-        ({"type": "hello", "version": 2, "intrinsics": [0, 1, 1, 1, 0, 0], "pose": [0, 0, 0, 1, 0, 0, 0]}, "width_px"),
+        ({**HELLO, "intrinsics": [0, 1, 1, 1, 0, 0]}, "width_px"),
+        ({**HELLO, "references": "all"}, "references = 'all' must be one of any, picture, none"),
+        ({**HELLO, "chroma": "yuv422p"}, "chroma = 'yuv422p' must be one of yuv444p, yuv420p"),
+        ({**REFERENCE, "kind": "sketch"}, "kind = 'sketch' must be one of difference, picture, nothing"),
+        ({**REFERENCE, "knee": 0.0}, "knee = 0.0"),
+        ({**REFERENCE, "basis": -1}, "basis = -1"),
+        ({"type": "mark"}, "number is missing"),
+        ({"type": "mark", "number": 1, "restart": 1}, "true or false"),
     ],
 )
 def test_wrong_headers_are_refused_by_name(header, says):
@@ -144,7 +161,7 @@ def test_a_header_without_crc_is_refused():
 
 
 def test_a_hello_of_another_version_names_both():
-    with pytest.raises(VersionError, match=r"version = 9 .*speaks 2") as error:
+    with pytest.raises(VersionError, match=r"version = 9 .*speaks 3") as error:
         decode(pack({"type": "hello", "version": 9, "camera": "holographic"}))
     assert error.value.theirs == 9
 

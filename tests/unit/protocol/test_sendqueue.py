@@ -5,7 +5,7 @@ import pytest
 from cags_common.errors import ProtocolError
 from cags_protocol.encoding import decode
 from cags_protocol.limits import MAX_PARTIAL_MESSAGES, PACKET_BYTES
-from cags_protocol.messages import FrameEnd
+from cags_protocol.messages import FrameEnd, Mark
 from cags_protocol.sendqueue import CHUNK_BYTES, Outgoing, SendQueue
 from support.wire_pair import reference, tile
 
@@ -73,6 +73,23 @@ def test_order_is_references_then_priority_then_first_come():
     for outgoing in order:
         q.queue.put(outgoing)
     assert [order.index(outgoing) for outgoing, _, _ in q.send_all()] == [2, 1, 3, 0, 4]
+
+
+def test_marks_and_references_go_as_they_come_before_everything_else():
+    q = Queue()
+    order = [tile(0, 0, 10), reference(0, 1, 10), Outgoing(Mark(1)), reference(1, 2, 10), Outgoing(Mark(2))]
+    for outgoing in order:
+        q.queue.put(outgoing)
+    assert [order.index(outgoing) for outgoing, _, _ in q.send_all()] == [1, 2, 3, 4, 0]
+
+
+def test_no_tile_is_sent_to_its_end_between_a_mark_and_its_sending():
+    q = Queue()
+    for number in range(MAX_PARTIAL_MESSAGES // 2):
+        q.queue.put(tile(0, number, 2 * CHUNK_BYTES - 1000, priority=MAX_PARTIAL_MESSAGES - number))
+        q.send()
+    q.queue.put(Outgoing(Mark(1)))
+    assert q.send()[0].message == Mark(1), "however much is half sent"
 
 
 def test_among_equals_the_half_sent_goes_on():

@@ -50,7 +50,7 @@ def test_a_client_of_another_version_is_refused_by_name_of_both_versions():
     refusal, _ = decode(server.data_to_send(1)[0])
     assert refusal.code == refusal.field == "version"
     assert "7" in refusal.message
-    assert "speaks 2" in refusal.message
+    assert "speaks 3" in refusal.message
     assert server.closed
 
 

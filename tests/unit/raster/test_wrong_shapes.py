@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cags_kernels import codec, native_available
-from cags_kernels.align import AlignParameters, Reprojection, align, lay
+from cags_kernels.correct import AddParameters, DrawnView, add, lack
 from cags_kernels.raster import NativeScene, RasterCamera, RasterImage, RasterOptions, RasterStatistics, enlarge
 
 pytestmark = pytest.mark.skipif(not native_available(), reason="the native library is not built")
@@ -126,10 +126,19 @@ def test_codes_and_columns_that_do_not_fit_are_refused() -> None:
         codec.positions(np.zeros((4, 3), np.float32), np.zeros(2), 0.1)
 
 
-def test_a_reprojection_of_another_shape_aligns_nothing() -> None:
-    parameters = AlignParameters((1.0, 1.0), 1, 0.1, 1.0, 0.0, 1, 1, 1)
-    view = Reprojection(np.ones((4, 4), np.float32), np.eye(2), np.zeros(3))
-    with pytest.raises(ValueError, match="m of shape"):
-        align(np.zeros((4, 4, 3), np.float32), view, parameters, colours=False)
-    with pytest.raises(ValueError, match="float32"):
-        lay(np.zeros((4, 4, 3)), *(np.zeros((4, 4, k) if k > 1 else (4, 4), np.float32) for k in (3, 1, 1)), 1)
+def test_what_is_lacking_does_not_read_arrays_of_other_shapes() -> None:
+    pictures = [np.zeros((4, 5, 3), np.float32), np.zeros((4, 5), np.float32), np.ones((4, 5), np.float32)]
+    parameters = AddParameters(np.eye(3, 4), (1.0, 1.0), 1, 0.1, 1.0, 0.0, 0.5, 1)
+    lacking = lack(np.zeros((3, 3, 3), np.float32), None, 0.1, 1)
+    assert add(DrawnView(*pictures), lacking, None, parameters)[0].shape == (4, 5, 3)
+    with pytest.raises(ValueError, match="shape"):
+        lack(np.zeros((3, 3, 3), np.float32), np.zeros((3, 2, 3), np.float32), 0.1, 1)
+    for which in range(2):
+        wrong = [picture[:-1] if at == which else picture for at, picture in enumerate(pictures)]
+        with pytest.raises(ValueError, match="shape"):
+            add(DrawnView(*wrong), lacking, None, parameters)
+    for wrong in (lacking[:, :, :3], lacking.astype(np.float32), lacking[0]):
+        with pytest.raises(ValueError, match="int16"):
+            add(DrawnView(*pictures), wrong, None, parameters)
+    with pytest.raises(ValueError, match="shape"):
+        add(DrawnView(*pictures), lacking, np.zeros((2, 2), np.float32), parameters)

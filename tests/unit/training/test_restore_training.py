@@ -1,6 +1,5 @@
 """Training of restorers: data that may be augmented, a loss that does not die, training that resumes where it was."""
 
-import math
 from dataclasses import fields, replace
 
 import numpy as np
@@ -17,7 +16,7 @@ from cags_training.restore.checkpoint import Checkpoint  # noqa: E402
 from cags_training.restore.dataset import draw_batch, plain_batch  # noqa: E402
 from cags_training.restore.report import write_report  # noqa: E402
 from cags_training.restore.settings import TrainSettings  # noqa: E402
-from cags_training.restore.tasks import NETWORKS, REGRET, covered_psnr, loss, sampled_at  # noqa: E402
+from cags_training.restore.tasks import NETWORKS, covered_psnr, loss  # noqa: E402
 from cags_training.restore.trainer import Trainer  # noqa: E402
 
 SIDE = 32
@@ -28,19 +27,9 @@ def crops(count=12, seed=0):
     rng = np.random.default_rng(seed)
     truth = rng.integers(60, 180, (count, SIDE // 8, SIDE // 8, 3)).repeat(8, 1).repeat(8, 2)
     off = rng.integers(-40, 40, (count, 1, 1, 3))
-    fields = np.zeros((count, SIDE, SIDE, 4), np.float16)
-    fields[..., 1:] = -(off // 2) / 255
+    distorted, truth = ((truth + shift).astype(np.uint8) for shift in (off, 0))
     full = np.full((count, SIDE, SIDE), 255, np.uint8)
-    places = np.broadcast_to((np.arange(SIDE, dtype=np.uint16) * 256 + 128), (count, SIDE, SIDE))
-    distorted, closed_form = (a.astype(np.uint8) for a in (truth + off, truth + off - off // 2))
-    truth = truth.astype(np.uint8)
-    return Crops(
-        *(distorted, truth, closed_form, full, truth, full),
-        *(places, places.swapaxes(1, 2), full),
-        *(distorted, truth, truth, fields),
-        np.full((count, 6), 1e-4, np.float32),
-        np.zeros(count, np.float32),
-    )
+    return Crops(distorted=distorted, aligned=truth, confidence=full, truth=truth, covered=full)
 
 
 def settings(**changes):
@@ -74,11 +63,13 @@ def test_a_batch_depends_on_seed_and_step_alone():
     assert not np.array_equal(one.truth, other.truth)
 
 
-def test_turning_keeps_pixels_at_their_places_in_the_reference():
+def test_turning_keeps_pixels_together():
     batch = draw_batch(crops(), 32, 16, 0, 0)
-    for there, here in ((batch.reference, batch.truth), (batch.own, batch.distorted)):
-        found = sampled_at(torch.from_numpy(there), torch.from_numpy(batch.places)).numpy()
-        np.testing.assert_allclose(found, here, atol=1e-3)
+    np.testing.assert_array_equal(batch.aligned, batch.truth)  # the reference is the true picture in these crops
+    off = batch.distorted - batch.truth
+    np.testing.assert_allclose(off, np.broadcast_to(off[:, :1, :1], off.shape), atol=1e-6)
+    plain = plain_batch(crops(), np.arange(12), 16)
+    assert any(not np.array_equal(one, other) for one in batch.truth for other in plain.truth)
 
 
 def test_patches_must_fit_the_crops():
@@ -105,22 +96,6 @@ def test_psnr_is_over_covered_pixels():
     restored, covered = torch.zeros(1, 2, 2, 3), torch.tensor([1.0, 0.0, 0.0, 0.0]).reshape(1, 2, 2, 1)
     restored[0, 0, 0] = 0.1
     assert covered_psnr(restored, torch.zeros(1, 2, 2, 3), covered).item() == pytest.approx(20.0, abs=1e-4)
-
-
-def test_a_loss_against_what_is_spared_counts_more_than_a_gain():
-    truth, covered = torch.zeros(1, 4, 4, 3), torch.ones(1, 4, 4, 1)
-    better, worse, distorted = (torch.full((1, 4, 4, 3), value) for value in (0.1, 0.3, 0.2))
-    assert loss(better, truth, covered, distorted) == loss(better, truth, covered)
-    regretted = loss(worse, truth, covered, distorted) - loss(worse, truth, covered)
-    assert regretted.item() == pytest.approx(REGRET * math.log(0.09 / 0.04), rel=1e-4)
-
-
-def test_an_untrained_lite_shows_the_closed_form():
-    batch = plain_batch(crops(), np.arange(4), 16)
-    make, task = NETWORKS["lite"]
-    with torch.no_grad():
-        answer = task(make(), batch, torch.device("cpu"))
-    np.testing.assert_allclose(answer.restored.numpy(), batch.closed_form, atol=1e-3)  # fields are kept as halves
 
 
 @pytest.mark.parametrize("name", list(NETWORKS))
@@ -158,7 +133,7 @@ def test_a_damaged_checkpoint_is_named(tmp_path):
 
 
 def test_training_stops_when_nothing_gets_better():
-    held_out = replace(crops(4), weight=np.zeros_like(crops(4).weight))  # nothing can be gained there
+    held_out = replace(crops(4), distorted=crops(4).truth)  # nothing can be gained there
     trainer = Trainer(settings(steps=1000, patience=2, rate=1e-6), crops(), held_out, 0)
     run(trainer)
     assert trainer.step <= 8
@@ -168,17 +143,17 @@ def test_fine_tuning_starts_from_given_weights():
     first = Trainer(settings(), crops(), crops(4), 0)
     run(first)
     tuned = Trainer(settings(), crops(), crops(4), 0)
-    tuned.start_from(Weights("lite", first.best, {}))
+    tuned.start_from(Weights("srresnet", first.best, {}))
     state = tuned.checkpoint().arrays
     np.testing.assert_array_equal(state["network/head.weight"], first.best["head.weight"])
-    with pytest.raises(ConfigError, match="'srresnet'"):
-        tuned.start_from(Weights("srresnet", {}, {}))
+    with pytest.raises(ConfigError, match="'cr-no-ref'"):
+        tuned.start_from(Weights("cr-no-ref", {}, {}))
 
 
 def test_the_report_has_curves_and_facts(tmp_path):
     trainer = Trainer(settings(), crops(), crops(4), 0)
     run(trainer)
-    page = write_report(tmp_path, trainer.history, {"network": "lite", "command": "cags-train restore"})
+    page = write_report(tmp_path, trainer.history, {"network": "srresnet", "command": "cags-train restore"})
     text = page.read_text()
     assert "cags-train restore" in text
     assert text.count("\n| ") == 1 + len(trainer.history)

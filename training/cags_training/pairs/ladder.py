@@ -14,6 +14,7 @@ from cags_common.bundle import BundleReader, Manifest
 from cags_common.bundle.reader import MANIFEST_NAME
 from cags_common.codecs import MotionTile
 from cags_common.splats import Splats
+from cags_common.tile_kinds import TileKind
 from cags_common.updates import UpdateState
 from cags_encoder.pipeline import encode
 from cags_encoder.scenes import open_scene
@@ -27,8 +28,8 @@ class Ladder:
         self.manifest: Manifest = reader.manifest
         self.truth: Splats = reader.source(0).splats
         self._codec = reader.codec
-        levels = range(self.manifest.lods)
-        self._payloads = [[reader.payload(0, tile.tile, lod) for lod in levels] for tile in reader.frame(0).tiles]
+        looks = [tile for tile in reader.frame(0).tiles if tile.kind is TileKind.LOOKS]  # motion begins at rest
+        self._payloads = [[reader.payload(0, t.tile, lod) for lod in range(len(t.lod_bytes))] for t in looks]
 
     @classmethod
     def of_scene(cls, spec: str, settings: EncodeSettings) -> Ladder:
@@ -47,7 +48,7 @@ class Ladder:
 
     @property
     def tiles(self) -> int:
-        """Number of tiles."""
+        """Number of tiles of splats."""
         return len(self._payloads)
 
     @property
@@ -60,7 +61,7 @@ class Ladder:
         parts = []
         for payloads, lod in zip(self._payloads, lods, strict=True):
             tile = self._codec.open_tile(payloads[0])
-            assert not isinstance(tile, MotionTile | UpdateState)  # a single frame has looks alone
+            assert not isinstance(tile, MotionTile | UpdateState)
             for level in range(1, int(lod) + 1):
                 tile.add_layer(level, payloads[level])
             parts.append(tile.dequantise())

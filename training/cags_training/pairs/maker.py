@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from cags_client import align
-from cags_client.adapt import SirtAdapter
-from cags_client.align import Aligned, ReferencePicture
-from cags_client.align.fast import sample
+from cags_client.align import ReferencePicture
 from cags_client.restore import RestoreInput
 from cags_common import raster
-from cags_common.geometry import F32, Camera, angle_between
+from cags_common.geometry import F32, Camera
 from cags_common.poses import PoseTrace
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Decoder, H264Encoder
-from cags_common.video.noise import coding_noise
 from cags_training.pairs.ladder import Ladder, draw_lods
 from cags_training.pairs.settings import PairSettings
 from cags_training.pairs.views import View, draw_view, nudged
@@ -31,16 +28,6 @@ class Pair:
     inputs: RestoreInput
     truth: F32  # [H, W, 3] in [0, 1]
     truth_alpha: F32  # [H, W]
-    clean: F32  # [h, w, 3] the reference before it was coded
-    lod_share: float  # mean LoD of the tiles over the highest, 0 to 1
-    angle_rad: float  # by which the reference's pose is off
-    distance: float  # likewise, world units
-
-    def corrected(self, fields: F32, weight: F32) -> F32:
-        """What ``fields`` [h, w, 4] of factors and offsets make of the distorted picture where ``weight`` [H, W] is."""
-        sampled = sample(fields, self.inputs.aligned.x, self.inputs.aligned.y)
-        change = self.inputs.distorted * sampled[..., :1] + sampled[..., 1:]
-        return np.clip(self.inputs.distorted + weight[..., None] * change, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -74,7 +61,7 @@ class PairMaker:
         self._walks, self._settings, self._threads = walks, settings, threads
         self._rasteriser = raster.create("auto")
         self._truth = self._rasteriser.load(ladder.truth)
-        self._aligner = align.create("auto")
+        self._aligner = align.create("fast")
 
     def draw(self, rng: np.random.Generator) -> Pair:
         """A pair of a drawn view, LoD and reference quality."""
@@ -83,11 +70,8 @@ class PairMaker:
         lods = draw_lods(rng, self.ladder.tiles, self.ladder.top, s.top_share)
         crf = rng.uniform(s.crf_low, s.crf_high)
         plain = rng.random() < s.plain_share
-        adapted = bool(rng.random() < s.adapted_share)
-        frames = int(rng.integers(1 if adapted else 0, s.frames_before + 1))
-        before = [nudged(rng, view.reference, manifest) for _ in range(frames)]
-        tint = Tint() if adapted else Tint.draw(rng)  # what the adapter holds are the splats' own colours
-        return self.make(view, lods, crf=float(crf), plain=bool(plain), before=before, adapted=adapted, tint=tint)
+        before = [nudged(rng, view.reference, manifest) for _ in range(int(rng.integers(0, s.frames_before + 1)))]
+        return self.make(view, lods, crf=float(crf), plain=bool(plain), before=before, tint=Tint.draw(rng))
 
     def make(
         self,
@@ -97,41 +81,24 @@ class PairMaker:
         crf: float,
         plain: bool = False,
         before: Sequence[Camera] = (),
-        adapted: bool = False,
         tint: Tint | None = None,
     ) -> Pair:
         """The pair of ``view`` with tiles at ``lods`` and a reference coded at ``crf``, in the colours of ``tint``.
 
-        References seen from ``before`` come first in the same video. ``adapted``: the client has adapted its splats to
-        them.
+        References seen from ``before`` come first in the same video.
         """
         colours = tint or Tint()
-        splats = self.ladder.at(lods)
-        held = self._rasteriser.load(splats)
+        held = self._rasteriser.load(self.ladder.at(lods))
         scene = _Shown(self._truth, self._reference_options(view, plain=plain), colours)
         video = _Video(view.reference, self.ladder.manifest.fps, crf)
-        options = replace(self._reference_options(view, plain=False), contribution=adapted)
-        adapter = SirtAdapter(len(splats)) if adapted else None
         for camera in before:
-            seen, _ = video.reference(scene, camera)
-            if adapter is not None:
-                adapter.adapt(held, splats, seen, held.render(camera, options), options)
+            video.reference(scene, camera)
         distorted, truth = self._render(held, view.client), self._render(self._truth, view.client)
-        reference, clean = video.reference(scene, view.reference)
-        own = held.render(view.reference, options)
+        reference = video.reference(scene, view.reference)
         assert distorted.depth is not None
-        aligned: Aligned = self._aligner.align(reference, distorted.depth, view.client)
-        moved = np.subtract(view.client.pose.position, view.reference.pose.position)
-        own = replace(own, rgb=colours.of(own.rgb))
-        return Pair(
-            inputs=RestoreInput(colours.of(distorted.rgb), distorted.alpha, aligned, reference, own),
-            truth=colours.of(truth.rgb),
-            truth_alpha=truth.alpha,
-            clean=clean,
-            lod_share=float(np.mean(lods)) / max(self.ladder.top, 1),
-            angle_rad=angle_between(view.client.pose.rotation, view.reference.pose.rotation),
-            distance=float(np.linalg.norm(moved)),
-        )
+        aligned = self._aligner.align(reference, distorted.depth, view.client)
+        inputs = RestoreInput(colours.of(distorted.rgb), aligned)
+        return Pair(inputs, truth=colours.of(truth.rgb), truth_alpha=truth.alpha)
 
     def _render(self, scene: RasterScene, camera: Camera) -> RenderedView:
         return scene.render(camera, RenderOptions(threads=self._threads))
@@ -158,10 +125,10 @@ class _Video:
         self._decoder = H264Decoder()
         self._idr = True
 
-    def reference(self, shown: _Shown, camera: Camera) -> tuple[ReferencePicture, F32]:
-        """The next picture of the video, decoded, and as it was before."""
+    def reference(self, shown: _Shown, camera: Camera) -> ReferencePicture:
+        """The next picture of the video, decoded."""
         rgb = shown.tint.of(shown.scene.render(camera, shown.options).rgb)
         decoded = self._decoder.decode(self._encoder.encode(rgb, idr=self._idr))
         assert decoded is not None, "the first picture of a video is an IDR picture"
         self._idr = False
-        return ReferencePicture(decoded, camera, 0, noise=coding_noise(rgb, decoded)), rgb
+        return ReferencePicture(decoded, camera, 0)

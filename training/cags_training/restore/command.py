@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from cags_training.restore.trainer import Trainer
 
 EXAMPLES = """\
-  cags-train restore --scene procedural:seed=5 --held-out procedural:seed=9 --out lite/
-  cags-train restore --scene a.ply --scene b.splat --held-out c.sog --poses walk.csv --steps 12000 --out lite/
-  cags-train restore --network srresnet --patch 96 --batch 8 --scene a.ply --held-out c.sog --out srresnet/
+  cags-train restore --scene procedural:seed=5 --held-out procedural:seed=9 --out srresnet/
+  cags-train restore --scene a.ply --scene b.splat --held-out c.sog --poses walk.csv --steps 12000 --out srresnet/
+  cags-train restore --network sr-align-ref --patch 96 --batch 8 --scene a.ply --held-out c.sog --out alone/
   cags-train restore --bundle mine.cags --rate 3e-4 --steps 800 --out fine/   # fine-tune; clients fetch the weights
-  cags-train restore --start lite/lite.npz --rate 3e-4 --steps 800 --scene mine.ply --held-out mine.ply --out fine/"""
+  cags-train restore --start srresnet/srresnet.npz --rate 3e-4 --scene mine.ply --held-out mine.ply --out fine/"""
 
 HELD_OUT_VIEWS_SHARE = 0.5
 

@@ -7,33 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.restore.networks.inputs import noise_features
 from cags_common.geometry import F32
-from cags_training.pairs.crops import POSITION_PX, Crops
+from cags_training.pairs.crops import Crops
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """B patches of side S of clients' pictures, and of side R of their references; float32, pictures in [0, 1]."""
+    """B patches of side S of clients' views; float32, in [0, 1]."""
 
     distorted: F32  # [B, S, S, 3]
     aligned: F32  # [B, S, S, 3]
-    closed_form: F32  # [B, S, S, 3]
-    truth: F32  # [B, S, S, 3]
     confidence: F32  # [B, S, S, 1]
+    truth: F32  # [B, S, S, 3]
     covered: F32  # [B, S, S, 1]
-    weight: F32  # [B, S, S, 1]
-    places: F32  # [B, S, S, 2] x and y in the patch of the reference, shares of its side
-    own: F32  # [B, R, R, 3]
-    reference: F32  # [B, R, R, 3]
-    clean: F32  # [B, R, R, 3]
-    fields: F32  # [B, R, R, 4]
-    noise: F32  # [B, 1, 1, 6] as networks take it
-
-
-_PICTURES = ("distorted", "aligned", "closed_form", "truth")
-_MASKS = ("confidence", "covered", "weight")
-_THERE = ("own", "reference", "clean")
 
 
 def draw_batch(crops: Crops, size: int, patch: int, seed: int, step: int) -> Batch:
@@ -55,12 +41,13 @@ def _patch(crops: Crops, row: int, side: int, rng: np.random.Generator | None) -
         raise ValueError(f"patch = {side} is larger than the crops of side {crops.truth.shape[1]}")
     y, x = (spare // 2, spare // 2) if rng is None else (int(v) for v in rng.integers(spare + 1, size=2))
     area = np.s_[row, y : y + side, x : x + side]
-    places = np.stack([crops.x[area], crops.y[area]], axis=2) * np.float32(POSITION_PX / crops.own.shape[1])
-    pictures = {name: _as_float(getattr(crops, name)[area]) for name in _PICTURES}
-    masks = {name: _as_float(getattr(crops, name)[area])[..., None] for name in _MASKS}
-    there = {name: _as_float(getattr(crops, name)[row]) for name in _THERE}
-    fields, noise = crops.fields[row].astype(np.float32), noise_features(crops.noise[row])[None, None]
-    return Batch(**pictures, **masks, **there, places=np.asarray(places, np.float32), fields=fields, noise=noise)
+    return Batch(
+        distorted=_as_float(crops.distorted[area]),
+        aligned=_as_float(crops.aligned[area]),
+        confidence=_as_float(crops.confidence[area])[..., None],
+        truth=_as_float(crops.truth[area]),
+        covered=_as_float(crops.covered[area])[..., None],
+    )
 
 
 def _turned(patch: Batch, rng: np.random.Generator) -> Batch:
@@ -68,13 +55,9 @@ def _turned(patch: Batch, rng: np.random.Generator) -> Batch:
     for axis in (0, 1):
         if rng.random() < 0.5:
             images = {name: np.flip(image, axis) for name, image in images.items()}
-            places = images["places"].copy()
-            places[..., 1 - axis] = 1 - places[..., 1 - axis]
-            images["places"] = places
     if rng.random() < 0.5:
         images = {name: image.swapaxes(0, 1) for name, image in images.items()}
-        images["places"] = images["places"][..., ::-1]
-    return Batch(**images)  # the noise, of one pixel, is the same from every side
+    return Batch(**images)
 
 
 def _stacked(patches: list[Batch]) -> Batch:

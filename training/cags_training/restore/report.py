@@ -14,8 +14,7 @@ def write_report(folder: Path, history: Sequence[Progress], about: Mapping[str, 
     """Write ``curves.png`` and ``report.md`` into ``folder``; returns the page's path."""
     _curves(history).savefig(folder / "curves.png", dpi=110)
     rows = [
-        f"| {p.step} | {p.loss:.3f} | {p.gain_db:+.2f} | {p.over_closed_form_db:+.2f} | {p.lowest_gain_db:+.2f} "
-        f"| {p.worst_gain_db:+.2f} |"
+        f"| {p.step} | {p.loss:.3f} | {p.gain_db:+.2f} | {p.lowest_gain_db:+.2f} | {p.worst_gain_db:+.2f} |"
         for p in history
     ]
     page = folder / "report.md"
@@ -33,8 +32,8 @@ def write_report(folder: Path, history: Sequence[Progress], about: Mapping[str, 
                 "Gains are over the distorted picture on held-out scenes, covered pixels; the top is the tenth of the",
                 "crops where the distorted picture is best already (no gain is expected, a loss would be bad).",
                 "",
-                "| step | loss | gain, dB | over the closed form, dB | gain at the top, dB | worst crop, dB |",
-                "|---|---|---|---|---|---|",
+                "| step | loss | gain, dB | gain at the top, dB | worst crop, dB |",
+                "|---|---|---|---|---|",
                 *rows,
                 "",
             ]
@@ -53,7 +52,6 @@ def _curves(history: Sequence[Progress]) -> Any:
     left.plot(steps, [p.loss for p in history], color="C0")
     left.set(xlabel="step", ylabel="loss (mean log squared error)", title="training scenes")
     right.plot(steps, [p.gain_db for p in history], color="C1", label="all crops")
-    right.plot(steps, [p.over_closed_form_db for p in history], color="C3", label="over the closed form")
     right.plot(steps, [p.lowest_gain_db for p in history], color="C2", label="best tenth before")
     right.axhline(0, color="0.6", linewidth=0.8)
     right.set(xlabel="step", ylabel="gain over distorted, dB", title="held-out scenes")

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 from cags_common.settings import check_settings, setting
 
-NETWORKS = ("lite", "srresnet", "sr-align-ref", "cr-no-ref")
+NETWORKS = ("srresnet", "sr-align-ref", "cr-no-ref")
 
 
 @dataclass(frozen=True)
 class TrainSettings:
     """How a network is trained; names are flags and TOML keys."""
 
-    network: str = setting("lite", "network to train", choices=NETWORKS)
+    network: str = setting("srresnet", "network to train", choices=NETWORKS)
     steps: int = setting(10_000, "steps of the optimiser", low=1, high=10_000_000)
     batch: int = setting(16, "crops a step", low=1, high=1024)
     patch: int = setting(128, "side of the patch used of each crop, client pixels", low=16, high=1024)

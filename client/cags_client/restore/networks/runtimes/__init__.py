@@ -1,6 +1,7 @@
 """What runs a network: a seam of one call, picked by name.
 
-``torch`` needs nothing more than the program itself; ``openvino`` and ``onnxruntime`` are the extra ``cags-stream[runtimes]``. All answer the same to 1e-3 (measured: 1e-5 and less).
+``torch`` needs nothing more than the program itself; ``openvino`` and ``onnxruntime`` are the extra
+``cags-stream[runtimes]``. All answer the same to 1e-3 (measured: 1e-5 and less).
 """
 
 from __future__ import annotations

@@ -1,0 +1,98 @@
+"""Stages that put the client's picture right: what is done with references, and the whole frame over combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+
+from cags_bench.cost.engine import Outcome, Point, Stage
+from cags_bench.cost.moments import Moment, Workbench
+from cags_bench.cost.serving import DIFFERENCES, Referring
+from cags_client import align, restore
+from cags_client.references import Received
+from cags_client.restore import CORRECT, NONE, RestoreInput
+from cags_client.settings import FULL, HALF, ClientSettings
+from cags_common import correction
+from cags_common.correction import Reference
+from cags_common.geometry import F32
+from cags_common.metrics import psnr
+from cags_common.raster.base import Exactness, RenderOptions
+from cags_common.raster.halving import enlarged, halved
+from cags_server.settings import ServerSettings
+
+RESTORERS = ("reference", "srresnet")
+"""Of aligned pictures, to compare with."""
+
+THREADS = ClientSettings().threads
+
+
+def correcting_stages(bench: Workbench) -> list[Stage]:
+    """What is done with a reference, and the client's whole frame over combinations of settings."""
+    return [_ways(bench.moment), _whole_frame(bench.moment)]
+
+
+def _received(moment: Moment, kind: str) -> tuple[Referring, Received]:
+    """A reference as it reaches the client."""
+    referring = Referring(moment, ServerSettings(references=kind))
+    reference = referring.received(referring.made())
+    assert reference is not None, "there is something to correct in what is held"
+    return referring, reference
+
+
+def _judge(moment: Moment) -> Callable[[F32], Outcome]:
+    return lambda rgb: {"corrected_psnr_db": psnr(rgb, moment.truth)}
+
+
+def _ways(moment: Moment) -> Stage:
+    """After drawing: nothing, adding a difference, comparing a picture with the own view, and restorers of pictures."""
+    view, judge = moment.view(), _judge(moment)
+    points = [Point(NONE, lambda: view.rgb, judge)]
+    for kind in ("difference", "picture"):
+        referring, reference = _received(moment, kind)
+
+        def correct(referring: Referring = referring, reference: Received = reference) -> F32:
+            return referring.corrected(reference, view)
+
+        points.append(Point(f"{CORRECT}, {kind}", correct, judge, default=kind == DIFFERENCES.references))
+    picture, aligner, depth = reference.picture, align.create("fast"), view.depth
+    assert picture is not None
+    assert depth is not None
+    for name in RESTORERS:
+        restorer = restore.create(name)
+
+        def restored(restorer: restore.Restorer = restorer) -> F32:
+            return restorer.restore(RestoreInput(view.rgb, aligner.align(picture, depth, moment.camera, colours=True)))
+
+        points.append(Point(name, restored, judge))
+    return Stage("correction", "what is done", "client", "corrected_psnr_db", tuple(points), repetitions=3)
+
+
+def _whole_frame(moment: Moment) -> Stage:
+    """Draw and correct: every combination of exactness, resolution and correction, judged by the picture shown."""
+    _, reference = _received(moment, DIFFERENCES.references)
+    points = tuple(
+        _combination(moment, reference.difference, exactness, resolution, way)
+        for exactness, resolution, way in product(Exactness, (HALF, FULL), (NONE, CORRECT))
+    )
+    knob = "exactness / resolution / correction"
+    return Stage("client frame", knob, "client", "corrected_psnr_db", points, repetitions=3)
+
+
+def _combination(moment: Moment, reference: Reference, exactness: Exactness, resolution: str, way: str) -> Point:
+    corrector = correction.create("auto", THREADS)
+    half = resolution == HALF
+    camera = halved(moment.camera) if half else moment.camera
+    options = RenderOptions(exactness=exactness, threads=THREADS)
+    if half:
+        options = replace(options, footprint=options.footprint.at_half_resolution())
+
+    def run() -> F32:
+        view = moment.held.render(camera, options)
+        shown = view.rgb if way == NONE else corrector.correct(view, camera, reference).rgb
+        return enlarged(shown, moment.camera, THREADS) if half else shown
+
+    usual = ClientSettings()
+    ours = usual.exactness, usual.resolution, usual.restore
+    label = f"{exactness.value} / {resolution} / {way}"
+    return Point(label, run, _judge(moment), default=(exactness.value, resolution, way) == ours)
