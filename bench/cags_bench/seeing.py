@@ -45,7 +45,7 @@ class Seen:
 
     def aligned(self, picture: ReferencePicture, aligner: Aligner | None = None, *, colours: bool = False) -> Aligned:
         """``picture`` brought to this view, its ``colours`` at once or when they are looked at."""
-        return (aligner or align.create("auto")).align(picture, self.depth, self.camera, colours=colours)
+        return (aligner or align.create("fast")).align(picture, self.depth, self.camera, colours=colours)
 
     def restored(self, picture: ReferencePicture, restorer: Restorer) -> F32:
         """The picture that a client shows that restores by an aligned one [H, W, 3] in [0, 1]."""

@@ -32,7 +32,7 @@ class FakeControls:
 
     def __init__(self, has_truth: bool = True) -> None:
         self.playing, self.loop, self.rate = True, True, 1.0
-        self.restorer, self.restorers = "affine", ("auto", "none", "affine")
+        self.restorer, self.restorers = "correct", ("correct", "none")
         self.exactness, self.resolution = "balanced", "full"
         self.away = False
         self.has_truth = has_truth
@@ -129,7 +129,6 @@ def shown_frame(frame: int, pose: Pose) -> ShownFrame:
             "buffer_ms": 66.0 + 20 * math.sin(t * 5),
             "prediction_error_deg": 2 + abs(math.sin(t * 4)) * 3,
         },
-        tier="affine",
     )
 
 

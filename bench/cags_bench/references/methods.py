@@ -24,7 +24,7 @@ METHODS: dict[str, Method] = {
     "published": Method(
         "the paper's way: a picture drawn as any of its size, aligned with erosion (PRPA), restored by its network",
         server={"references": "picture", "reference_footprint": "plain"},
-        client={"restore": "srresnet", "align": "auto", "erosion": True},
+        client={"restore": "srresnet", "erosion": True},
     ),
 }
 """By the name that ``--methods`` takes. Everything else is equal: encoding, prediction, rate policy."""

@@ -20,7 +20,7 @@ class Method:
 
 
 PUBLISHED_SERVER = {"abr": "paper", "fov": "lstm", "references": "picture", "reference_footprint": "plain"}
-PUBLISHED_CLIENT = {"restore": "srresnet", "align": "auto", "erosion": True}
+PUBLISHED_CLIENT = {"restore": "srresnet", "erosion": True}
 """The paper's references and what its client does with them."""
 
 METHODS: dict[str, Method] = {

@@ -57,8 +57,6 @@ class ShownFrame:
     stats: Mapping[str, float | None] = field(default_factory=dict)
     """Further figures by name, such as ``goodput_mbps``, ``lod_mean``, ``buffer_ms``, ``prediction_error_deg``."""
     missed: bool = False
-    tier: str = ""
-    """The restorer in use: with ``auto``, the one that was chosen."""
     resolution: str = FULL
     """What the frame was worked out at, ``full`` or ``half``: with ``auto``, what was chosen."""
 

@@ -146,7 +146,6 @@ def frame_figures(gallery: Gallery) -> dict[str, Any]:
     return {
         "frame": shown.frame,
         "missed": shown.missed,
-        "tier": shown.tier,
         "resolution": shown.resolution,
         "camera": {"position": pose.position, "rotation": pose.rotation, "fov_y": shown.camera.intrinsics.fov_rad[1]},
         "stages_ms": dict(shown.stages_ms),

@@ -75,7 +75,6 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
         stages_ms=presented.stages_ms,
         stats=figures,
         missed=presented.missed,
-        tier=presented.tier,
         resolution=FULL if presented.drawn.shape == presented.rgb.shape else HALF,
     )
 

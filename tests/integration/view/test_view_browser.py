@@ -196,11 +196,9 @@ def test_the_resolution_is_chosen_by_keyboard_and_what_auto_chose_is_told(page: 
     wait(page, lambda: show.controls.resolution == "full" and page.find_element("id", "pixels").text == "")
 
 
-def test_the_choice_of_auto_and_a_lost_server_are_told(page: Any, show: BallShow) -> None:
-    page.find_element("css selector", "#restorer option[value=auto]").click()
-    wait(page, lambda: page.find_element("id", "tier").text == "chose affine")
-    page.find_element("css selector", "#restorer option[value=affine]").click()
-    wait(page, lambda: page.find_element("id", "tier").text == "")
+def test_a_choice_of_what_is_done_and_a_lost_server_are_told(page: Any, show: BallShow) -> None:
+    page.find_element("css selector", "#restorer option[value=none]").click()
+    wait(page, lambda: show.controls.restorer == "none")
     show.controls.away = True
     wait(page, lambda: page.find_element("id", "link-state").text == "server lost")
     show.controls.away = False

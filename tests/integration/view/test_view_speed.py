@@ -48,7 +48,7 @@ def test_frames_a_second_and_drag_to_photon_are_recorded(tmp_path: Path) -> None
     require_browser()
     profile = tmp_path / "profile"
     link, threads = link_trace(DemoSettings()), threads_each(DemoSettings())
-    more = ("--exactness", "fast", "--restore", "affine", "--threads", threads)
+    more = ("--exactness", "fast", "--restore", "correct", "--threads", threads)
     stack = live_stack(
         SCENE,
         tmp_path,

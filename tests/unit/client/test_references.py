@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cags_client.references import KEPT, References
+from cags_client.references import KEPT, Received, References
 from cags_common.errors import DecodeError
-from cags_common.geometry import Intrinsics, Pose
+from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.video.h264 import H264Encoder
 from cags_protocol.messages import ReferenceFrame, ReferenceKind
 
@@ -177,3 +177,38 @@ def test_of_a_picture_nothing_counts_that_coding_may_have_left() -> None:
     close, far = received.coded + np.float32(0.01), received.coded + np.float32(0.3)
     np.testing.assert_allclose(received.compared(close).coded, close, atol=1e-6)
     np.testing.assert_allclose(received.compared(far).coded, received.coded, atol=0.001)
+
+
+def received(coded: np.ndarray, error: float) -> Received:
+    camera = Camera(VIEW, Pose.identity())
+    return Received(0, 1, 1, camera, ReferenceKind.PICTURE, coded.astype(np.float32), error=error)
+
+
+def test_a_picture_says_nothing_where_it_differs_by_no_more_than_coding_has_left() -> None:
+    rng = np.random.default_rng(0)
+    own = rng.uniform(0.2, 0.8, (VIEW.height_px, VIEW.width_px, 3)).astype(np.float32)
+    noisy = own + rng.normal(0, 0.01, own.shape)
+    noisy[:, 40:] += 0.2  # here something is lacking
+    compared = received(noisy, error=0.01**2).compared(own)
+    assert compared.picture
+    assert np.abs(compared.coded - own)[:, :30].max() < 0.01, "less than a third of the noise stays"
+    assert np.abs(compared.coded - own)[:, :30].std() < 0.003
+    assert np.allclose(compared.coded[:, 45:], noisy[:, 45:], atol=0.01)
+
+
+def test_a_picture_without_loss_counts_whole() -> None:
+    rng = np.random.default_rng(1)
+    own, truth = rng.random((2, VIEW.height_px, VIEW.width_px, 3)).astype(np.float32)
+    assert np.allclose(received(truth, error=0.0).compared(own).coded, truth, atol=1e-6)
+
+
+def test_the_next_references_say_how_far_to_show() -> None:
+    references, video = References(), Video()
+    for frame, basis in ((3, 5), (4, 6), (5, 8)):
+        message, unit, _ = video.picture(frame)
+        references.add(replace(message, kind="difference"), unit, basis)
+    assert references.next_basis(3, after=1, max_age=2) == 6, "that of frame 3 was used, the next one stands on 6"
+    assert references.next_basis(5, after=3, max_age=2) is None
+    message, unit, _ = video.picture(6)
+    references.add(message, unit, 9)
+    assert references.next_basis(5, after=3, max_age=2) is None, "a picture assumes nothing"

@@ -65,7 +65,7 @@ def test_an_unknown_restorer_is_named(name: str) -> None:
 @pytest.mark.parametrize("name", [CORRECT, NONE])
 def test_what_works_on_no_aligned_picture_is_not_made(name: str) -> None:
     restore.check_name(name)
-    with pytest.raises(ConfigError, match=f"'{name}' works on no aligned picture; one of reference, srresnet"):
+    with pytest.raises(ConfigError, match=f"'{name}' works on no aligned picture; these do: reference, srresnet"):
         restore.create(name)
 
 

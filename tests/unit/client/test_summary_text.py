@@ -22,7 +22,7 @@ PLAIN: dict[str, Any] = {
     "ms_raster": 25.06,
     "ms_stand-in": 2.576,
     "effects": {"deltas": {"share": 0.5, "saved_ms": 1.0}},
-    "restorers": {"affine": 38},
+    "restorers": {"correct": 38},
 }
 
 

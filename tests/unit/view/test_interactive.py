@@ -58,6 +58,7 @@ class FakePipeline:
 
     def __init__(self) -> None:
         self.resets: list[int] = []
+        self.jumps = 0
         self.settings = ClientSettings()
         self.kept = False
         self.held: set[int] = set()
@@ -70,6 +71,9 @@ class FakePipeline:
 
     def reset(self, frame: int) -> None:
         self.resets.append(frame)
+
+    def forget_references(self) -> None:
+        self.jumps += 1
 
 
 class Stage:
@@ -86,6 +90,7 @@ class Stage:
         self.player.info = SimpleNamespace(fps=FPS, frames=FRAMES, gof_starts=(0,), motion=moves or None)  # type: ignore[assignment]
         self.player.pipeline = self.pipeline  # type: ignore[assignment]
         self.player._end_frame = FRAMES
+        self.player._codebooks = b""
         self.end(0)
 
     def end(self, frame: int) -> None:
@@ -100,7 +105,7 @@ class Stage:
             return None
         blank = np.zeros((2, 2, 3), np.float32)
         shown = PresentedFrame(
-            action.frame, None, blank, blank, None, blank, blank, None, 0.0, False, {}, EffectPlan(frozenset())
+            action.frame, None, blank, blank, None, None, blank, blank, None, 0.0, False, {}, EffectPlan(frozenset())
         )  # type: ignore[arg-type]
         self.now_us += self.draw_us
         self.player.done(action, shown, self.now_us)
@@ -244,6 +249,7 @@ def test_a_jump_to_what_is_held_does_not_wait(stage: Stage) -> None:
     stage.player.seek(3)
     assert stage.run(DELAY_US + 2.5 * FRAME_US)[:2] == [3, 4]
     assert stage.pipeline.resets == []
+    assert stage.pipeline.jumps == 1, "references of the pass before are of no use"
 
 
 def test_half_speed_takes_twice_as_long(stage: Stage) -> None:

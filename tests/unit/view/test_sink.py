@@ -33,7 +33,7 @@ def presented(frame: int) -> PresentedFrame:
     depth = np.full((480, 640), np.inf, np.float32)
     camera = Camera(INTRINSICS, StillWalk().pose_at(0))
     return PresentedFrame(
-        frame, camera, picture, picture, None, depth, depth, None, 2.5, False, {"raster": 9.0}, NOTHING
+        frame, camera, picture, picture, None, None, depth, depth, None, 2.5, False, {"raster": 9.0}, NOTHING
     )
 
 

@@ -108,7 +108,7 @@ def _client_works(view: View, reader: BundleReader) -> dict[str, Callable[[], An
     bases = [reader.payload(0, tile, 0) for tile in tiles]
     seen = see(view.held, view.camera)
     picture = ReferencePicture(view.picture.coded, view.picture.camera, 0)
-    aligner, network, corrector = align.create("auto"), restore.create("srresnet"), correction.create("auto")
+    aligner, network, corrector = align.create("fast"), restore.create("srresnet"), correction.create("auto")
     inputs = RestoreInput(seen.distorted, seen.aligned(picture, aligner, colours=True))
     return {
         "decode base layers (Draco)": lambda: [decode_base(base, books) for base in bases],

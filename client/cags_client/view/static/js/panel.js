@@ -86,7 +86,6 @@ export class Panel {
     this.#clocked = now;
     $("waiting").hidden = true;
     if (!this.#seeking) $("seek").value = header.frame;
-    say("tier", this.#state.restorer === "auto" ? `chose ${header.tier}` : "");
     say("pixels", this.#state.resolution === "auto" ? `chose ${header.resolution}` : "");
     this.#tags(header);
     say("clock", `${header.frame + 1} / ${this.#scene?.frames ?? "?"}`);
