@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -71,7 +72,7 @@ def test_nothing_is_sent_where_nothing_is_to_be_seen() -> None:
     coded = one.code(truth, truth + np.float32(0.5 * INVISIBLE**0.5), idr=True)
     assert coded.kind is ReferenceKind.NOTHING
     assert not coded.access_unit
-    assert one.code(later, later * 0.8, idr=True).kind is ReferenceKind.DIFFERENCE
+    assert one.code(later, later * 0.8, idr=True).kind is not ReferenceKind.NOTHING
 
 
 def test_what_is_alike_costs_nothing_and_stays_alike() -> None:
@@ -85,7 +86,7 @@ def test_what_is_alike_costs_nothing_and_stays_alike() -> None:
     assert np.all(expand(decoded, coded.knee)[:, :48] == 0)
 
 
-def test_pictures_take_over_where_the_client_flickers_and_differences_where_it_is_good() -> None:
+def test_pictures_serve_a_client_that_flickers_and_differences_one_that_is_good() -> None:
     rng = np.random.default_rng(1)
     auto, decoder, kinds = coder(), H264Decoder(), []
     for number, truth in enumerate([moving(1)[0]] * 120):
@@ -95,16 +96,15 @@ def test_pictures_take_over_where_the_client_flickers_and_differences_where_it_i
         coded = auto.code(truth, poor if number < 60 else good, idr=not number)
         assert decoder.decode(coded.access_unit) is not None, "a change of kind begins a new video"
         kinds.append(coded.kind)
-    assert kinds[0] is ReferenceKind.DIFFERENCE
-    assert set(kinds[15:60]) == {ReferenceKind.PICTURE}
-    assert kinds[-1] is ReferenceKind.DIFFERENCE
-    assert sum(a is not b for a, b in zip(kinds, kinds[1:], strict=False)) == 2, "no to and fro"
+    assert set(kinds[:60]) == {ReferenceKind.PICTURE}
+    assert set(kinds[85:]) == {ReferenceKind.DIFFERENCE}
+    assert sum(a is not b for a, b in pairwise(kinds)) == 1, "no to and fro"
 
 
 @pytest.mark.parametrize(
     ("settings", "hello", "kinds"),
     [
-        ("auto", "any", ("difference", "picture")),
+        ("auto", "any", ("picture", "difference")),
         ("auto", "picture", ("picture",)),
         ("difference", "picture", ("picture",)),
         ("picture", "any", ("picture",)),
@@ -138,8 +138,7 @@ def test_quality_follows_the_link() -> None:
     for number, picture in enumerate(moving(220, sigma_px=0.8)):
         one.follow(slow_bps if number < 140 else 1e8, PERIOD_US)
         sizes.append(len(one.code(picture, None, idr=not number).access_unit))
-    assert np.mean(sizes[1:RATE_WINDOW]) > 2 * wanted
-    assert np.mean(sizes[120:140]) < 1.3 * wanted, "less where the link is slow"
+    assert np.mean(sizes[RATE_WINDOW:140]) < 1.3 * wanted, "less where the link is slow"
     assert np.mean(sizes[210:]) > 1.5 * np.mean(sizes[120:140]), "and again more where it is not"
 
 
@@ -164,3 +163,16 @@ def test_a_changed_link_begins_a_new_video_of_whole_pictures() -> None:
         begun.append(is_idr(unit))
         assert decoder.decode(unit) is not None
     assert begun == [True, False, False, True, False, True]
+
+
+def test_where_references_come_late_pictures_are_sent_until_they_come_in_time() -> None:
+    """A client has changed its splats by then: what it lacked is no longer what it lacks."""
+    auto, truth = coder(), moving(1)[0]
+    good = np.clip(truth + 0.02 * np.sin(np.arange(96) / 9)[None, :, None], 0, 1).astype(np.float32)
+    kinds = []
+    for number in range(120):
+        kinds.append(auto.code(truth, good, idr=not number).kind)
+        auto.arrives(late=30 <= number < 60)
+    assert kinds[28] is ReferenceKind.DIFFERENCE
+    assert set(kinds[45:60]) == {ReferenceKind.PICTURE}
+    assert kinds[-1] is ReferenceKind.DIFFERENCE
