@@ -149,16 +149,16 @@ inline EightInts lanes_of(uint64_t pixels, int first) {
 }
 
 // Takes the confidence of hidden pixels to `aside`.
-inline void set_aside(uint64_t hidden, Taps& taps, float* aside) {
-  for (int i = 0; i < kRun; i += kCell) {
+inline void set_aside(uint64_t hidden, int count, Taps& taps, float* aside) {
+  for (int i = 0; i < count; i += kCell) {
     const Eight here = load(taps.confidence + i);
     store(aside + i, here);
     store(taps.confidence + i, keep(~lanes_of(hidden, i), here));
   }
 }
 
-inline void put_back(uint64_t hidden, const float* aside, Taps& taps) {
-  for (int i = 0; i < kRun; i += kCell) store(taps.confidence + i, select(lanes_of(hidden, i), load(aside + i), load(taps.confidence + i)));
+inline void put_back(uint64_t hidden, int count, const float* aside, Taps& taps) {
+  for (int i = 0; i < count; i += kCell) store(taps.confidence + i, select(lanes_of(hidden, i), load(aside + i), load(taps.confidence + i)));
 }
 
 inline void clip_run(const float* rgb, int values, float* out) {
@@ -231,9 +231,9 @@ bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths
         if (in.veto) {
           for (int i = 0; i < count; i++) taps.confidence[i] *= line.keep[first + i];
         }
-        if (hidden) set_aside(hidden, taps, aside);
+        if (hidden) set_aside(hidden, count, taps, aside);
         add_run(in, taps, count, rgb, colours, sums + first / kCell * kLanes);
-        if (hidden) put_back(hidden, aside, taps);
+        if (hidden) put_back(hidden, count, aside, taps);
         some |= hidden;
       } else {
         clip_run(rgb, 3 * count, colours);
