@@ -1,10 +1,10 @@
 """The readable definition of the client's last step (float64): sample what is lacking by depth, and add it.
 
 Kernels and shaders are tested against it, and it serves while there are none. Its steps: the reference is *expanded* to
-what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth);
-each pixel is *projected* into the reference and faded towards its border (holes are not: beyond the border they take
-the sample of its nearest point, so that they are never black); the sample is *added*, but where something nearer hides the
-pixel from the reference (z-test): it takes the mean of what was added in its *surroundings*.
+what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth); each pixel is
+*projected* into the reference and faded towards its border (holes are not: beyond it they take the sample of its
+nearest point, so that they are never black); the sample is *added*, but where something nearer hides the pixel from the
+reference (z-test): it takes the mean of what was added in its *surroundings*.
 """
 
 from __future__ import annotations
