@@ -261,20 +261,17 @@ class ClientPipeline:
     def _basis_at(self, frame: int, reference: Received | None) -> int | None:
         """The mark up to which ``frame`` is shown; None: all that has come.
 
-        That which the frame's own reference assumes. A picture assumes none: it is compared with what is shown, and
-        the newest mark is the furthest that no coming reference falls behind. While an own reference is late, what is
-        shown stays as the one before assumes. Without any reference there are no marks.
+        That which the frame's own reference assumes. A picture assumes none: it is compared with what is shown, and as
+        much is shown as no coming reference falls behind: up to what the next of those that are there assumes, or to
+        the newest mark. While an own reference is late, what is shown stays as the one before assumes. Without any
+        reference there are no marks.
         """
-        if reference is None:
-            return self._marked or None
-        if not reference.assumes:
-            self._committed_mark = self._marked
-        elif reference.frame == frame:
-            self._committed_mark = reference.basis
-        elif frame - reference.frame > PATIENCE_FRAMES:
-            coming = self._references.next_basis(frame, self._used, self.settings.reference_age)
-            self._committed_mark = self._marked if coming is None else coming
-        return self._committed_mark
+        if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
+            self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
+            return self._committed_mark
+        coming = self._references.next_basis(frame, self._used, self.settings.reference_age)
+        self._committed_mark = self._marked if coming is None else min(coming, self._marked)
+        return self._committed_mark or None
 
     def _situation(
         self, store: GofStore, committed: Committed, view: tuple[float, Camera], reference: Received | None
