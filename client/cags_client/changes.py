@@ -22,6 +22,9 @@ REMEMBERED = 64
 SEEN_SIGMAS = 2.0
 """Radius in which a splat is seen, standard deviations."""
 
+MOST_LOOKED_AT = 4096
+"""Changed splats of which it is worked out where they are seen: of more every so many-th, for cells are coarse."""
+
 MOVED_PX = 2.0
 """Reference pixels by which a splat may have moved since without being taken for changed."""
 
@@ -61,6 +64,7 @@ class Changes:
         """
         rows = [] if basis is None else [changed for mark, changed in self._commits if mark > basis]
         changed = np.unique(np.concatenate([*rows, self._moved(splats, camera, focal_px)]))
+        changed = changed[:: -(-len(changed) // MOST_LOOKED_AT) or 1]
         radii = SEEN_SIGMAS * np.exp(splats.log_scales[changed]).max(axis=1, initial=0.0)
         return changed_cells(splats.means[changed], radii, camera, depth)
 

@@ -330,7 +330,7 @@ class ClientPipeline:
             return self._corrector.correct(drawn.view, drawn.camera, given, own, settings, veto=veto)
 
     def _compared(self, plan: EffectPlan, drawn: _Drawn, reference: Received) -> tuple[Reference, F32]:
-        """A picture compared with the client's splats from its camera, anew when they change; and these."""
+        """A picture compared with the client's splats from its camera, anew when they get better; and these."""
         if self._own is None or self._own[0] is not reference or self._own[1] != self._scene_changes:
             footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
             options = replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint)
@@ -354,7 +354,7 @@ class ClientPipeline:
             return aligned, self._restorer.restore(RestoreInput(drawn.view.rgb, aligned))
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
-        self._scene_changes += committed.changed
+        self._scene_changes += committed.fresh or len(committed.rows) > 0
         if self._scene is None or committed.fresh:
             self._scene, self._scene_store = self._rasteriser.load(store.splats), store
             self._sh_degree = held_sh_degree(store.splats.sh_rest)
