@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -98,7 +99,7 @@ def test_pictures_take_over_where_the_client_flickers_and_differences_where_it_i
     assert kinds[0] is ReferenceKind.DIFFERENCE
     assert set(kinds[15:60]) == {ReferenceKind.PICTURE}
     assert kinds[-1] is ReferenceKind.DIFFERENCE
-    assert sum(a is not b for a, b in zip(kinds, kinds[1:], strict=False)) == 2, "no to and fro"
+    assert sum(a is not b for a, b in pairwise(kinds)) == 2, "no to and fro"
 
 
 @pytest.mark.parametrize(
