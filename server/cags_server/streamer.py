@@ -230,7 +230,8 @@ class Streamer:
     def _greeting(self, now_us: int) -> FrameJob | None:
         """The first picture, of what a client sees that has just joined: it comes before the first tile."""
         self._greets = False
-        if self._coder.kind is None or self._schedule.begun or not self._may_render(now_us):
+        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), GREETING_DEADLINE_US)
+        if self._coder.kind is None or self._schedule.begun or not (affordable and self._may_render(now_us)):
             return None
         self._schedule.rendering = True
         frame, seen = self._schedule.timeline.frame, self._viewer.first_view()
@@ -387,6 +388,7 @@ class Streamer:
             self._video.broken()
             return []
         if plan.greets:
+            self._reference_budget.spent(len(render.coded.access_unit))
             return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
         self._sight.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
@@ -461,8 +463,8 @@ class Streamer:
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
         spare_us = float(to_display_us - MARGIN_US)
-        if self._coder.kind is ReferenceKind.DIFFERENCE:  # what is to be shown is there when it is compared with
-            spare_us -= lead_us
+        if self._coder.kind is ReferenceKind.DIFFERENCE and spare_us > lead_us:
+            spare_us -= lead_us  # what is to be shown is there when it is compared with, where it still can be
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
         timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
