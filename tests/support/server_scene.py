@@ -34,6 +34,8 @@ SETTINGS = ServerSettings(
     abr="paper",
     tiles_ahead=1,
 )
+BIRTH = 3
+"""Frame of a group at which splats are born."""
 COLOUR = 0.5
 """Of every splat of the scene; a client's come closer to it with every LoD, and never there."""
 
@@ -59,8 +61,8 @@ class WallTile:
     steps = None
     grows = False
 
-    def __init__(self, ids: Ids, splats: Splats, lod: int) -> None:
-        self.ids, self._splats, self.lod = ids, splats, lod
+    def __init__(self, ids: Ids, splats: Splats, lod: int, *, lossy: bool) -> None:
+        self.ids, self._splats, self.lod, self._lossy = ids, splats, lod, lossy
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -78,7 +80,8 @@ class WallTile:
         return copy(self)
 
     def dequantise(self, into: Splats | None = None) -> Splats:
-        colour = np.full_like(self._splats.sh0, COLOUR * (1 - 0.5 / (2 + self.lod)))
+        share = 1 - 0.5 / (2 + self.lod) if self._lossy else 1.0
+        colour = np.full_like(self._splats.sh0, COLOUR * share)
         return replace(self._splats, sh0=colour).written_to(into)
 
 
@@ -91,13 +94,25 @@ class WallCodec:
     def open_tile(self, payload: bytes | memoryview) -> WallTile:
         frame, tile, lod = payload[:3]
         ids = FakeReader.tile_ids(self._reader, frame, tile)
-        return WallTile(ids, wall(self._reader.splats, frame).take(ids), lod)
+        return WallTile(ids, wall(self._reader.splats, frame).take(ids), lod, lossy=self._reader.lossy)
 
 
 class FakeReader:
     """The part of :class:`~cags_common.bundle.BundleReader` that the server uses."""
 
-    def __init__(self, splats: int = 40, frames: int = 12, gof: int = 6, tile_splats: int = 10, lods: int = 4) -> None:
+    def __init__(
+        self,
+        splats: int = 40,
+        frames: int = 12,
+        gof: int = 6,
+        tile_splats: int = 10,
+        lods: int = 4,
+        *,
+        born: int = 0,
+        lossy: bool = True,
+    ) -> None:
+        """``born``: so many splats are there from the fourth frame of a group on; ``lossy``: clients show it worse."""
+        self.lossy, self._born = lossy, born
         starts = tuple(range(0, frames, gof))
         order = tuple(LodLayer("scale", layer) for layer in range(1, lods))
         self.manifest = Manifest(
@@ -127,25 +142,35 @@ class FakeReader:
     def tile_ids(self, frame: int, tile: int) -> Ids:
         first = tile * self._tile_splats
         if frame in self.manifest.gof_starts:
-            return np.arange(first, min(first + self._tile_splats, self.splats), dtype=np.int32)
-        return np.array([frame % self.splats], np.int32)
+            return np.arange(first, min(first + self._tile_splats, self.splats - self._born), dtype=np.int32)
+        if self._born and self._age(frame) == BIRTH:
+            return np.arange(self.splats - self._born, self.splats, dtype=np.int32)
+        return np.array([frame % (self.splats - self._born)], np.int32)
+
+    def _age(self, frame: int) -> int:
+        return frame - self.manifest.gof_starts[self.manifest.gof_of(frame)]
+
+    def _alive(self, frame: int) -> Ids:
+        return np.arange(self.splats - self._born * (self._age(frame) < BIRTH), dtype=np.int32)
 
     def removed_ids(self, frame: int) -> Ids:
-        return np.array([self.splats - 1], np.int32) if frame == 2 else np.zeros(0, np.int32)
+        return np.array([self.splats - 1], np.int32) if frame == 2 and not self._born else np.zeros(0, np.int32)
 
     def removed_payload(self, frame: int) -> bytes:
         return encode_ids(self.removed_ids(frame))
 
     def source(self, frame: int) -> SourceFrame:
-        return SourceFrame(np.arange(self.splats, dtype=np.int32), wall(self.splats, frame))
+        ids = self._alive(frame)
+        return SourceFrame(ids, wall(self.splats, frame).take(ids))
 
     def source_delta(self, frame: int) -> SourceDelta:
-        ids = np.arange(self.splats if frame in self.manifest.gof_starts else 1, dtype=np.int32)
-        return SourceDelta(ids, wall(len(ids), frame), self.removed_ids(frame))
+        birth = self._born and self._age(frame) == BIRTH
+        ids = self._alive(frame) if birth or frame in self.manifest.gof_starts else np.zeros(1, np.int32)
+        return SourceDelta(ids, wall(self.splats, frame).take(ids), self.removed_ids(frame))
 
     def _entry(self, frame: int) -> FrameEntry:
         key = frame in self.manifest.gof_starts
-        count = -(-self.splats // self._tile_splats) if key else 1
+        count = -(-(self.splats - self._born) // self._tile_splats) if key else 1
         tiles = tuple(self._tile(frame, tile) for tile in range(count))
         return FrameEntry(frame, key, self.manifest.gof_of(frame), tiles, len(self.removed_ids(frame)), 0, 0, 0)
 
@@ -191,7 +216,7 @@ class FakeScene:
         return RenderedView(image, image[..., 0], None, seen.astype(np.float32))
 
 
-def library(reader: FakeReader | None = None, **options: int) -> SceneLibrary:
+def library(reader: FakeReader | None = None, **options: Any) -> SceneLibrary:
     reader = reader or FakeReader(**options)
     rasteriser: Any = SimpleNamespace(name="fake", load=FakeScene)
     return SceneLibrary(cast(Any, reader), rasteriser)

@@ -1,6 +1,6 @@
 """A streamer over a scene in memory, and the link and the clock that a test plays."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from cags_common.geometry import Pose
 from cags_common.held_tile import HeldTile
@@ -29,7 +29,7 @@ class Rig:
         joins: Hello | None = None,
         resumes: tuple[HeldTile, ...] | None = None,
         served: SceneLibrary | None = None,
-        **scene: int,
+        **scene: Any,
     ) -> None:
         """``joins``: what the client says of itself; ``resumes``: what it holds, where it comes back."""
         self.library = served or library(**scene)
