@@ -38,18 +38,16 @@ class Compared:
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.frames: list[int] = []
-        self._made: list[dict[tuple[int, int], Splats]] = [{}]
-        """By frame and mark, of each connection in turn."""
+        self._made: dict[tuple[int, int], Splats] = {}
+        """By frame and mark of the newest connection."""
         held, present = FrameJob._held, ClientPipeline.present
 
         def noted(job: FrameJob, options: RenderOptions) -> F32 | None:
             drawn = held(job, options)
             assert job.mirror is not None
-            if job.plan.greets and self._made[-1]:
-                self._made.append({})
             if drawn is not None:
                 assert job.mirror.splats is not None
-                self._made[-1][job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
+                self._made[job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
             return drawn
 
         def compared(pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0) -> PresentedFrame:
@@ -66,7 +64,7 @@ class Compared:
         patch.setattr(ClientPipeline, "present", compared)
 
     def _compare(self, pipeline: ClientPipeline, frame: int, basis: int) -> None:
-        store, made = pipeline.on_display, self._made[-1].get((frame, basis))
+        store, made = pipeline.on_display, self._made.get((frame, basis))
         if made is None:
             assert store is None or not store.begun, "the client holds what the mirror lacks"
             return

@@ -82,6 +82,38 @@ def test_a_client_joins_plays_to_the_end_and_leaves() -> None:
     assert pair.connection.next_job(pair.now_us) is None
 
 
+def test_marks_come_in_order_and_before_the_references_that_name_them() -> None:
+    pair = Pair()
+    pair.run(100)
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(300)
+    pair.client.control(Control("seek", 8, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(500)
+    newest, named, restarts = 0, list[int](), 0
+    for event in pair.events:
+        if isinstance(event, ev.MarkReceived):
+            assert event.mark.number > newest, "those that the jump took back leave gaps"
+            newest, restarts = event.mark.number, restarts + event.mark.restart
+        elif isinstance(event, ev.ReferenceReceived):
+            assert event.message.basis <= newest
+            named.append(event.message.basis)
+    assert named == sorted(set(named)), "each has a mark of its own"
+    assert len(named) > 8
+    assert restarts == 1
+
+
+def test_after_a_restart_comes_nothing_that_was_chosen_before_the_jump() -> None:
+    pair = Pair()
+    pair.run(100)
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(150)
+    pair.client.control(Control("seek", 8, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(500)
+    at = next(n for n, each in enumerate(pair.events) if isinstance(each, ev.MarkReceived) and each.mark.restart)
+    after = [each.message.frame for each in pair.events[at:] if isinstance(each, ev.TileReceived | ev.FrameEnded)]
+    assert min(after) == 6, "the beginning of the group that was jumped to"
+
+
 def test_a_jump_takes_back_what_waits_for_the_picture_before() -> None:
     pair = Pair()
     pair.run(100)
