@@ -92,8 +92,8 @@ def test_marks_come_in_order_and_before_the_references_that_name_them() -> None:
     newest, named, restarts = 0, list[int](), 0
     for event in pair.events:
         if isinstance(event, ev.MarkReceived):
-            assert event.mark.number > newest, "those that the jump took back leave gaps"
-            newest, restarts = event.mark.number, restarts + event.mark.restart
+            assert event.message.number > newest, "those that the jump took back leave gaps"
+            newest, restarts = event.message.number, restarts + event.message.restart
         elif isinstance(event, ev.ReferenceReceived):
             assert event.message.basis <= newest
             named.append(event.message.basis)
@@ -109,7 +109,7 @@ def test_after_a_restart_comes_nothing_that_was_chosen_before_the_jump() -> None
     pair.run(150)
     pair.client.control(Control("seek", 8, pair.now_us + 250_000), now_us=pair.now_us)
     pair.run(500)
-    at = next(n for n, each in enumerate(pair.events) if isinstance(each, ev.MarkReceived) and each.mark.restart)
+    at = next(n for n, each in enumerate(pair.events) if isinstance(each, ev.MarkReceived) and each.message.restart)
     after = [each.message.frame for each in pair.events[at:] if isinstance(each, ev.TileReceived | ev.FrameEnded)]
     assert min(after) == 6, "the beginning of the group that was jumped to"
 

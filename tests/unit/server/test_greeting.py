@@ -30,7 +30,7 @@ def test_who_joins_is_greeted_once_with_a_picture_from_where_it_stands() -> None
     (greeting,) = of(ReferenceFrame, rig.greeting)
     assert (greeting.frame, greeting.seq, greeting.idr, greeting.kind) == (4, 1, True, "picture")
     assert greeting.pose == ASIDE
-    assert [mark.number for mark in rig.marks][0] == greeting.basis == 1
+    assert rig.marks[0].number == greeting.basis == 1
     assert rig.streamer.next_due_us() is None
     assert rig.streamer.begin(OFFSET_US + 9_000_000) is None
     assert rig.streamer.stats.frames == 0, "it is no frame in its turn"
