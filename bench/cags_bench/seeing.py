@@ -1,15 +1,16 @@
-"""One frame as a client sees it: drawn, aligned and restored by the product's own parts, outside of any session."""
+"""One frame as a client sees it, outside of any session: drawn, corrected or restored by the product's own parts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from cags_client import align
 from cags_client.align import Aligned, Aligner, ReferencePicture
-from cags_client.carry import carried
 from cags_client.restore import RestoreInput, Restorer
+from cags_common import correction
+from cags_common.correction import Corrected, Corrector, Reference
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import Footprint, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +23,7 @@ class Seen:
 
     @property
     def distorted(self) -> F32:
-        """[H, W, 3] in [0, 1]: what is shown without restoration."""
+        """[H, W, 3] in [0, 1]: what is shown without a reference."""
         return self.view.rgb.clip(0, 1)
 
     @property
@@ -31,29 +32,24 @@ class Seen:
         assert self.view.depth is not None
         return self.view.depth
 
-    def aligned(self, reference: ReferencePicture, aligner: Aligner | None = None, *, colours: bool = False) -> Aligned:
-        """``reference`` brought to this view, its ``colours`` at once or when they are looked at."""
-        return (aligner or align.create("auto")).align(reference, self.depth, self.camera, colours=colours)
+    def own(self, camera: Camera) -> F32:
+        """The client's own splats from a reference's ``camera`` [h, w, 3], drawn as the server draws references."""
+        footprint = Footprint.of(self.camera.intrinsics, camera.intrinsics)
+        return self.scene.render(camera, RenderOptions(footprint=footprint, depth=DepthKind.NONE)).rgb
 
-    def inputs(self, reference: ReferencePicture, aligned: Aligned) -> RestoreInput:
-        """What a restorer gets: the client's own splats from the reference's camera are drawn for it."""
-        return RestoreInput(self.distorted, self.view.alpha, aligned, reference, self.own(reference))
+    def corrected(self, reference: Reference, corrector: Corrector | None = None) -> Corrected:
+        """The picture that is shown: what ``reference`` says is lacking, sampled by depth and added."""
+        corrector = corrector or correction.create("auto")
+        own = self.own(reference.camera) if corrector.needs_own(reference) else None
+        return corrector.correct(self.view, self.camera, reference, own)
 
-    def own(self, reference: ReferencePicture) -> RenderedView:
-        """The client's own splats from the reference's camera, drawn as the server draws references."""
-        footprint = Footprint.of(self.camera.intrinsics, reference.camera.intrinsics)
-        return self.scene.render(reference.camera, RenderOptions(footprint=footprint, contribution=True))
+    def aligned(self, picture: ReferencePicture, aligner: Aligner | None = None, *, colours: bool = False) -> Aligned:
+        """``picture`` brought to this view, its ``colours`` at once or when they are looked at."""
+        return (aligner or align.create("fast")).align(picture, self.depth, self.camera, colours=colours)
 
-    def carried(self, reference: ReferencePicture, then: Seen, frame: int) -> ReferencePicture:
-        """``reference`` as it would look at ``frame``; ``then`` is what the client drew at the reference's own."""
-        if reference.frame == frame:
-            return reference
-        before, now = (view.own(reference).rgb.clip(0, 1) for view in (then, self))
-        return replace(reference, rgb=carried(reference.rgb, before, now, frame - reference.frame))
-
-    def restored(self, reference: ReferencePicture, restorer: Restorer) -> F32:
-        """The picture that is shown."""
-        return restorer.restore(self.inputs(reference, self.aligned(reference)))
+    def restored(self, picture: ReferencePicture, restorer: Restorer) -> F32:
+        """The picture that a client shows that restores by an aligned one [H, W, 3] in [0, 1]."""
+        return restorer.restore(RestoreInput(self.distorted, self.aligned(picture)))
 
 
 def see(scene: RasterScene, camera: Camera, options: RenderOptions | None = None) -> Seen:
@@ -62,7 +58,7 @@ def see(scene: RasterScene, camera: Camera, options: RenderOptions | None = None
 
 
 def available_restorers() -> list[str]:
-    """Restorers that can run here, cheapest first: networks without weights are left out."""
+    """Restorers of aligned pictures that can run here, cheapest first: networks without weights are left out."""
     from cags_client import restore
     from cags_common.errors import ConfigError
 

@@ -14,11 +14,12 @@ JsonObject = dict[str, Any]
 STAGES_EVERY = 15
 """Every so many frames the pictures of all stages are kept."""
 
-STRIP_STAGES = ("reference", "distorted", "aligned", "restored", "truth")
+STRIP_STAGES = ("reference", "distorted", "correction", "aligned", "restored", "truth")
 STRIP_TITLES = {
     "reference": "reference (400x300, sent)",
     "distorted": "distorted (decoded splats)",
-    "aligned": "aligned reference",
+    "correction": "what the reference changes, around grey",
+    "aligned": "aligned picture",
     "restored": "restored (shown)",
     "truth": "truth (never sent)",
 }
@@ -57,7 +58,9 @@ def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, 
         ("psnr_aligned_db", "tab:orange"),
         ("psnr_restored_db", "tab:green"),
     ):
-        quality.plot(time_s, series(frames, key), color=colour, label=key.split("_")[1])
+        values = series(frames, key)
+        if np.isfinite(values).any():  # a picture is aligned for some restorers only
+            quality.plot(time_s, values, color=colour, label=key.split("_")[1])
     quality.set_ylabel("PSNR [dB]")
     quality.legend(loc="lower right")
     detail.plot(time_s, series(frames, "lod_mean"), color="tab:blue")
@@ -82,7 +85,7 @@ def plot_stream(frames: Sequence[JsonObject], capacity: tuple[Any, Any] | None, 
 
 
 def telling_frame(frames: Sequence[dict[str, Any]]) -> int | None:
-    """Of the frames whose stages were saved, the one that restoration changed most; None where none was saved."""
+    """The saved frame with the largest gain from its reference; None where none was saved."""
     saved = [frame for frame in frames if frame["frame"] % STAGES_EVERY == 0]
     gains = {f["frame"]: f.get("psnr_restored_db", 0.0) - f.get("psnr_distorted_db", 0.0) for f in saved}
     return max(gains, key=gains.__getitem__, default=None)

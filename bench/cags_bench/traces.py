@@ -43,3 +43,8 @@ def splats_of(bundle: Path) -> int:
 def link_share(bundle: Path, like_splats: int) -> float:
     """What a link's rates are multiplied by: the scene's splats over ``like_splats``; 1 where that is 0."""
     return splats_of(bundle) / like_splats if like_splats else 1.0
+
+
+def paper_link(bundle: Path, mbps: float) -> str:
+    """A steady link that gives the scene the bits a splat and second that ``mbps`` give the paper's scenes."""
+    return f"generated:steady-{max(mbps * link_share(bundle, PAPER_SPLATS), 0.1):.3f}"

@@ -31,13 +31,13 @@ class Changes:
 
     def __init__(self) -> None:
         self._commits: deque[tuple[int, NDArray[np.intp]]] = deque(maxlen=REMEMBERED)
-        self._order, self._means = -1, np.zeros((0, 3), np.float32)
-        self._mark = self._used_mark = 0
+        self._means = np.zeros((0, 3), np.float32)
+        self._mark = 0
 
     def clear(self) -> None:
         """Another group of frames is on display."""
         self._commits.clear()
-        self._order = -1
+        self._means = np.zeros((0, 3), np.float32)
 
     def committed(self, mark: int, rows: NDArray[np.intp]) -> None:
         """``rows`` changed by showing what came up to ``mark``, or further, where that was shown before."""
@@ -45,33 +45,27 @@ class Changes:
         if len(rows):
             self._commits.append((self._mark, rows))
 
-    def used(self, order: int, means: F32, *, basis: int | None) -> None:
-        """Reference ``order`` is shown with its own frame, when splats are at ``means`` [N, 3]; it is right for mark
-        ``basis`` alone, or (None) for what is shown.
-        """
-        self._order, self._means = order, means.copy()
-        self._used_mark = self._mark if basis is None else basis
-        self._commits = deque(((mark, rows) for mark, rows in self._commits if mark > self._used_mark), REMEMBERED)
-
-    def right_for(self, order: int, basis: int) -> int:
-        """The mark for which reference ``order``, made from ``basis``, is right."""
-        return self._used_mark if order == self._order else basis
+    def used(self, means: F32, basis: int) -> None:
+        """A reference made from mark ``basis`` is shown with its own frame, when splats are at ``means`` [N, 3]."""
+        self._means = means.copy()
+        self._commits = deque(((mark, rows) for mark, rows in self._commits if mark > basis), REMEMBERED)
 
     def since(self, basis: int) -> bool:
         """Whether splats were changed by what came after mark ``basis``."""
         return any(mark > basis for mark, _ in self._commits)
 
-    def veto(self, basis: int, splats: Splats, depth: F32, camera: Camera, focal_px: float) -> F32:
-        """Where a view of ``depth`` [H, W] from ``camera`` shows what was changed since mark ``basis``, or has moved in
-        a reference of ``focal_px``: a veto for correctors (:func:`~cags_common.correction.changed_cells`).
+    def veto(self, basis: int | None, splats: Splats, depth: F32, camera: Camera, focal_px: float) -> F32:
+        """Where a view of ``depth`` [H, W] from ``camera`` shows what was changed since mark ``basis`` (None: that does
+        not matter), or has moved in a reference of ``focal_px``: a veto for correctors
+        (:func:`~cags_common.correction.changed_cells`).
         """
-        rows = [changed for mark, changed in self._commits if mark > basis]
+        rows = [] if basis is None else [changed for mark, changed in self._commits if mark > basis]
         changed = np.unique(np.concatenate([*rows, self._moved(splats, camera, focal_px)]))
         radii = SEEN_SIGMAS * np.exp(splats.log_scales[changed]).max(axis=1, initial=0.0)
         return changed_cells(splats.means[changed], radii, camera, depth)
 
     def _moved(self, splats: Splats, camera: Camera, focal_px: float) -> NDArray[np.intp]:
-        if self._order < 0 or len(self._means) != len(splats):
+        if len(self._means) != len(splats):
             return np.zeros(0, np.intp)
         step = np.linalg.norm(splats.means - self._means, axis=1)
         rotation, translation = camera.world_to_camera

@@ -70,7 +70,8 @@ class ClientPipeline:
         self._committed_mark = 0
         self._used = 0  # order of the newest reference that was shown
         self._changes = Changes()
-        self._own: tuple[Received, Reference, F32] | None = None  # the client's own view of a picture
+        self._scene_changes = 0
+        self._own: tuple[Received, int, Reference, F32] | None = None  # the own view of a picture, of which scene
         self._corrector = correction.create("auto", settings.threads)
         self._correct_settings = CorrectSettings()
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
@@ -207,8 +208,7 @@ class ClientPipeline:
             scene = self._updated(store, committed)
             if reference is not None and reference.frame == frame and reference.order > self._used:
                 self._used = reference.order
-                basis = reference.basis if reference.assumes else None
-                self._changes.used(reference.order, store.splats.means, basis=basis)
+                self._changes.used(store.splats.means, reference.basis)
         plan = plan_frame(self._situation(store, committed, (frame + share, camera), reference), self.settings.effects)
         half = self._resolutions.chosen(self.live.resolution) == HALF
         seen_by = halved(camera) if half else camera
@@ -261,18 +261,17 @@ class ClientPipeline:
     def _basis_at(self, frame: int, reference: Received | None) -> int | None:
         """The mark up to which ``frame`` is shown; None: all that has come.
 
-        That which the frame's own reference assumes. A picture assumes none: it is compared with what is shown, and
-        the newest mark is the furthest that no coming reference falls behind. While an own reference is late, what is
-        shown stays as the one before assumes.
+        That which the frame's own reference assumes. A picture assumes none: it is compared with what is shown, and as
+        much is shown as no coming reference falls behind: up to what the next of those that are there assumes, or to
+        the newest mark. While an own reference is late, what is shown stays as the one before assumes. Without any
+        reference there are no marks.
         """
-        if reference is not None and reference.frame == frame:
-            self._committed_mark = reference.basis if reference.assumes else self._marked
-        elif reference is None:
-            return None
-        elif frame - reference.frame > PATIENCE_FRAMES:
-            coming = self._references.next_basis(frame, self._used, self.settings.reference_age)
-            self._committed_mark = self._marked if coming is None else coming
-        return self._committed_mark
+        if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
+            self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
+            return self._committed_mark
+        coming = self._references.next_basis(frame, self._used, self.settings.reference_age)
+        self._committed_mark = self._marked if coming is None else min(coming, self._marked)
+        return self._committed_mark or None
 
     def _situation(
         self, store: GofStore, committed: Committed, view: tuple[float, Camera], reference: Received | None
@@ -291,15 +290,15 @@ class ClientPipeline:
             same_place=there == camera.pose.position,
             same_frame=reference is not None and reference.frame == int(time),
             corrects=name == CORRECT,
-            stale=reference is not None and (reference.frame < time or self._changes.since(self._basis(reference))),
+            stale=reference is not None and (reference.frame < time or self._outdated(reference)),
             restorer=self._restorer.needs if self._restorer is not None else frozenset(),
             replaces=name in restore.REPLACING,
             depth_shown=self.live.depth_shown,
         )
 
-    def _basis(self, reference: Received) -> int:
-        """The mark for which ``reference`` is right: of a picture, what was shown when it was compared."""
-        return self._changes.right_for(reference.order, reference.basis)
+    def _outdated(self, reference: Received) -> bool:
+        """Whether splats have changed other than ``reference`` assumes."""
+        return reference.assumes and self._changes.since(reference.basis)
 
     def _made_restorer(self) -> Restorer | None:
         """The restorer of aligned pictures that the viewer wants; None where it is another thing that is wanted."""
@@ -320,7 +319,8 @@ class ClientPipeline:
             if Effect.VETO in plan:
                 assert drawn.view.depth is not None
                 focal_px, splats = reference.camera.intrinsics.fx_px, drawn.store.splats
-                veto = self._changes.veto(self._basis(reference), splats, drawn.view.depth, drawn.camera, focal_px)
+                basis = reference.basis if reference.assumes else None
+                veto = self._changes.veto(basis, splats, drawn.view.depth, drawn.camera, focal_px)
             freshness = self._freshness(reference, frame) if Effect.FADE in plan else 1.0
             if freshness < 1.0:
                 stale = np.float32(1.0 - freshness)
@@ -330,13 +330,13 @@ class ClientPipeline:
             return self._corrector.correct(drawn.view, drawn.camera, given, own, settings, veto=veto)
 
     def _compared(self, plan: EffectPlan, drawn: _Drawn, reference: Received) -> tuple[Reference, F32]:
-        """A picture compared with the client's splats from its camera, as they were when it was first used; these."""
-        if self._own is None or self._own[0] is not reference:
+        """A picture compared with the client's splats from its camera, anew when they change; and these."""
+        if self._own is None or self._own[0] is not reference or self._own[1] != self._scene_changes:
             footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
             options = replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint)
             own = drawn.scene.render(reference.camera, options).rgb
-            self._own = reference, reference.compared(own), own
-        return self._own[1:]
+            self._own = reference, self._scene_changes, reference.compared(own), own
+        return self._own[2:]
 
     def _restored(
         self, plan: EffectPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
@@ -354,6 +354,7 @@ class ClientPipeline:
             return aligned, self._restorer.restore(RestoreInput(drawn.view.rgb, aligned))
 
     def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
+        self._scene_changes += committed.changed
         if self._scene is None or committed.fresh:
             self._scene, self._scene_store = self._rasteriser.load(store.splats), store
             self._sh_degree = held_sh_degree(store.splats.sh_rest)

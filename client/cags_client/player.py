@@ -315,7 +315,7 @@ class Player:
     def _hello(self, frame: int, pose: Pose) -> Hello:
         """With what is held, once there is a decoder for it."""
         resume, held = "", b""
-        if self.pipeline is not None and self._welcome is not None:
+        if self.pipeline is not None and self._welcome is not None and self._codebooks is not None:
             resume, held = self._welcome.session, pack_inventory(self._arrivals.held(self.pipeline.held()))
         token, agent = self.settings.token, "cags-client"
         wanted, chroma, view = references_wanted(self.settings.restore), self.settings.chroma, self.settings.intrinsics

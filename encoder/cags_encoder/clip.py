@@ -20,6 +20,7 @@ from cags_encoder.frames.moving import MovingGroups
 from cags_encoder.frames.placing import ClipPlacer, Placed
 from cags_encoder.frames.tasks import AnyCut, look, pack, quantise, quantise_looks
 from cags_encoder.journal import FrameRecord, Journal
+from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails
 from cags_encoder.scenes import FrameSource
 from cags_encoder.settings import EncodeSettings
@@ -50,15 +51,21 @@ class ClipEncoder:
         self._gof: GofWriter | None = None
 
     def run(
-        self, count: int, journal: Journal | None, tell: Callable[[int], None], motion: MotionSteps | None = None
+        self,
+        count: int,
+        journal: Journal | None,
+        tell: Callable[[int], None],
+        motion: MotionSteps | None = None,
+        tolerances: Tolerances = Tolerances(),  # noqa: B008 - it is frozen
     ) -> None:
         """Encode ``count`` frames; what ``journal`` has is not packed again. ``tell`` takes the number of those done.
 
-        With ``motion`` splats keep their looks and move in these units; without, what changes is sent anew.
+        With ``motion`` splats keep their looks and move in these units, as exactly as ``tolerances`` ask; without, what
+        changes is sent anew.
         """
         looks = ahead(self._workers, look, range(count), lambda index: (self._source, index))
         placed = self.placer.place(looks)
-        chosen = self._differing(placed) if motion is None else self._moving(placed, motion)
+        chosen = self._differing(placed) if motion is None else self._moving(placed, motion, tolerances)
         for frame, record in self._packed(chosen, journal):
             self._write(frame, record)
             tell(frame.index + 1)
@@ -87,12 +94,12 @@ class ClipEncoder:
                 held = DecoderCopy(self._codec.get(), self._settings.change_threshold)
             yield _Chosen(frame, quantised.source, held.send(frame.delta, quantised))
 
-    def _moving(self, placed: Iterable[Placed], motion: MotionSteps) -> Iterator[_Chosen]:
+    def _moving(self, placed: Iterable[Placed], motion: MotionSteps, tolerances: Tolerances) -> Iterator[_Chosen]:
         """Looks once, attributes where they change, and motion apart from both."""
         codec, span = self._codec.get(), self._settings.motion_span
         assert isinstance(codec, SvqCodec)
         trails = Trails(span)
-        groups = MovingGroups(codec, motion, trails, span, self._settings.change_threshold)
+        groups = MovingGroups(codec, motion, trails, self._settings, tolerances)
         followed = trails.follow(placed)
         for frame, quantised in ahead(self._workers, quantise_looks, followed, lambda frame: (self._codec, frame)):
             yield _Chosen(frame, quantised.source, groups.send(frame, quantised))

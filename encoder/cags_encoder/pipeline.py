@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from cags_common.bundle.quality import LodQuality
 from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import F64, Vec3
 from cags_common.lod import LodLayer
+from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import LEVELS
 from cags_common.raster import create
 from cags_common.splats import Splats
@@ -25,6 +26,7 @@ from cags_encoder.frames.tasks import read
 from cags_encoder.journal import Journal
 from cags_encoder.measuring import VIEWS, LodMeasurement, measure
 from cags_encoder.motion.steps import motion_steps
+from cags_encoder.motion.tolerance import Looked, Tolerance, Tolerances, tolerances
 from cags_encoder.pruning import prune, prune_within
 from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS
 from cags_encoder.quantiser.importance import importance
@@ -119,6 +121,7 @@ class _Encoding:
         self._count = len(source) if settings.frames is None else min(settings.frames, len(source))
         self._pruning: Pruning | None = None
         self._quality: LodQuality | None = None
+        self._tolerances = Tolerances()
         self._source = self._pruned(source)
 
     def run(self, writer: BundleWriter) -> Manifest:
@@ -129,7 +132,9 @@ class _Encoding:
             writer.quality(self._quality)
         clip = ClipEncoder(self._source, self._settings, codec, writer, self._workers)
         motion = self._motion(codec)
-        clip.run(self._count, self._journal, lambda done: self._tell("encode", done, self._count), motion)
+        clip.run(
+            self._count, self._journal, lambda done: self._tell("encode", done, self._count), motion, self._tolerances
+        )
         return writer.commit(replace(self._manifest(codec, clip), motion=motion, tracks=clip.placer.tracks()))
 
     def _motion(self, codec: ClipCodec) -> MotionSteps | None:
@@ -140,7 +145,25 @@ class _Encoding:
         book = codec.quantiser.books["scale"]
         prepared = codec.prepare(self._source.frame(0))
         base = book.layer(codec.quantise(prepared).codes["scale"], 0)
-        return motion_steps(prepared, base, 1 << book.layer_bits[0])
+        steps = motion_steps(prepared, base, 1 << book.layer_bits[0])
+        splat_steps = Steps(np.array(steps.moves, np.float32)[base], np.array(steps.turns, np.float32)[base])
+        self._tolerances = self._tolerated(codec, prepared, splat_steps)
+        return steps
+
+    def _tolerated(self, codec: SvqCodec, prepared: Splats, steps: Steps) -> Tolerances:
+        """How exactly motion is told, measured where a rasteriser is there that is fast enough for it."""
+        known = self._journal.note("tolerances") if self._journal else None
+        if known is not None:
+            return Tolerances(Tolerance(**known["moves"]), Tolerance(**known["turns"]))
+        rasteriser = create("auto")
+        if rasteriser.name == "reference":
+            return Tolerances()
+        cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
+        looked = Looked(cameras, rasteriser, self._settings.change_threshold / 2)
+        found = tolerances(codec, prepared, steps, looked)
+        if self._journal:
+            self._journal.write_note("tolerances", asdict(found))
+        return found
 
     def _pruned(self, source: FrameSource) -> FrameSource:
         def tell(done: int, total: int) -> None:

@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.correction import oracle
-from cags_common.correction.base import CELL_PX, Corrected, CorrectSettings, Placement, Reference
+from cags_common.correction.base import (
+    CELL_PX,
+    VETO_CELL_PX,
+    Corrected,
+    CorrectSettings,
+    Placement,
+    Reference,
+    checked_veto,
+)
 from cags_common.correction.compander import compand
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, Footprint, RenderedView, RenderOptions
@@ -29,9 +37,14 @@ def shown(
     options: RenderOptions,
     reference: Reference | None,
     settings: CorrectSettings | None = None,
+    *,
+    veto: F32 | None = None,
 ) -> Pixels:
-    """The frame to show [H, W, 4], 8 bits a channel, opaque: drawn, what is lacking sampled by depth, added."""
-    frame = _Frame(camera, options, reference, settings or CorrectSettings(), floats=False)
+    """The frame to show [H, W, 4], 8 bits a channel, opaque: drawn, what is lacking sampled by depth, added.
+
+    ``veto``: as :meth:`cags_common.correction.Corrector.correct` takes it. Raises ``ValueError`` where it does not fit.
+    """
+    frame = _Frame(camera, options, reference, settings or CorrectSettings(), veto, floats=False)
     if not len(scene):
         return _as_bytes(frame.on_cpu(scene).rgb)
     return scene.on_device(frame.on_device, lambda _: _as_bytes(frame.on_cpu(scene).rgb))
@@ -43,9 +56,11 @@ def corrected(
     options: RenderOptions,
     reference: Reference | None,
     settings: CorrectSettings | None = None,
+    *,
+    veto: F32 | None = None,
 ) -> Corrected:
     """As :func:`shown`, as floats, with the confidence."""
-    frame = _Frame(camera, options, reference, settings or CorrectSettings(), floats=True)
+    frame = _Frame(camera, options, reference, settings or CorrectSettings(), veto, floats=True)
     if not len(scene):
         return frame.on_cpu(scene)
 
@@ -115,10 +130,13 @@ class _Frame:
     options: RenderOptions
     reference: Reference | None
     settings: CorrectSettings
+    veto: F32 | None
     floats: bool
 
     def __post_init__(self) -> None:
         check_camera(self.camera)
+        if self.veto is not None:
+            checked_veto(self.veto, self.camera)
 
     @property
     def _drawing(self) -> RenderOptions:
@@ -136,7 +154,7 @@ class _Frame:
         if self.reference is None:
             return Corrected(np.clip(view.rgb, 0, 1), np.zeros(view.alpha.shape, np.float32))
         own = scene.render(self.reference.camera, self._own_drawing).rgb if self.reference.picture else None
-        return oracle.correct(view, self.camera, self.reference, own, self.settings)
+        return oracle.correct(view, self.camera, self.reference, own, self.settings, veto=self.veto)
 
     def on_device(self, scene: ResidentScene) -> Pixels:
         height, width = self.camera.height_px, self.camera.width_px
@@ -163,6 +181,9 @@ class _Frame:
             return
         counts = target.counts | _reference_counts(self.camera, self.reference.camera)
         named |= {name: scene.kept(name, size) for name, size in buffer_bytes("reference", counts).items()}
+        named["veto"] = target["veto_pixels" if self._veto_cell == 1 else "veto_cells"]
+        if self.veto is not None:
+            scene.gpu.device.queue.write_buffer(named["veto"], 0, np.ascontiguousarray(self.veto, np.float32))
         self._expand(recording, scene, target, counts, named)
         encode(recording.encoder, self._steps(scene, target, "correct", counts, named))
 
@@ -190,13 +211,20 @@ class _Frame:
     ) -> list[Dispatch]:
         reference = self.reference and (self.reference.camera.width_px, self.reference.camera.height_px)
         stride = counts.get("sampled_x", 0)
-        key = (graph, self.floats, reference, stride, scene.kept_version)
+        key = (graph, self.floats, reference, stride, self._veto_cell == 1, scene.kept_version)
 
         def make() -> list[Dispatch]:
             flags = {"floats": self.floats}
             return build(scene.gpu, graph, counts, flags, lambda name: named.get(name) or target[name])
 
         return target.steps(scene.workspace.version, key, make)
+
+    @property
+    def _veto_cell(self) -> int:
+        """Pixels a side of the veto's values; 0 where there is none."""
+        if self.veto is None:
+            return 0
+        return 1 if self.veto.shape == (self.camera.height_px, self.camera.width_px) else VETO_CELL_PX
 
     def _job(self) -> bytes:
         size = self.camera.width_px, self.camera.height_px
@@ -216,9 +244,11 @@ class _Frame:
             tolerance=settings.depth_tolerance,
             slope_cells=settings.slope_cells,
             border=settings.border_px,
+            hole_alpha=settings.hole_alpha,
             knee=self.reference.knee,
             grid=(-(-size[0] // CELL_PX), -(-size[1] // CELL_PX)),
             kind=int(self.reference.picture),
+            veto_cell=self._veto_cell,
         )
 
 
@@ -231,7 +261,7 @@ def _reference_counts(client: Camera, camera: Camera) -> dict[str, int]:
         "reference_x": width,
         "reference_y": height,
         "reference_pixels": width * height,
-        "reference_cells": (width + 1) * (height + 1),
+        "reference_places": 2 * (width + 1) * (height + 1),
     }
 
 

@@ -100,10 +100,10 @@ CORRECTION = Layout(
         "slope_cells": (80, "f", 1),
         "border": (84, "f", 1),
         "knee": (88, "f", 1),
-        "unused_a": (92, "f", 1),
+        "hole_alpha": (92, "f", 1),
         "grid": (96, "I", 2),
         "kind": (104, "I", 1),
-        "unused_b": (108, "I", 1),
+        "veto_cell": (108, "I", 1),
     },
     112,
 )

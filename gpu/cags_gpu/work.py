@@ -93,12 +93,13 @@ def _sort_bytes(count: int, bits: int, digit_bits: int) -> int:
 def _correction_bytes(counts: FrameCounts, *, joined: bool) -> dict[str, int]:
     sampled = counts.pixels // counts.stride**2
     reference = (12 + 16) * counts.reference_pixels
-    if joined:  # depth in, filled depth and place out; then picture, place, depth in, 8-bit colours out
+    if joined:  # depth in, filled depth and place out; then picture, place, depth in, 8-bit colours out; place
         return {
             "expand": reference,
             "fill": 4 * counts.pixels,
             "place": 16 * counts.pixels + 8 * sampled,
             "add": 32 * counts.pixels,
+            "surround": 8 * counts.pixels,
         }
     # alignment stores (x, y, z, inside), then aligned colours and confidence; correction reads those and the picture
     return {

@@ -64,6 +64,8 @@ class StreamStats:
     bytes_dropped: int = 0
     render_ns: int = 0
     mirror_ns: int = 0
+    mirror_bytes: int = 0
+    """Memory of the copy of what the client shows."""
     encode_ns: int = 0
     bandwidth_bps: float = 0.0
     rtt_us: int = 0

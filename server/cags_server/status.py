@@ -40,6 +40,8 @@ class SessionStatus:
     """Planned for it."""
     skipped: int
     references_late: int
+    mirror_mb: float
+    """Memory of the server's copy of what the client shows."""
     upgrades: float
     """Tiles raised by a level a frame, of late."""
     short_of: str
@@ -89,6 +91,7 @@ class SessionBook:
             frames=stats.frames,
             skipped=stats.frames_skipped,
             references_late=stats.references_late,
+            mirror_mb=round(stats.mirror_bytes / 1e6, 1),
             upgrades=round(sum(record.upgrades for record in recent) / max(len(recent), 1), 1),
             short_of=short_of(stats),
             ended=ended,
@@ -118,6 +121,7 @@ COLUMNS = {
     "frames": "frames",
     "skipped": "skipped",
     "references_late": "references late",
+    "mirror_mb": "mirror, MB",
     "short_of": "short of",
     "ended": "ended",
 }

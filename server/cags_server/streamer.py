@@ -383,6 +383,7 @@ class Streamer:
         self.stats.references += 1
         self.stats.render_ns += render.render_ns
         self.stats.mirror_ns += render.mirror_ns
+        self.stats.mirror_bytes = self._mirror.memory_bytes
         self.stats.encode_ns += render.encode_ns
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
@@ -422,6 +423,8 @@ class Streamer:
         coded = render.coded
         record.reference_bytes, record.reference_kind = len(coded.access_unit), coded.kind.value
         record.lacking, record.left = coded.before, coded.after
+        travels_us = self.stats.rtt_us / 2 + len(coded.access_unit) * 8e6 / self._estimator.estimate_bps(now_us)
+        self._coder.arrives(late=now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us))
         self._reference_budget.spent(record.reference_bytes)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 

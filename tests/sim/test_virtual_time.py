@@ -7,10 +7,11 @@ import pytest
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import dump
-from cags_bench.sim.session import Scenario, simulate
+from cags_bench.sim.session import Scenario, simulate, simulate_together
 from cags_bench.stream.command import StreamSettings
 from cags_bench.stream.experiment import stream
 from cags_client.settings import ClientSettings
+from cags_common.errors import ConfigError
 from cags_encoder import EncodeSettings
 
 MOVING = "procedural:size=1500,frames=12"
@@ -39,6 +40,30 @@ def test_two_runs_print_the_same(cache):
 def test_threads_do_not_change_the_result(scenario):
     one, two = (simulate(replace(scenario, client=replace(CLIENT, threads=n))) for n in (1, 2))
     assert dump({"frames": one.frames}) == dump({"frames": two.frames})
+
+
+def test_sessions_beside_each_other_are_what_each_is_alone(scenario):
+    """They share the server's library, and nothing else."""
+    other = replace(scenario, poses="synthetic:walking:seed=5", trace="generated:steady-2")
+    together = simulate_together([scenario, other])
+    for mine, alone in zip(together, map(simulate, (scenario, other)), strict=True):
+        assert dump({"frames": mine.frames, "summary": mine.summary}) == dump(
+            {"frames": alone.frames, "summary": alone.summary}
+        )
+
+
+def test_sessions_of_several_bundles_are_not_played_together(scenario, tmp_path):
+    with pytest.raises(ConfigError, match="2 bundles"):
+        simulate_together([scenario, replace(scenario, bundle=tmp_path)])
+
+
+def test_both_sides_processor_time_is_counted(scenario):
+    spent = simulate(scenario).spent
+    assert spent.frames >= 12
+    assert len(spent.references) >= 6
+    assert all(one.truth_ms > 0 and one.mirror_ms > 0 and one.coding_ms > 0 for one in spent.references[2:])
+    assert spent.server_ms_a_frame > 0
+    assert spent.client_ms_a_frame > 0
 
 
 def test_every_frame_is_shown_and_scored(scenario):

@@ -1,1 +1,1 @@
-"""Time and quality of alignment and closed-form restoration, by LoD and by error of the predicted pose."""
+"""Time of the client's frame with what references say, and of the server's references."""

@@ -1,4 +1,4 @@
-"""``cags-bench align``: what alignment, the closed-form restorer and the colour adapter cost, and what they bring."""
+"""``cags-bench align``: what a client's frame takes with differences and pictures, and what its references cost."""
 
 from __future__ import annotations
 
@@ -8,47 +8,67 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from cags_bench.restore.conditions import Conditions
 from cags_common.errors import ConfigError
-from cags_common.settings import add_settings, load_settings, setting
+from cags_common.settings import add_settings, check_settings, load_settings, setting
 
-SUMMARY = "time and quality of alignment, closed-form restoration and colour adaptation"
+SUMMARY = (
+    "Time of the client's frame: drawn, and what references say sampled by depth and added; and of the server's work "
+    "for a reference."
+)
 EXAMPLES = """\
   cags-bench align --json
-  cags-bench align --scene procedural:size=12000,frames=36 --sizes 400x300 --ages 1,3,10 --json
-  cags-bench align --scene ../shared/scenes/guitar/guitar.compressed.ply --sizes 1600x1200 --views 2 --json
-  cags-bench align --scene capture.ply --poses walk.csv --errors predicted --lpips lpips_alex.npz --json
-  cags-bench align --device gpu --sizes 1600x1200 --repetitions 20 --json
+  cags-bench align --scene procedural:size=12000 --sizes 400x300 --repetitions 3 --json
+  cags-bench align --scene ../shared/scenes/guitar/guitar.compressed.ply --sizes 1600x1200 --clients 1 --json
+  cags-bench align --device gpu --sizes 1600x1200 --clients '' --json
 """
 
 
 @dataclass(frozen=True)
-class AlignBenchSettings(Conditions):
+class AlignBenchSettings:
     """What is measured."""
 
-    scene: str = setting("procedural:size=60000", "scene: a file, a folder, motion:PATH, procedural[:..] or fourd[:..]")
-    ages: str = setting(
-        "", "instead: a moving scene at the first size with references this many media frames old, such as 1,3,10"
+    scene: str = setting(
+        "procedural:size=150000", "scene: a file, a folder, motion:PATH, procedural[:..] or fourd[:..]"
     )
-
-    device: str = setting(
-        "",
-        "instead: the times of the paper's client table (render, PRPA, networks) on this device",
-        choices=("", "cpu", "gpu"),
-    )
+    poses: str = setting("synthetic:walking:seed=1", "head motion: a recorded walk's CSV file or synthetic:NAME")
+    sizes: str = setting("1600x1200,800x600", "client pictures, comma-separated WIDTHxHEIGHT")
+    lod: float = setting(0.3, "depth of the client's tiles, share of the LoD ladder", low=0, high=1)
+    error_deg: float = setting(2.0, "error of the reference's pose, degrees", low=0, high=90)
+    error_cm: float = setting(5.0, "error of the reference's pose, centimetres", low=0, high=1000)
+    margin: float = setting(0.1, "widening of the reference's field of view", low=0, high=2)
+    crf: float = setting(20.0, "H.264 crf of references", low=0, high=51)
+    fov: float = setting(60.0, "client's horizontal field of view in degrees", low=1, high=170)
+    threads: int = setting(2, "threads of a client's frame, and of one reference", low=1, high=256)
+    repetitions: int = setting(15, "timed repetitions, after two to warm up", low=1, high=1000)
+    device: str = setting("cpu", "cpu, or gpu: the frame on the graphics device beside it", choices=("cpu", "gpu"))
+    clients: str = setting("1,8", "clients at once of the server's part, comma separated; empty: leave it out")
+    frames: int = setting(16, "media frames that the server's part plays", low=2, high=10_000)
+    link_mbps: float = setting(30.0, "link of each client there, Mbps of the paper's scale", low=0.1, high=10_000)
+    seed: int = setting(0, "seed of the directions of pose errors", low=0, high=2**31 - 1)
+    cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        self.age_list  # noqa: B018 - refuse what does not parse now
+        check_settings(self)
+        self.size_list, self.client_list  # noqa: B018 - refuse what does not parse
 
     @property
-    def age_list(self) -> list[int]:
-        """Media frames, each once, rising."""
-        if not self.ages:
+    def size_list(self) -> list[tuple[int, int]]:
+        """(width, height) in pixels."""
+        if re.fullmatch(r"[1-9]\d{1,3}x[1-9]\d{1,3}(,[1-9]\d{1,3}x[1-9]\d{1,3})*", self.sizes) is None:
+            raise ConfigError(
+                f"sizes = {self.sizes!r} must be such as 1600x1200,800x600, from 10 to 9999 pixels a side"
+            )
+        pairs = (word.split("x") for word in self.sizes.split(","))
+        return [(int(width), int(height)) for width, height in pairs]
+
+    @property
+    def client_list(self) -> list[int]:
+        """Clients at once."""
+        if not self.clients:
             return []
-        if re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2})*", self.ages) is None:
-            raise ConfigError(f"ages {self.ages!r} must be whole numbers from 1 to 999, such as 1,3,10")
-        return sorted({int(part) for part in self.ages.split(",")})
+        if re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2})*", self.clients) is None:
+            raise ConfigError(f"clients = {self.clients!r} must be numbers from 1 to 999, such as 1,8")
+        return [int(word) for word in self.clients.split(",")]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,18 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """One line a case, then a summary with its checks. Raises :class:`CagsError`."""
+    """A line a size and way to work, a line a number of clients, then a summary. Raises :class:`CagsError`."""
     settings = load_settings(AlignBenchSettings, args)
-    if settings.ages:
-        from cags_bench.align.ages import measure_ages
-
-        yield from measure_ages(settings)
-        return
-    if settings.device:
-        from cags_bench.align.device import client_table
-
-        yield from client_table(settings)
-        return
     from cags_bench.align.measure import measure
 
     yield from measure(settings)

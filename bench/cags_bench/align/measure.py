@@ -1,79 +1,146 @@
-"""The measurement behind ``cags-bench align``: the closed form's methods, and the stages that no method times."""
+"""The measurement behind ``cags-bench align``."""
 
 from __future__ import annotations
 
-import statistics
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from statistics import median
+
+import numpy as np
 
 from cags_bench.align.command import AlignBenchSettings
-from cags_bench.align.device import timed
-from cags_bench.align.frames import frame_checks, frame_table, frames
+from cags_bench.align.serving import serving_line
+from cags_bench.align.views import View, fresh, view_of
+from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import JsonObject, check, provenance, summary
-from cags_bench.restore.cases import Case, Cases
-from cags_bench.restore.checks import checks_of, time_checks
-from cags_bench.restore.experiment import measured, table_of
-from cags_bench.restore.methods import methods_of
-from cags_client import align
-from cags_client.adapt import SirtAdapter
-from cags_client.align import AlignSettings
-from cags_common import raster
+from cags_common import correction, raster
+from cags_common.bundle import BundleReader
+from cags_common.correction import Corrector, Reference
+from cags_common.geometry import F32
+from cags_common.metrics import covered_mask, psnr
 from cags_common.raster.base import DepthKind, RenderOptions
+from cags_encoder import EncodeSettings
 
-METHODS = (
-    "none",
-    "aligned",
-    "aligned without erosion",
-    "affine",
-    "affine without PRPA",
-    "affine with own depth",
-    "sirt",
-    "sirt + affine",
-)
+WARM_UP = 2
 
-EXACT = (0.0, 0.0)
+RASTER, DIFFERENCE, PICTURE, CORRECT = "raster", "raster, difference", "raster, picture", "correct"
+GPU_RASTER, GPU_DIFFERENCE = "gpu raster", "gpu raster, difference"
+
+CORRECT_MS = {"1600x1200": 6.0, "800x600": 3.0}
+"""What the correction may take, of a difference that is new in the frame."""
+
+FRAME_MS = {"800x600": 20.0}
+"""What the whole frame may take with it."""
+
+Works = Mapping[str, Callable[[], F32]]
 
 
 def measure(settings: AlignBenchSettings) -> Iterator[JsonObject]:
-    """One line a case and method, one a frame at each accuracy, one a size with the other stages, then the summary."""
-    cases, methods = Cases(settings), methods_of(list(METHODS), settings.threads)
+    """One line a size and way to work a frame out, one a number of clients, then the summary with its checks."""
+    if settings.device == "gpu":
+        raster.create("gpu")  # refuse a device that is not there before a scene is encoded
+    bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
     lines: list[JsonObject] = []
-    for line in measured(cases, methods, settings):
-        lines.append(line)
-        yield line
-    drawn = list(frames(cases, settings))
-    yield from drawn
-    stages = [_stages(cases.first(size, settings.error_list[0]), settings) for size in settings.size_list]
-    yield from stages
-    checks = [*checks_of(lines), *_identity(cases, settings), *time_checks(lines, settings.threads)]
-    checks += frame_checks(drawn)
-    for line in stages:
-        title = f"one adapter step at 400x300, client at {line['size']}"
-        checks.append(check(title, "<= 15 ms", line["adapt_ms"], line["adapt_ms"] <= 15))
-    yield summary("align", checks, table=table_of(lines), frames=frame_table(drawn))
+    with BundleReader.open(str(bundle)) as reader:
+        for size in settings.size_list:
+            for line in frame_lines(view_of(reader, settings, size), settings):
+                lines.append(line)
+                yield line
+    for clients in settings.client_list:
+        lines.append(serving_line(bundle, clients, settings))
+        yield lines[-1]
+    yield summary("align", checks_of(lines), scene=settings.scene)
 
 
-def _identity(cases: Cases, settings: AlignBenchSettings) -> Iterator[JsonObject]:
-    """Under a reference of the exact pose nothing is hidden."""
-    aligner = align.create("auto", AlignSettings(threads=settings.threads))
-    for case in (cases.first(size, EXACT) for size in settings.size_list):
-        assert case.distorted.depth is not None
-        share = float(aligner.align(case.reference, case.distorted.depth, case.camera).occluded.mean())
-        yield check(f"pixels called occluded under an identity, {case.labels['size']}", "0", share, share == 0)
-
-
-def _stages(case: Case, settings: AlignBenchSettings) -> dict[str, Any]:
-    """Median and least milliseconds of the client's render and of one adapter step, interleaved, after a warm-up."""
-    draw = RenderOptions(threads=settings.threads)
-    own_options = replace(case.own_options, depth=DepthKind.NONE)
-    adapted, own = raster.create("auto").load(case.splats), case.own()
-    adapter = SirtAdapter(len(case.splats))
-    stages: dict[str, Callable[[], object]] = {
-        "raster": lambda: case.held.render(case.camera, draw),
-        "adapt": lambda: adapter.adapt(adapted, case.splats, case.reference, own, own_options),
+def frame_lines(view: View, settings: AlignBenchSettings) -> list[JsonObject]:
+    """All ways of one size, interleaved: milliseconds by the clock and of the processor, and quality."""
+    works = _works(view, settings)
+    if settings.device == "gpu":
+        works = {**works, **_gpu_works(view, settings)}
+    times = interleaved(works, settings.repetitions)
+    truth = view.truth.render(view.camera, RenderOptions(threads=settings.threads))
+    covered = covered_mask(truth.alpha)
+    common = {
+        "benchmark": "align",
+        "part": "frame",
+        "size": f"{view.camera.width_px}x{view.camera.height_px}",
+        "splats": len(view.splats),
+        "threads": settings.threads,
+        "warm_up": WARM_UP,
+        "repetitions": settings.repetitions,
+        "seed": settings.seed,
     }
-    spent = timed(stages, settings.repetitions)
-    figures = {f"{name}_ms": statistics.median(values) for name, values in spent.items()}
-    least = {f"{name}_least_ms": min(values) for name, values in spent.items()}
-    return {"size": case.labels["size"], "splats": len(case.splats), **figures, **least, **provenance()}
+    lines = []
+    for name, taken in times.items():
+        quality = psnr(works[name]().clip(0, 1), truth.rgb.clip(0, 1), covered)
+        lines.append({**common, "work": name, **taken, "psnr_covered_db": quality, **provenance()})
+    return lines
+
+
+def _works(view: View, settings: AlignBenchSettings) -> dict[str, Callable[[], F32]]:
+    draw = RenderOptions(threads=settings.threads, displayed=True)
+    flat = replace(draw, depth=DepthKind.NONE)
+    drawn = view.held.render(view.camera, draw)
+    one, two, three = (correction.create("auto", settings.threads) for _ in range(3))
+
+    def corrected(corrector: Corrector, reference: Reference, own: F32 | None = None) -> F32:
+        return corrector.correct(view.held.render(view.camera, draw), view.camera, fresh(reference), own).rgb
+
+    return {
+        RASTER: lambda: view.held.render(view.camera, flat).rgb,
+        DIFFERENCE: lambda: corrected(one, view.difference),
+        PICTURE: lambda: corrected(two, view.picture, view.own()),
+        CORRECT: lambda: three.correct(drawn, view.camera, fresh(view.difference)).rgb,
+    }
+
+
+def _gpu_works(view: View, settings: AlignBenchSettings) -> dict[str, Callable[[], F32]]:
+    """The frame on the device, as bytes to be shown."""
+    from cags_gpu.correct import shown
+    from cags_gpu.raster import GpuScene
+
+    scene = view.held
+    assert isinstance(scene, GpuScene), "device gpu loads scenes there"
+    draw = RenderOptions(threads=settings.threads, displayed=True)
+
+    def frame(reference: Reference | None) -> F32:
+        return np.asarray(shown(scene, view.camera, draw, reference)[..., :3] / np.float32(255), np.float32)
+
+    return {GPU_RASTER: lambda: frame(None), GPU_DIFFERENCE: lambda: frame(fresh(view.difference))}
+
+
+def interleaved(works: Works, repetitions: int) -> dict[str, JsonObject]:
+    """Median and spread of every work in milliseconds, by the clock on the wall and of the processor."""
+    walls: dict[str, list[float]] = {name: [] for name in works}
+    processor: dict[str, list[float]] = {name: [] for name in works}
+    for repetition in range(WARM_UP + repetitions):
+        for name, work in works.items():
+            began, began_cpu = time.perf_counter(), time.process_time()
+            work()
+            wall, cpu = time.perf_counter() - began, time.process_time() - began_cpu
+            if repetition >= WARM_UP:
+                walls[name].append(wall * 1e3)
+                processor[name].append(cpu * 1e3)
+    return {
+        name: {
+            "ms": median(walls[name]),
+            "least_ms": min(walls[name]),
+            "spread_ms": max(walls[name]) - min(walls[name]),
+            "processor_ms": median(processor[name]),
+            "processor_spread_ms": max(processor[name]) - min(processor[name]),
+        }
+        for name in works
+    }
+
+
+def checks_of(lines: Sequence[JsonObject]) -> list[JsonObject]:
+    """The targets of the client's frame, by the clock; sizes that were not measured are left out."""
+    by = {(line["size"], line["work"]): line for line in lines if line["part"] == "frame"}
+    wanted = [(f"correct at {size}", by.get((size, CORRECT)), limit) for size, limit in CORRECT_MS.items()]
+    wanted += [(f"whole frame at {size}", by.get((size, DIFFERENCE)), limit) for size, limit in FRAME_MS.items()]
+    return [
+        check(name, f"<= {limit:g} ms", round(line["ms"], 2), line["ms"] <= limit)
+        for name, line, limit in wanted
+        if line is not None
+    ]

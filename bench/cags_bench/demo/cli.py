@@ -72,7 +72,7 @@ def _tell(summary: dict[str, Any], out: str) -> None:
     rows = [
         ("link", f"{summary['trace']} at {rate}, {summary['delay_ms']:g} ms each way"),
         *summary_rows(summary, summary["clip_frames"]),
-        ("pictures", f"{Path(out) / 'strip.png'}: what restoration does, where it did most"),
+        ("pictures", f"{Path(out) / 'strip.png'}: what references change, where they change most"),
         ("over time", f"{Path(out) / 'timeline.png'}; every figure: {Path(out) / 'frames.jsonl'}"),
     ]
     for name, value in rows:

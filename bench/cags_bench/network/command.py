@@ -46,7 +46,7 @@ class NetworkSettings:
     traces: str = setting("", "traces of the content part, comma separated; empty: all generated ones, and 10 Mbps")
     policies: str = setting("paper,utility,buffer", "rate policies of the content part, comma separated")
     estimator: str = setting("measured", "bandwidth estimator of the content part", choices=("measured", "oracle"))
-    restore: str = setting("affine", "restorer")
+    restore: str = setting("correct", "what clients do with references: correct, none, or a restorer to compare with")
     width: int = setting(400, "client width in pixels", low=1, high=8192)
     height: int = setting(300, "client height in pixels", low=1, high=8192)
     delay_ms: float = setting(10.0, "one-way propagation delay, ms", low=0, high=1000)

@@ -22,11 +22,11 @@ TRACE_S = 60.0
 def realtime_lines(base: Scenario, like_splats: int, traces: tuple[str, ...] = TRACES) -> Iterator[dict[str, Any]]:
     """One line a trace: bytes that arrived in real and in virtual time.
 
-    Links are scaled as those of the content part, so that they decide what is sent. Nothing is restored: what travels
-    does not depend on it, and the processor is left to the parts that are compared.
+    Links are scaled as those of the content part, so that they decide what is sent. Virtual time draws its pictures
+    without what references say, for nobody looks at them; both ask for the same references.
     """
     share = link_share(base.bundle, like_splats)
-    base = replace(base, client=replace(base.client, restore="none"), scored=False)
+    base = replace(base, scored=False)
     for spec in traces:
         scenario = replace(base, trace=str(scaled_trace(spec, share, seconds=TRACE_S)))
         virtual, real = simulate(scenario).summary, play(scenario)

@@ -13,13 +13,22 @@ from cags_bench.reproduce.cache import ResultCache, code_digest, content_of
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.pictures import Snapshot
 from cags_bench.sim.session import Scenario, simulate
-from cags_bench.traces import PAPER_SPLATS, link_share, scaled_trace
+from cags_bench.traces import PAPER_SPLATS, link_share, paper_link, scaled_trace
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_encoder import EncodeSettings, content_key
 from cags_server.settings import ServerSettings
 
-SERIES = ("frame", "psnr_restored_db", "psnr_distorted_db", "ssim_restored", "lod_mean", "bytes_tiles")
+SERIES = (
+    "frame",
+    "psnr_restored_db",
+    "psnr_distorted_db",
+    "ssim_restored",
+    "lod_mean",
+    "bytes_tiles",
+    "aligned_share",
+    "reference_kind",
+)
 """What is kept of every frame."""
 
 
@@ -109,9 +118,9 @@ class Runner:
 
     def link(self, case: StreamCase, bundle: Path) -> str:
         """The trace, scaled so that the scene gets the bits a splat and second that the paper's scenes get."""
-        share = link_share(bundle, PAPER_SPLATS)
         if case.mbps is not None:
-            return f"generated:steady-{max(case.mbps * share, 0.1):.3f}"
+            return paper_link(bundle, case.mbps)
+        share = link_share(bundle, PAPER_SPLATS)
         return str(scaled_trace(case.trace, share, seconds=case.frames / 30 + 30))
 
 

@@ -19,39 +19,44 @@ class Method:
     client: Mapping[str, Any] = field(default_factory=dict)
 
 
+PUBLISHED_SERVER = {"abr": "paper", "fov": "lstm", "references": "picture", "reference_footprint": "plain"}
+PUBLISHED_CLIENT = {"restore": "srresnet", "erosion": True}
+"""The paper's references and what its client does with them."""
+
 METHODS: dict[str, Method] = {
     "cags": Method("CAGS (ours)", "the defaults of this program"),
     "cags-paper": Method(
         "CAGS (as published)",
-        "66-bit SVQ in the printed order of layers, the four-step rate policy, the LSTM's field of view; closed-form "
-        "restoration stands in for the paper's trained network, whose weights are not public, and references keep the "
-        "client's footprint, without which it would do worse",
+        "66-bit SVQ in the printed order of layers, the four-step rate policy, the LSTM's field of view; references "
+        "are pictures drawn as any of their size, aligned and eroded (PRPA), restored by the paper's network, which is "
+        "trained here: its weights are not public",
         encode={"quantiser": "paper-66", "lod_order": "paper"},
-        server={"abr": "paper", "fov": "lstm"},
-        client={"adapt": "none"},
+        server=PUBLISHED_SERVER,
+        client=PUBLISHED_CLIENT,
     ),
     "sr-align-ref": Method(
         "SR align ref.",
         "the aligned reference alone; bilinear upsampling stands in for the trained super-resolution network: ours, "
         "trained briefly, has not converged, and a half-trained rival would flatter",
-        client={"restore": "reference", "adapt": "none"},
+        server={"references": "picture"},
+        client={"restore": "reference"},
     ),
     "cr-no-ref": Method(
         "CR w/o ref.",
         "the distorted picture without a reference; its restoration network, trained briefly here, adds nothing",
-        client={"restore": "none", "adapt": "none"},
+        client={"restore": "none"},
     ),
     "lts-f": Method(
         "LTS-F",
         "density levels: nested subsets of splats by importance with compensated opacity and scale, independently "
         "decodable groups, one level a frame; our rate policy stands in for LTS's own",
         encode={"codec": "density"},
-        client={"restore": "none", "adapt": "none"},
+        client={"restore": "none"},
     ),
     "v3-a": Method(
         "V3-A",
         "attributes as H.264-coded planes at several qualities; a better quality is sent whole; the hash grids that V3 "
-        "trains are left out",
+        "trains are left out, and it gets our references",
         encode={"codec": "video"},
     ),
     "reference-only": Method(
@@ -61,6 +66,7 @@ METHODS: dict[str, Method] = {
         "not where it stands",
         server={
             "abr": "none",
+            "references": "picture",
             "opening_tiles": False,
             "reference_full_size": True,
             "reference_share": 0.85,
@@ -70,12 +76,19 @@ METHODS: dict[str, Method] = {
             "fov": "fixed",
             "fov_margin": 0.1,
         },
-        client={"restore": "reference", "align": "rotation", "adapt": "none"},
+        client={"restore": "reference", "align": "rotation"},
+    ),
+    "pictures": Method(
+        "pictures alone",
+        "references are pictures, never differences",
+        server={"references": "picture"},
     ),
     "no-prpa": Method(
-        "w/o PRPA",
-        "the reference is restored from without alignment",
-        client={"align": "unaligned", "adapt": "none"},
+        "as published, w/o PRPA",
+        "the published way, restored from a picture that is not aligned",
+        encode={"quantiser": "paper-66", "lod_order": "paper"},
+        server=PUBLISHED_SERVER,
+        client={**PUBLISHED_CLIENT, "align": "unaligned"},
     ),
     "no-adaptive-fov": Method(
         "w/o adaptive FoV",
@@ -86,4 +99,4 @@ METHODS: dict[str, Method] = {
 """By the name that ``--methods`` takes."""
 
 BASELINES = ("lts-f", "v3-a", "sr-align-ref", "cr-no-ref", "reference-only")
-ABLATIONS = ("no-prpa", "no-adaptive-fov")
+ABLATIONS = ("pictures", "no-adaptive-fov", "no-prpa")

@@ -40,8 +40,8 @@ class Plan:
 
     @property
     def ablations(self) -> tuple[str, ...]:
-        """Ours, and ours without one part."""
-        return ("cags", *ABLATIONS)
+        """Ours and the published way, and each without one part."""
+        return ("cags", "cags-paper", *ABLATIONS)
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cags_bench.sim.spent import Spent
 from cags_bench.sim.usage import Usage
 from cags_bench.sim.world import Direction, World
 from cags_client.actions import Decode, Present
@@ -85,6 +86,8 @@ class SessionResult:
 
     frames: list[dict[str, Any]]
     summary: dict[str, Any]
+    spent: Spent = field(default_factory=Spent)
+    """Times of this machine: the one part of a result that two runs do not share."""
 
 
 def simulate(scenario: Scenario, watch: Watcher | None = None) -> SessionResult:
@@ -93,24 +96,47 @@ def simulate(scenario: Scenario, watch: Watcher | None = None) -> SessionResult:
     Deterministic: two runs give the same result. Raises :class:`CagsError` when a part fails.
     """
     trace = open_trace(scenario.trace)
-    reader = BundleReader.open(str(scenario.bundle))
-    try:
-        return _Simulation(scenario, trace, reader).run(watch)
-    finally:
-        reader.close()
+    with BundleReader.open(str(scenario.bundle)) as reader:
+        return _Simulation(scenario, trace, _library(scenario, reader)).run(watch)
+
+
+STEP_TOGETHER_US = 10_000
+"""Sessions that are played together are at most so far apart."""
+
+
+def simulate_together(scenarios: Sequence[Scenario]) -> list[SessionResult]:
+    """Play sessions of one bundle side by side, from one server: what it has decoded or loaded for one, all share.
+
+    Raises :class:`CagsError` when a part of any fails, :class:`ConfigError` where they are not of one bundle.
+    """
+    bundles = {str(scenario.bundle) for scenario in scenarios}
+    if len(bundles) != 1:
+        raise ConfigError(f"{len(bundles)} bundles: sessions are played together from one")
+    with BundleReader.open(bundles.pop()) as reader:
+        library = _library(scenarios[0], reader)
+        sessions = [_Simulation(scenario, open_trace(scenario.trace), library) for scenario in scenarios]
+        now_us = 0
+        while not all(session.player.finished for session in sessions):
+            now_us += STEP_TOGETHER_US
+            for session in sessions:
+                session.play_until(now_us)
+        return [session.result() for session in sessions]
+
+
+def _library(scenario: Scenario, reader: BundleReader) -> SceneLibrary:
+    return SceneLibrary(reader, raster.create(scenario.server.rasteriser))
 
 
 class _Simulation:
-    def __init__(self, scenario: Scenario, trace: Trace, reader: BundleReader) -> None:
-        self.scenario, self.trace, self.reader = scenario, trace, reader
-        self.library = SceneLibrary(reader, raster.create(scenario.server.rasteriser))
+    def __init__(self, scenario: Scenario, trace: Trace, library: SceneLibrary) -> None:
+        self.scenario, self.trace, self.reader, self.library = scenario, trace, library.reader, library
         self.cuts = deque(scenario.cuts)
         self.unreachable_until_us = 0
-        self.usage = Usage()
+        self.usage, self.spent = Usage(), Spent()
         self.dropped_bytes = 0  # of connections that were cut
         self.server = self._connection(0)
         self.player = Player(
-            ClientSession(now_us=0), self._client_settings(), self._poses(), now_us=0, near=reader.manifest.near
+            ClientSession(now_us=0), self._client_settings(), self._poses(), now_us=0, near=library.manifest.near
         )
         self._drawing: tuple[int, Present, PresentedFrame] | None = None  # done when
         self.world = World(self.server, self.player, *self._directions(), self._work, alarm=self._alarm_us)
@@ -124,12 +150,23 @@ class _Simulation:
     def run(self, watch: Watcher | None) -> SessionResult:
         """Play to the end of the clip."""
         self._watch = watch
+        self.play_until(None)
+        return self.result()
+
+    def play_until(self, now_us: int | None) -> None:
+        """Play to the end, or until ``now_us`` has come."""
         clip_us = round(self.reader.manifest.frames * 1e6 / self.reader.manifest.fps)
         join_us = round(self.scenario.client.join_timeout * 1e6)
-        self.world.run(lambda: self.player.finished, limit_us=clip_us + join_us + 10_000_000)
+        limit_us = clip_us + join_us + 10_000_000
+        self.world.run(
+            lambda: self.player.finished or (now_us is not None and self.world.now_us >= now_us), limit_us=limit_us
+        )
         if self.player.error is not None:
             raise self.player.error
-        return SessionResult(self.frames, self._summary())
+
+    def result(self) -> SessionResult:
+        """Of a play that has ended."""
+        return SessionResult(self.frames, self._summary(), self.spent)
 
     def _connection(self, now_us: int) -> Connection:
         estimator = make_estimator(self.scenario.estimator, self.trace)
@@ -186,24 +223,24 @@ class _Simulation:
     def _work(self, now_us: int) -> bool:
         busy = self._connections(now_us)
         while (job := self.server.next_job(now_us)) is not None:
-            self.server.job_done(job.run(), now_us)
+            self.server.job_done(self.spent.job(job), now_us)
             busy = True
         busy |= self._drawn(now_us)
         while (action := self.player.next_action(now_us)) is not None:
             busy = True
             if isinstance(action, Decode):
                 self.usage.arrived(action.events)
-            else:  # a picture that nobody looks at is not restored
-                scored = self._scores(action.frame) or self._watch is not None
-                self.player.live.restore = self.scenario.client.restore if scored else "none"
-            result = action.run()
-            if isinstance(action, Present):
-                assert isinstance(result, PresentedFrame)
-                self._drawing = now_us + self.scenario.draw_us, action, result
-                self._drawn(now_us)
+                self.player.done(action, self.spent.decoding(action.run), now_us)
             else:
-                self.player.done(action, result, now_us)
+                self._present(action, now_us)
         return busy
+
+    def _present(self, action: Present, now_us: int) -> None:
+        """Draw a frame; a picture that nobody looks at is not restored."""
+        scored = self._scores(action.frame) or self._watch is not None
+        self.player.live.restore = self.scenario.client.restore if scored else "none"
+        self._drawing = now_us + self.scenario.draw_us, action, self.spent.presenting(action.run)
+        self._drawn(now_us)
 
     def _drawn(self, now_us: int) -> bool:
         """Show the frame whose drawing is done; False where there is none."""

@@ -15,7 +15,7 @@ from cags_client.truth import BundleTruth
 
 
 class StageSaver:
-    """Writes every ``every``-th frame's reference, distorted, aligned, restored and true picture to ``folder``."""
+    """Writes the stages of every ``every``-th frame (:class:`StagesSink`) and its true picture to ``folder``."""
 
     def __init__(self, folder: Path, every: int, scenario: Scenario) -> None:
         self._folder, self._every = folder, every

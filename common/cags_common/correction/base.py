@@ -24,6 +24,9 @@ CELL_PX = 8
 VETO_CELL_PX = 16
 """Side of the cells of a veto."""
 
+LEAST_AROUND_PX = 1.0
+"""Confident pixels of a cell: what is fewer says less of the hidden pixels around."""
+
 FAR = 1e6
 """Depth where nothing is known anywhere, and the largest that counts, world units. Depths below 1 / FAR are unknown."""
 

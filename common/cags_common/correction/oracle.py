@@ -1,9 +1,10 @@
 """The readable definition of the client's last step (float64): sample what is lacking by depth, and add it.
 
 Kernels and shaders are tested against it, and it serves while there are none. Its steps: the reference is *expanded* to
-what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth);
-each pixel is *projected* into the reference, left out where something nearer hides it (z-test) and faded towards the
-reference's border; the sample is *added*.
+what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth); each pixel is
+*projected* into the reference and faded towards its border (holes are not: beyond it they take the sample of its
+nearest point, so that they are never black); the sample is *added*, but where something nearer hides the pixel from the
+reference (z-test): it takes the mean of what was added in its *surroundings*.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from cags_common.correction.base import (
     CELL_PX,
     FAR,
+    LEAST_AROUND_PX,
     VETO_CELL_PX,
     Corrected,
     CorrectSettings,
@@ -84,16 +86,28 @@ def correct(
     thin = view.alpha < settings.hole_alpha
     placement = Placement(camera, reference.camera)
     depth = filled(np.where(thin, np.inf, checked_depth(view, camera).astype(np.float64)))
-    x, y, z, inside = _placed(depth, placement)
+    x, y, z, inside, ahead = _placed(depth, placement)
     hidden = _hidden(depth, (x, y, z), inside, placement, settings)
     width, height = reference.camera.width_px, reference.camera.height_px
     distance = np.minimum(np.minimum(x, width - x), np.minimum(y, height - y))
-    confidence = np.where(inside & ~hidden, np.clip(distance / max(settings.border_px, 1e-6), 0.0, 1.0), 0.0)
+    fade = np.where(inside, np.clip(distance / max(settings.border_px, 1e-6), 0.0, 1.0), 0.0)
+    empty = np.where(thin & ahead, np.clip(1.0 - view.alpha / max(settings.hole_alpha, 1e-6), 0.0, 1.0), 0.0)
+    weight = np.maximum(fade, empty)
     if veto is not None:
-        confidence = confidence * (1.0 - np.clip(_spread(checked_veto(veto, camera), camera), 0.0, 1.0))
+        weight = weight * (1.0 - np.clip(_spread(checked_veto(veto, camera), camera), 0.0, 1.0))
+    confidence = np.where(hidden, 0.0, weight)
     added = confidence[..., None] * _sampled(lacking(reference, own), x, y)
-    rgb = np.clip(view.rgb + added, 0.0, 1.0)
+    around = weight[..., None] * _surroundings(added, confidence)
+    rgb = np.clip(view.rgb + np.where(hidden[..., None], around, added), 0.0, 1.0)
     return Corrected(rgb.astype(np.float32), confidence.astype(np.float32))
+
+
+def _surroundings(added: F64, confidence: F64) -> F64:
+    """Mean of what was added [H, W, 3] around every pixel, by confidence; less where that is of few pixels."""
+    height, width = confidence.shape
+    u, v = (np.arange(width) + 0.5) / CELL_PX, (np.arange(height) + 0.5) / CELL_PX
+    total = np.maximum(_bilinear(_cell_sums(confidence), u, v), LEAST_AROUND_PX)
+    return np.stack([_bilinear(_cell_sums(added[..., c]), u, v) / total for c in range(3)], axis=-1)
 
 
 def _spread(veto: F32, camera: Camera) -> F64:
@@ -152,16 +166,19 @@ def _bilinear(image: F64, u: F64, v: F64) -> F64:
     return np.asarray(top * (1 - ay) + bottom * ay)
 
 
-def _placed(depth: F64, placement: Placement) -> tuple[F64, F64, F64, NDArray[np.bool_]]:
-    """x, y, z of each pixel in the reference, and whether it lies in it."""
+def _placed(depth: F64, placement: Placement) -> tuple[F64, F64, F64, NDArray[np.bool_], NDArray[np.bool_]]:
+    """x, y (the nearest point of the reference), z of each pixel; whether it lies there, and before the camera."""
     v, u = np.indices(depth.shape) + 0.5
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ placement.matrix[:, :3].T
     p = rays * depth[..., None] + placement.matrix[:, 3]
     z = p[..., 2]
-    safe = np.where(z > 0, z, 1.0)
+    ahead = z > 0
+    safe = np.where(ahead, z, 1.0)
     x, y = p[..., 0] / safe, p[..., 1] / safe
-    inside = (z > 0) & (x >= 0) & (y >= 0) & (x <= placement.reference.width_px) & (y <= placement.reference.height_px)
-    return np.where(inside, x, 0.0), np.where(inside, y, 0.0), np.where(inside, z, 0.0), inside
+    width, height = placement.reference.width_px, placement.reference.height_px
+    inside = ahead & (x >= 0) & (y >= 0) & (x <= width) & (y <= height)
+    x, y = (np.where(ahead, np.clip(at, 0.0, most), 0.0) for at, most in ((x, width), (y, height)))
+    return x, y, np.where(inside, z, 0.0), inside, ahead
 
 
 def _hidden(

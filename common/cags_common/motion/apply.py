@@ -77,14 +77,14 @@ def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:
     ``looks`` are the tile's own, as decoded. Between two frames positions follow the line through both, and rotations
     the normalised one. Raises ``ValueError`` for a time that is not a number.
     """
-    moment = moment_of(chunk, time)
+    moment, units = moment_of(chunk, time), _units(chunk, steps)
     with np.errstate(over="ignore", under="ignore"):
         at, turned = _rigid(chunk, moment, looks)
         if chunk.moves is not None:
-            unit = steps.moves.astype(np.float64) / (1 << FRACTION_BITS)
+            unit = units[0].astype(np.float64) / (1 << FRACTION_BITS)
             at = at + _between(chunk.moves, moment) * unit[:, None]
         if chunk.turns is not None:
-            unit = steps.turns.astype(np.float64) / (1 << FRACTION_BITS)
+            unit = units[1].astype(np.float64) / (1 << FRACTION_BITS)
             turn = _between(chunk.turns, moment) * unit[:, None]
             turn[:, 0] += 1.0
             turned = product(_unit(turn), looks.quats.astype(np.float64) if turned is None else turned)
@@ -143,7 +143,7 @@ def _tile_motion(tile: MovingTile, moment: Moment) -> Any:
     chunk, blocks = tile.chunk, tile.chunk.blocks
     return motion.TileMotion(
         *(chunk.splats, chunk.span, moment.time, moment.sample, moment.share, tile.rows, chunk.moves, chunk.turns),
-        *(tile.steps.moves, tile.steps.turns),
+        *_units(chunk, tile.steps),
         None if blocks is None else (blocks.size, float(np.float32(blocks.unit)), blocks.shifts, blocks.turns),
         chunk.lives,
         chunk.fades is not None,
@@ -158,6 +158,12 @@ def _check_tile(tile: MovingTile, capacity: int) -> None:
     if int(tile.rows.max(initial=-1)) >= capacity or int(tile.rows.min(initial=0)) < -1:
         raise ValueError(f"motion: rows {tile.rows.min()} to {tile.rows.max()} of arrays of {capacity}")
     moment_of(tile.chunk, tile.time)
+
+
+def _units(chunk: Chunk, steps: Steps) -> tuple[F32, F32]:
+    """Finest units [n] of the chunk's positions and rotations: those of the tile, halved."""
+    moves, turns = (np.float32(0.5**halvings) for halvings in chunk.finer)
+    return steps.moves * moves, steps.turns * turns
 
 
 @dataclass(frozen=True, slots=True)

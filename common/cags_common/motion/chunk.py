@@ -20,7 +20,7 @@ from cags_common.motion.knots import I32, knots
 from cags_common.motion.symbols import SymbolReader, SymbolWriter, fade_tables, life_tables
 from cags_common.packing import squeeze, unsqueeze
 
-VERSION = 1
+VERSION = 4
 LEVELS = 3
 REFINEMENT = 4
 """A level's unit is so many times the next one's."""
@@ -31,6 +31,9 @@ MAX_SAMPLES = 1 << 20
 """Splats times samples of the span: what a payload of a few bytes may claim takes 28 MiB."""
 
 MAX_BLOCK = 4_096
+MAX_FINER = 8
+"""A chunk's units are those of its tile, halved so often at most."""
+
 MAX_UNIT = 1e30
 MAX_UNITS = (1 << 25) - (1 << 10)
 """Residuals, finest units: fixed point fits 32 bits."""
@@ -45,8 +48,9 @@ FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
 FADE_STEP = 4
 """Centres of fades are in this part of their width."""
 
-_HEAD = struct.Struct("<BBBBIIIHxxfIII")
-"""Version, flags, span, levels, looks' frame and tile, splats, block, metres a unit of the blocks' shifts, bytes of the
+_HEAD = struct.Struct("<BBBBIIIHBBfIII")
+"""Version, flags, span, levels, looks' frame and tile, splats, block, halvings of the units of
+positions and of rotations, metres a unit of the blocks' shifts, bytes of the
 blocks, of the escapes' and of the symbols.
 """
 TURN_UNIT = 1 / 4096
@@ -81,6 +85,8 @@ class Chunk:
     turns: I32 | None  # [span + 1, n, 4]
     starts: bool
     """Whether the samples of the first frame are coded; else they are zero."""
+    finer: tuple[int, int] = (0, 0)
+    """How often the units of ``moves`` and of ``turns`` are the tile's halved."""
 
 
 def encode(
@@ -92,11 +98,14 @@ def encode(
     lives: NDArray[np.uint8] | None = None,
     fades: NDArray[np.int64] | None = None,
     blocks: Blocks | None = None,
+    finer: tuple[int, int] = (0, 0),
+    told: tuple[int, int] = (LEVELS, LEVELS),
     native: bool | None = None,
 ) -> tuple[bytes, ...]:
     """The payload of each level. ``moves`` [span + 1, n, 3] and ``turns`` [span + 1, n, 4] are in finest units, those
     of ``turns`` against (1, 0, 0, 0); ``fades`` [n, 2] are an index of :data:`FADE_WIDTHS` plus one (0: none) and the
-    centre in ``FADE_STEP`` parts of the width, from the middle of the life.
+    centre in ``FADE_STEP`` parts of the width, from the middle of the life. ``finer`` says how often the finest
+    units of ``moves`` and of ``turns`` are the tile's halved, ``told`` how many levels say anything of them.
 
     ``native`` None takes the kernel where there is one, to the same bytes. Raises ``ValueError`` for arrays that do not
     fit each other, are beyond the format's bounds or not finite.
@@ -104,10 +113,13 @@ def encode(
     left = {name: part.copy() for name, part in (("moves", moves), ("turns", turns)) if part is not None}
     span, splats = _bounds(left)
     _check_sides(span, splats, lives, fades, blocks)
+    if not all(0 <= halvings <= MAX_FINER for halvings in finer):
+        raise ValueError(f"motion: units halved {finer} times, 0 to {MAX_FINER} expected")
     order = knots(span, start=starts)
     flags = STARTS * starts | MOVES * (moves is not None) | TURNS * (turns is not None)
     flags |= LIVES * (lives is not None) | FADES * (fades is not None)
-    told = {name: np.zeros(part.shape, np.uint8) for name, part in left.items()}
+    levels = {"moves": told[0], "turns": told[1]}
+    apart = {name: np.zeros(part.shape, np.uint8) for name, part in left.items()}
     payloads = []
     for level in range(LEVELS):
         writer = SymbolWriter(native=native)
@@ -115,13 +127,18 @@ def encode(
             _write_sides(writer, span, lives, fades)
         for name, part in left.items():
             unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), DEADZONES[level]
-            writer.tree(order, part, told[name], unit, deadzone, turn=name == "turns")
+            if level >= levels[name]:
+                part[:] = 0.0
+            writer.tree(order, part, apart[name], unit, deadzone, turn=name == "turns")
         escapes, symbols = writer.to_bytes()
         sizes = len(escapes), len(symbols)
         if level == 0:
             rigid = _blocks_bytes(blocks)
             size, metres = (blocks.size, blocks.unit) if blocks else (0, 0.0)
-            head = _HEAD.pack(VERSION, flags, span, LEVELS, *looks, splats, size, metres, len(rigid), *sizes) + rigid
+            head = (
+                _HEAD.pack(VERSION, flags, span, LEVELS, *looks, splats, size, *finer, metres, len(rigid), *sizes)
+                + rigid
+            )
         else:
             head = struct.pack("<I", len(escapes))
         payloads.append(head + escapes + symbols)
@@ -229,6 +246,7 @@ class _Head:
     looks: tuple[int, int]
     splats: int
     block: int
+    finer: tuple[int, int]
     unit: float
 
     def has(self, flag: int) -> bool:
@@ -263,15 +281,16 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
     view = memoryview(payload)
     if len(view) < _HEAD.size:
         raise DecodeError(f"motion: {len(view)} bytes are too few for a chunk")
-    version, flags, span, levels, frame, tile, splats, block, unit, *sizes = _HEAD.unpack_from(view)
+    version, flags, span, levels, frame, tile, splats, block, finer, finer_turns, unit, *sizes = _HEAD.unpack_from(view)
     if version != VERSION or levels != LEVELS or flags & ~(STARTS | TURNS | LIVES | FADES | MOVES):
         raise DecodeError(f"motion: version {version}, {levels} levels, flags {flags}; this program reads {VERSION}")
     small = splats <= MAX_SPLATS and splats * (span + 1) <= MAX_SAMPLES
     bounds = 1 <= span <= MAX_SPAN and small and block <= MAX_BLOCK and 0.0 <= unit <= MAX_UNIT
+    bounds = bounds and max(finer, finer_turns) <= MAX_FINER
     if not bounds or sum(sizes) != len(view) - _HEAD.size:
         raise DecodeError(f"motion: claims a span of {span}, {splats} splats, {sum(sizes)} bytes; beyond bounds")
     rigid, escapes = _HEAD.size + sizes[0], _HEAD.size + sizes[0] + sizes[1]
-    head = _Head(flags, span, (frame, tile), splats, block, unit)
+    head = _Head(flags, span, (frame, tile), splats, block, (finer, finer_turns), unit)
     return head, view[_HEAD.size : rigid], view[rigid:escapes], view[escapes:]
 
 
@@ -281,7 +300,8 @@ def _opened(head: _Head, rigid: memoryview, reader: SymbolReader, told: _Told) -
     if lives is not None and int(lives.max(initial=0)) > head.span + 1:
         raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
     fades = _read_fades(reader, head, lives) if head.has(FADES) else None
-    blank = Chunk(head.looks, head.span, n, lives, fades, _read_blocks(head, rigid), None, None, head.has(STARTS))
+    blocks = _read_blocks(head, rigid)
+    blank = Chunk(head.looks, head.span, n, lives, fades, blocks, None, None, head.has(STARTS), head.finer)
     moves, turns = _read_trees(reader, blank, 0, told)
     reader.finish()
     return replace(blank, moves=moves, turns=turns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from functools import cache
 from typing import Any
 
@@ -14,9 +15,16 @@ from cags_common.errors import DecodeError
 from cags_common.geometry import F64
 from cags_common.motion.contexts import TOLD, U8, Contexts, class_tables, runs
 from cags_common.motion.knots import FRACTION_BITS, I32, Knot, predicted, quantised
+from cags_common.packing import squeeze, unsqueeze
 
 ESCAPE = 254
 """Signed numbers from here on, folded, stand beside the symbols in four bytes."""
+
+MAX_ESCAPES = 1 << 23
+"""More large numbers a level are none of ours."""
+
+_ESCAPES = struct.Struct("<5I")
+"""How many, and the bytes of each plane."""
 
 LIFE_EDGES = np.array([2, 3, 5, 8])
 """Bounds of the kinds of lives that end within a span; one kind more are the others."""
@@ -107,7 +115,7 @@ class SymbolWriter:
 
     def to_bytes(self) -> tuple[bytes, bytes]:
         """The large numbers, and the symbols."""
-        escapes = np.concatenate([np.zeros(0, np.int32), *self._escapes]).astype("<i4").tobytes()
+        escapes = _packed(np.concatenate([np.zeros(0, np.int32), *self._escapes]))
         nothing, none = np.zeros(0, np.uint8), np.zeros(0, np.int64)
         tables, symbols = np.concatenate([nothing, *self._tables]), np.concatenate([nothing, *self._symbols])
         return escapes, rans.encode(tables, symbols, np.concatenate([none, *self._runs]), native=self._native)
@@ -132,13 +140,38 @@ def _knot_rows(order: tuple[Knot, ...]) -> I32:
     return np.array(rows, np.int32).reshape(-1, 5)
 
 
+def _packed(escapes: I32) -> bytes:
+    """Large numbers [n]: how many, then folded, the four bytes of each as planes, every plane deflated by itself."""
+    if not len(escapes):
+        return b""
+    wide = escapes.astype(np.int64)
+    folded = np.where(wide < 0, -2 * wide - 1, 2 * wide).astype("<u4")
+    planes = [squeeze(plane.tobytes()) for plane in folded.view(np.uint8).reshape(-1, 4).T]
+    return _ESCAPES.pack(len(escapes), *map(len, planes)) + b"".join(planes)
+
+
+def _unpacked(data: memoryview) -> I32:
+    """Inverse of :func:`_packed`. Raises :class:`DecodeError`."""
+    if not len(data):
+        return np.zeros(0, np.int32)
+    if len(data) < _ESCAPES.size:
+        raise DecodeError("motion: large residuals are cut short")
+    count, *sizes = _ESCAPES.unpack_from(data)
+    if not 0 < count <= MAX_ESCAPES or sum(sizes) != len(data) - _ESCAPES.size:
+        raise DecodeError(f"motion: {count} large residuals in {len(data)} bytes; beyond bounds, or cut short")
+    folded, at = np.empty((count, 4), np.uint8), _ESCAPES.size
+    for plane, size in enumerate(sizes):
+        raw = unsqueeze(data[at : at + size], count, "motion: large residuals")
+        folded[:, plane], at = np.frombuffer(raw, np.uint8), at + size
+    whole = folded.view("<u4")[:, 0]
+    return ((whole >> 1) ^ (np.uint32(0) - (whole & 1))).astype(np.uint32).view(np.int32)
+
+
 class SymbolReader:
     """Reads the symbols of one level. Raises :class:`DecodeError` for damaged data."""
 
     def __init__(self, escapes: memoryview, symbols: memoryview, *, native: bool | None = None) -> None:
-        if len(escapes) % 4:
-            raise DecodeError("motion: large residuals are cut short")
-        self._escapes, self._at = np.frombuffer(escapes, "<i4"), 0
+        self._escapes, self._at = _unpacked(escapes), 0
         self._symbols = rans.decoder(symbols, native=native)
 
     def plain(self, tables: U8) -> U8:

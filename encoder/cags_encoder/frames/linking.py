@@ -70,6 +70,14 @@ TINY = 1e-12
 FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
 """Moving neighbours that a splat without a velocity takes its own from: how many are looked at, how many nearest."""
 
+FLOW_ROUNDS, COMPANIONS, EXPLAINED = 12, 16, 0.05
+"""How often splats are looked for again where their neighbours went, how many of these are asked, and within how much
+of the spacing a splat lies where it was expected.
+"""
+
+BENDS = 0.7
+"""Velocities are taken to change evenly where splats then lie nearer to where they are looked for by this factor."""
+
 
 @dataclass(frozen=True, eq=False)
 class Looks:
@@ -97,11 +105,16 @@ class Looks:
         parts = (
             logs / np.float32(SCALE_STEP),
             splats.sh0 * np.float32(SH_C0 / COLOUR_STEP),
-            np.einsum("nk,kp->np", rest, _weights(rest.shape[1])),
+            np.einsum("nk,kp->np", rest, _weights(rest.shape[1])) if rest.shape[1] else _none(len(splats)),
         )
         radii: F64 = np.exp(logs.astype(np.float64)).mean(axis=1)
         stretch = np.minimum(np.ptp(logs, axis=1), 1.0)
         return Looks(splats, splats.means.astype(np.float64), radii, np.concatenate(parts, axis=1), stretch)
+
+
+def _none(count: int) -> F32:
+    """[count, HARMONICS_PARTS] of splats without harmonics."""
+    return np.zeros((count, HARMONICS_PARTS), np.float32)
 
 
 def _weights(count: int) -> F32:
@@ -117,22 +130,26 @@ class Tracks:
 
     looks: Looks
     velocities: F64  # [n, 3] a frame
+    bends: F64  # [n, 3] by how much the velocity was another in the frame before; 0 where there was none
     ages: NDArray[np.int64]  # [n] frames before this one that the track has lived through
 
     @staticmethod
     def begun(looks: Looks) -> Tracks:
         """Those of a first frame."""
-        return Tracks(looks, np.zeros((len(looks), 3)), np.zeros(len(looks), np.int64))
+        still = np.zeros((len(looks), 3))
+        return Tracks(looks, still, still, np.zeros(len(looks), np.int64))
 
     def continued(self, after: Looks, rows: Rows) -> Tracks:
         """Those of the next frame, whose splats continue ``rows`` [m], or none (-1)."""
         found = rows >= 0
-        step = np.zeros((len(after), 3))
+        step, bends = np.zeros((len(after), 3)), np.zeros((len(after), 3))
         ages = np.zeros(len(after), np.int64)
         came = rows[found]
         step[found] = after.means[found] - self.looks.means[came]
         ages[found] = self.ages[came] + 1
-        return Tracks(after, step, ages)
+        old = ages > 1
+        bends[old] = step[old] - self.velocities[rows[old]]
+        return Tracks(after, step, bends, ages)
 
     def predicted(self) -> F64:
         """Where each splat is to be looked for in the next frame [n, 3]."""
@@ -196,6 +213,7 @@ class _Linking:
         self.rows: Rows = np.full(len(after), -1, np.intp)
         self._free = np.ones(len(before.looks), bool)
         self._changed = np.ones(len(after), bool)
+        self._by_rows = False  # whether rows are identities
 
     def run(self) -> Rows:
         """Link what can be linked."""
@@ -203,7 +221,7 @@ class _Linking:
         self._changed = self.rows < 0
         if not self._open():
             return self.rows
-        expected = self._tracks.predicted()
+        expected = self._expected()
         by_row = self._by_row(expected)
         if self._open():
             self._search(expected, FEW)
@@ -211,10 +229,24 @@ class _Linking:
             self._search_by_flow()
         if self._open() and self._search_by_looks():
             self._search_by_flow()
+        if not self._by_rows:
+            self._settle_by_flow(expected)
         rows = by_row[self._free[by_row] & (self.rows[by_row] < 0)]
         self._link(rows, rows)
         self._part_strangers(expected)
         return self.rows
+
+    def _expected(self) -> F64:
+        """Where the splats of the frame before are looked for [n, 3]: their velocities change as they did before,
+        where a sample shows that this is nearer than velocities that stay.
+        """
+        even, bends = self._tracks.predicted(), self._tracks.bends
+        sample = np.flatnonzero(self._tracks.ages > 1)
+        sample = sample[:: max(1, len(sample) // SAMPLE)]
+        if len(sample) <= CANDIDATES or not bends.any():
+            return even
+        away = [np.median(self._field.near(e[sample], 1)[0]) for e in (even, even + bends)]
+        return even + bends if away[1] < BENDS * away[0] else even
 
     def _part_strangers(self, expected: F64) -> None:
         """Undo links of splats that look otherwise than those of this pair of frames usually do, and are neither where
@@ -253,6 +285,7 @@ class _Linking:
         sample = rows[:: max(1, len(rows) // SAMPLE)]
         if not len(sample) or not self._rows_hold(sample, expected):
             return np.zeros(0, np.intp)
+        self._by_rows = True
         scores = self._scores(rows, rows[:, None], expected, self._spacing)[:, 0]
         sure = rows[scores <= SURE]
         self._link(sure, sure)
@@ -343,6 +376,55 @@ class _Linking:
         expected[before] += _flow(expected[before], expected[seeds[agree]], moved[agree])
         self._search(expected)
         return True
+
+    def _settle_by_flow(self, expected: F64) -> None:
+        """Look again, where their neighbours went, for splats that neither their own way nor that of their neighbours
+        explains: what moves by as much as its splats lie apart is first linked with the wrong ones, at the edge of
+        what is linked rightly. As long as this explains more of them.
+        """
+        unit = max(self._spacing, TINY)
+        best, kept = np.inf, self.rows.copy()
+        for _ in range(FLOW_ROUNDS):
+            linked = np.flatnonzero((self.rows >= 0) & self._changed)
+            came = self.rows[linked]
+            own = np.linalg.norm(self._after.means[linked] - expected[came], axis=1) / unit
+            doubtful = np.flatnonzero(own > EXPLAINED)
+            if len(doubtful) <= FLOW_NEIGHBOURS:
+                return
+            flow = self._moved_by_others(linked, came[doubtful])
+            off = np.linalg.norm(self._after.means[linked[doubtful]] - flow[came[doubtful]], axis=1) / unit
+            lost = doubtful[off > EXPLAINED]
+            left = len(lost) + int(self._free.sum())
+            if left >= best:
+                self.rows = kept
+                break
+            best, kept = left, self.rows.copy()
+            self.rows[linked[lost]] = -1
+            self._free[came[lost]] = True
+            if self._open():
+                rows = np.flatnonzero(self._free)
+                self._search(self._moved_by_others(np.flatnonzero(self.rows >= 0), rows))
+            if self._open():
+                self._search(expected)
+        self._free[:] = True
+        self._free[self.rows[self.rows >= 0]] = False
+
+    def _moved_by_others(self, linked: Rows, rows: Rows) -> F64:
+        """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the :data:`COMPANIONS` nearest
+        of the ``linked`` did, themselves aside.
+        """
+        from scipy.spatial import cKDTree
+
+        came, expected = self.rows[linked], self._before.means.copy()
+        if not len(came):
+            return expected
+        moved = self._after.means[linked] - expected[came]
+        k = min(COMPANIONS + 1, len(came))
+        near = cKDTree(expected[came]).query(expected[rows], k=k, workers=1)[1].reshape(len(rows), k)
+        own = came[near] == rows[:, None]
+        last = np.where(own.any(axis=1)[:, None], near[:, -1:], near[:, -2:-1] if k > 1 else near[:, -1:])
+        expected[rows] += np.median(moved[np.where(own, last, near)], axis=1)
+        return expected
 
     def _moved_with(self, linked: Rows, rows: Rows) -> F64:
         """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the ``linked`` around them."""

@@ -27,7 +27,9 @@ from cags_encoder.frames.rows import SplatTable
 from cags_encoder.frames.tiling import CutTile, corners, cut_tiles
 from cags_encoder.motion.chunks import ROUND, TrackSpan
 from cags_encoder.motion.fades import fit_fades
+from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails, Window
+from cags_encoder.settings import EncodeSettings
 from cags_encoder.svq_codec import SvqCodec, SvqSplats
 
 PHASES = 4
@@ -36,8 +38,10 @@ PHASES = 4
 SHARE = 0.25
 """Part of the change threshold by which a single attribute may be wrong: it stays so for long, and others are, too."""
 
-STILL = 1.0
-"""Splats that stay within so many finest units of where they are held need no chunk."""
+STILL = 2.0
+"""Splats that stay within so many times the tolerance of where they are held need no chunk; nor within a finest unit at
+most.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +76,14 @@ class _Track:
 class MovingGroups:
     """Chooses what each frame sends, group after group."""
 
-    def __init__(self, codec: SvqCodec, steps: MotionSteps, trails: Trails, span: int, threshold: float) -> None:
-        self._codec, self._trails, self._span, self._threshold = codec, trails, span, threshold
+    def __init__(
+        self, codec: SvqCodec, steps: MotionSteps, trails: Trails, settings: EncodeSettings, tolerances: Tolerances
+    ) -> None:
+        self._codec, self._trails, self._tolerances = codec, trails, tolerances
+        self._span, self._threshold = settings.motion_span, settings.change_threshold
         self._steps = Steps(np.array(steps.moves, np.float32), np.array(steps.turns, np.float32))
         self._books: CodebookSet = codec.quantiser.books
+        self._tolerated = tolerances  # of this group
         self._tracks: list[_Track] = []
         self._held: SplatTable | None = None
         self._axes = np.zeros((0, 3), np.int64)  # [capacity] order of a splat's axes in its looks
@@ -87,6 +95,7 @@ class MovingGroups:
         """What ``frame`` sends; ``quantised`` [k] are those of its changes that look different."""
         if frame.key:
             self._tracks, self._held = [], None
+            self._tolerated = self._tolerances
         rows = np.flatnonzero(frame.looks)
         ids, births = frame.delta.ids[rows], frame.births[rows]
         self._room(frame.capacity)
@@ -95,6 +104,8 @@ class MovingGroups:
         changed = self._changed(ids, births, quantised.prepared, fresh, frame.delta.splats.take(rows))
         whole = births | changed.pop("whole")
         looks = self._looks(frame, ids[whole], quantised, np.flatnonzero(whole))
+        if frame.key:
+            self._tolerated = self._tolerances.over(self._moving_share(frame.index))
         self._mark_gone(frame.delta.removed)
         self._faded = []
         chunks = self._chunks(frame.index)
@@ -270,8 +281,18 @@ class MovingGroups:
         track.end, track.fades = window.last(), fades is not None
         return TrackSpan(
             *(track.key, window.means, window.quats, window.present, track.anchors, track.quats),
-            *(track.steps, track.round, starts, lives, fades),
+            *(track.steps, track.round, starts, lives, fades, self._tolerated),
         )
+
+    def _moving_share(self, frame: int) -> float:
+        """Share of a key frame's splats that move within the first span."""
+        last, moving, splats = min(frame + self._span, self._trails.last(frame)), 0, 0
+        for track in self._tracks:
+            window = self._trails.window(track.ids, frame, last)
+            away = np.abs(window.means - track.anchors).max(axis=2)
+            moving += int((np.where(window.present, away, 0.0).max(axis=0) > 4 * track.steps.moves).sum())
+            splats += len(track.ids)
+        return moving / max(splats, 1)
 
     def _is_still(self, track: _Track, window: Window) -> bool:
         """Whether a client that has no chunk of these frames shows them well enough."""
@@ -283,11 +304,12 @@ class MovingGroups:
             means, quats = track.anchors, track.quats
         alive = window.present[0]
         away = np.abs(window.means[:, alive] - means[alive]).max(axis=2, initial=0.0)
-        if (away > STILL * track.steps.moves[alive]).any():
+        moved, turned_ = (min(STILL * t.top, 1.0) for t in (self._tolerated.moves, self._tolerated.turns))
+        if (away > moved * track.steps.moves[alive]).any():
             return False
         closeness = np.abs((window.quats[:, alive].astype(np.float64) * quats[alive]).sum(axis=2))
         turned = np.sqrt(np.maximum(1.0 - np.square(closeness), 0.0))
-        return not (turned > STILL * np.where(track.round, np.inf, track.steps.turns)[alive]).any()
+        return not (turned > turned_ * np.where(track.round, np.inf, track.steps.turns)[alive]).any()
 
     def _lives(self, window: Window) -> NDArray[np.uint8] | None:
         """Frames for which each splat [n] is there; one more than there are where it lives on."""

@@ -42,6 +42,9 @@ class Placed:
     """[m] opacity logits to code instead of the delta's own: the largest of a splat that fades."""
 
 
+ROOM = 1.5
+"""Ids for each splat that is there, at most: the more of them are free, the closer together lie those of new splats."""
+
 FASTEST = 1e4
 """A splat that goes further than so many of its own sizes between two frames is taken for another."""
 
@@ -84,7 +87,7 @@ class Placer:
     def __init__(self) -> None:
         self._table: SplatTable | None = None
         self._identities: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._free: list[int] = []
+        self._free: NDArray[np.int64] = np.zeros(0, np.int64)
 
     @property
     def capacity(self) -> int:
@@ -129,12 +132,12 @@ class Placer:
         ids = at.astype(np.int32)
         new = np.flatnonzero(~known)
         new = new[morton_order(splats.means[new])]  # ids that rise along the curve: neighbours in a tile are near
-        ids[new] = self._fresh_ids(len(new))
+        ids[new] = self._fresh_ids(len(new), len(identities))
         top = max(len(self._identities), int(ids.max(initial=-1)) + 1)
         self._identities = np.concatenate([self._identities, np.full(top - len(self._identities), -1)])
         self._identities[removed] = -1
         self._identities[ids] = identities
-        self._free = sorted({*self._free, *removed.tolist()})
+        self._free = np.union1d(self._free, removed)
         return ids, removed
 
     def _jumps(self, ids: Ids, splats: Splats) -> NDArray[np.bool_]:
@@ -145,9 +148,17 @@ class Placer:
         jumps: NDArray[np.bool_] = away > FASTEST * size
         return jumps
 
-    def _fresh_ids(self, count: int) -> Ids:
-        """Ids that went in earlier frames first (never in this one: a client may apply its removals late)."""
-        reused, self._free = self._free[:count], self._free[count:]
+    def _fresh_ids(self, count: int, alive: int) -> Ids:
+        """Ids that went in earlier frames (never in this one: a client may apply its removals late), or new ones while
+        there are no more than :data:`ROOM` for each of ``alive`` splats: those that lie closest together, since gaps
+        between them are what lists of ids cost.
+        """
+        if not count:
+            return np.zeros(0, np.int32)
         first = len(self._identities)
-        fresh = range(first, first + count - len(reused))
-        return np.array([*reused, *fresh], np.int32)
+        more = count if first + count <= ROOM * alive else max(count - len(self._free), 0)
+        ids = np.concatenate([self._free, np.arange(first, first + more)])
+        at = int(np.argmin(ids[count - 1 :] - ids[: len(ids) - count + 1]))
+        chosen = ids[at : at + count]
+        self._free = np.setdiff1d(self._free, chosen, assume_unique=True)
+        return chosen.astype(np.int32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,17 @@ from cags_common.bundle import TilePayloads
 from cags_common.geometry import F32, F64
 from cags_common.motion import chunk
 from cags_common.motion.apply import Steps, product
-from cags_common.motion.chunk import LEVELS, REFINEMENT, Blocks
+from cags_common.motion.chunk import DEADZONES, LEVELS, MAX_FINER, REFINEMENT, Blocks
+from cags_common.motion.knots import knots
+from cags_common.motion.symbols import SymbolWriter
 from cags_common.tile_kinds import TileKind
 from cags_encoder.frames.tiling import corners
 from cags_encoder.motion.rigid import carried, rigid_blocks
 from cags_encoder.motion.smoothing import smoothed
+from cags_encoder.motion.tolerance import Tolerance, Tolerances
 from cags_encoder.motion.turns import CONJUGATE, relative_turns
 
-BLOCK = 128
+BLOCKS = (128, 32)
 """Splats that move as one rigid body before their own residuals."""
 
 STRAIGHT = 1.0
@@ -32,6 +35,9 @@ MOST_MOVED, MOST_TURNED = 1.0, 3.0
 
 ROUND = 1.05
 """Ratio of a splat's longest to its shortest axis below which nobody sees it turn."""
+
+JUDGED = 512
+"""Splats by which it is judged how exactly a chunk has to be told."""
 
 LEAST_UNITS = 0.5
 """Residuals below this round to nothing."""
@@ -56,11 +62,57 @@ class TrackSpan:
     """Whether the span begins after the looks do."""
     lives: NDArray[np.uint8] | None  # [n]
     fades: NDArray[np.int64] | None  # [n, 2]
+    tolerances: Tolerances = field(default_factory=Tolerances)
 
     @property
     def span(self) -> int:
         """Frames after the first."""
         return len(self.means) - 1
+
+
+@dataclass(frozen=True)
+class Exactness:
+    """How exactly a chunk tells positions, or rotations."""
+
+    finer: int = 0
+    """How often the tile's units are halved."""
+    told: int = LEVELS
+    """Levels that tell anything."""
+
+    @property
+    def step(self) -> int:
+        """Finest units of the chunk in a unit of the last level that is told."""
+        return int(REFINEMENT ** (LEVELS - self.told))
+
+    def scaled(self, values: F64) -> F64:
+        """``values``, in the tile's units, in those of the last level that is told."""
+        most = MOST_UNITS / self.step
+        out: F64 = np.clip(values * (2.0**self.finer / self.step), -most, most)
+        return out
+
+
+def exactness(values: F64, present: NDArray[np.bool_], tolerance: Tolerance, *, starts: bool, turn: bool) -> Exactness:
+    """How exactly ``values`` [frames, n, c], in the tile's units, are to be told for their errors to be tolerable."""
+    rows = np.flatnonzero(present.any(axis=0))
+    rows = rows[:: max(1, len(rows) // JUDGED)]
+    values, present = values[:, rows], present[:, rows]
+    largest = float(np.abs(values).max(initial=1.0))
+    most = int(np.clip(np.log2(MOST_UNITS / largest), 0, MAX_FINER))
+
+    def error(finer: int, told: int) -> float:
+        left = np.ascontiguousarray(np.clip(values, -MOST_UNITS, MOST_UNITS) * 2.0**finer)
+        order, apart = knots(len(values) - 1, start=starts), np.zeros(values.shape, np.uint8)
+        SymbolWriter().tree(order, left, apart, REFINEMENT ** (LEVELS - told), DEADZONES[told - 1], turn=turn)
+        off: F64 = left[present] * 2.0**-finer
+        return float(np.sqrt(np.square(off).mean())) if off.size else 0.0
+
+    finer = next((finer for finer in range(most) if error(finer, 1) <= tolerance.base), most)
+    for told in range(1, LEVELS):
+        if error(finer, told) <= tolerance.spare:
+            return Exactness(finer, told)
+    while finer < most and error(finer, LEVELS) > tolerance.top:
+        finer += 1
+    return Exactness(finer)
 
 
 def encode_span(span: TrackSpan) -> TilePayloads:
@@ -74,15 +126,23 @@ def encode_span(span: TrackSpan) -> TilePayloads:
         turns = _beside(np.broadcast_to(np.eye(4)[0], block_turns.shape) if turns is None else turns, block_turns)
     else:
         base = anchors[None]
-    residuals = smoothed(np.clip((moves - base) / unit, -MOST_UNITS, MOST_UNITS), MOST_MOVED, starts=span.starts)
-    residuals = _straight(residuals, span.present, starts=span.starts)
-    rotations = None if turns is None else _turn_residuals(span, turns)
+    residuals = (moves - base) / unit
+    exact = exactness(residuals, span.present, span.tolerances.moves, starts=span.starts, turn=False)
+    residuals = smoothed(exact.scaled(residuals), MOST_MOVED, starts=span.starts)
+    residuals = _straight(residuals, span.present, exact.told, starts=span.starts) * exact.step
+    rotations, turned = (None, Exactness()) if turns is None else _turn_residuals(span, turns)
     if rotations is None or np.abs(residuals).max(initial=0.0) > LEAST_UNITS:
         told: F64 | None = residuals
     else:
         told = None
     payloads = chunk.encode(
-        span.looks, told, rotations, starts=span.starts, lives=span.lives, fades=span.fades, blocks=blocks
+        *(span.looks, told, rotations),
+        starts=span.starts,
+        lives=span.lives,
+        fades=span.fades,
+        blocks=blocks,
+        finer=(exact.finer, turned.finer),
+        told=(exact.told, turned.told),
     )
     shown = moves[span.present]
     return TilePayloads(
@@ -132,8 +192,8 @@ def _line(values: F64, present: NDArray[np.bool_]) -> F64:
     return line
 
 
-def _straight(values: F64, present: NDArray[np.bool_], *, starts: bool) -> F64:
-    """``values`` [frames, n, c] in finest units, with those that are within :data:`STRAIGHT` of a line put on it.
+def _straight(values: F64, present: NDArray[np.bool_], levels: int, *, starts: bool) -> F64:
+    """``values`` [frames, n, c] in units of the last of ``levels``, those within :data:`STRAIGHT` of a line put on it.
 
     Lines begin where the client has the splats: without ``starts`` at nothing, whatever the first sample. Their ends
     are as round as they may be, so that levels have less to add: a short life needs no exact end of the span.
@@ -150,7 +210,7 @@ def _straight(values: F64, present: NDArray[np.bool_], *, starts: bool) -> F64:
     first = np.rint(line[0])
     chosen = first + np.rint(line[-1] - first) * times
     limit = np.maximum(off(chosen), ROUGH)
-    for unit in (REFINEMENT**level for level in range(1, LEVELS)):
+    for unit in (REFINEMENT**level for level in range(1, levels)):
         rounder = first + np.rint((line[-1] - first) / unit) * unit * times
         chosen = np.where(off(rounder) <= limit, rounder, chosen)
     return np.where(straight[:, None], chosen, values)
@@ -165,16 +225,17 @@ def _line_from_nothing(values: F64, present: NDArray[np.bool_]) -> F64:
     return line
 
 
-def _turn_residuals(span: TrackSpan, turns: F64) -> F64 | None:
-    """Turns [span + 1, n, 4] against the identity in finest units, or None where nobody would see them."""
+def _turn_residuals(span: TrackSpan, turns: F64) -> tuple[F64 | None, Exactness]:
+    """Turns [span + 1, n, 4] against the identity in the chunk's finest units, or None where nobody would see them."""
     units = (turns - np.eye(4)[0]) / span.steps.turns.astype(np.float64)[None, :, None]
     units[:, span.round] = 0.0
     if not span.present.all():
         last = span.span - span.present[::-1].argmax(axis=0)
         units = np.where(span.present[:, :, None], units, units[last, np.arange(units.shape[1])][None])
-    units = smoothed(np.clip(units, -MOST_UNITS, MOST_UNITS), MOST_TURNED, starts=span.starts)
-    units = _straight(units, span.present, starts=span.starts)
-    return units if np.abs(units).max(initial=0.0) > LEAST_UNITS else None
+    exact = exactness(units, span.present, span.tolerances.turns, starts=span.starts, turn=True)
+    units = smoothed(exact.scaled(units), MOST_TURNED, starts=span.starts)
+    units = _straight(units, span.present, exact.told, starts=span.starts) * exact.step
+    return (units if np.abs(units).max(initial=0.0) > LEAST_UNITS else None), exact
 
 
 def _beside(turns: F64, blocks: F64) -> F64:
@@ -188,18 +249,19 @@ def _beside(turns: F64, blocks: F64) -> F64:
 
 
 def _worthwhile(span: TrackSpan, anchors: F64, moves: F64) -> Blocks | None:
-    """Rigid blocks, where they save more than they cost (judged at the ends and in the middle)."""
+    """Rigid blocks of the size that saves most, where they save more than they cost (judged at some samples)."""
     unit = float(np.float32(max(float(np.percentile(span.steps.moves, 10)), 1e-30)))
     some = moves[[span.span // 2, span.span]]
     weights = np.asarray(span.present.any(axis=0), np.float64) + 1e-9
-    tried = rigid_blocks(anchors, some, weights, BLOCK, unit)
-    base, _ = carried(tried, anchors)
     moves_unit = span.steps.moves[None, :, None]
 
     def bits(left: F64) -> float:
         return float(np.log2(1.0 + np.abs(left / moves_unit)).sum())
 
-    saved = bits(some - anchors[None]) - bits(some - base)
-    if saved <= 1.5 * 6 * 8 * len(some) * (-(-len(anchors) // BLOCK)):
-        return None
-    return rigid_blocks(anchors, moves, weights, BLOCK, unit)
+    saved = {}
+    alone = bits(some - anchors[None])
+    for size in BLOCKS:
+        base, _ = carried(rigid_blocks(anchors, some, weights, size, unit), anchors)
+        saved[size] = alone - bits(some - base) - 1.5 * 6 * 8 * len(some) * (-(-len(anchors) // size))
+    best = max(saved, key=lambda size: saved[size])
+    return rigid_blocks(anchors, moves, weights, best, unit) if saved[best] > 0 else None

@@ -1,32 +1,36 @@
 // The client's frame after drawing: what the server says is lacking, brought to the client's view by the client's own depth
-// (PRPA: projection, z-test, border) and added. Every pass stores what later ones compare: recomputed it need not be the
-// same bits.
+// (PRPA: projection, z-test, border) and added; hidden pixels get the mean of what was added around them. Every pass stores
+// what later ones compare: recomputed it need not be the same bits.
 struct Correction {
   m0: vec4<f32>, m1: vec4<f32>, m2: vec4<f32>,       // rows of m, b in the fourth: (x z, y z, z) = D m (u, v, 1) + b
   size: vec2<u32>, reference: vec2<u32>,
   cell: vec2<f32>, stride: u32, tolerance: f32,      // cell: client pixels a reference pixel
-  slope_cells: f32, border: f32, knee: f32, unused_a: f32,
-  grid: vec2<u32>, kind: u32, unused_b: u32,         // kind 0: a companded difference, 1: a picture
+  slope_cells: f32, border: f32, knee: f32, hole_alpha: f32,
+  grid: vec2<u32>, kind: u32,                        // kind 0: a companded difference, 1: a picture
+  veto_cell: u32,                                    // pixels a side of a veto's values, 0: there is none
 }
 @group(0) @binding(0) var<uniform> job: Correction;
 @group(0) @binding(1) var<storage, read> picture: array<vec4<f32>>;         // the client's own: rgb, alpha
 @group(0) @binding(2) var<storage, read> depth: array<u32>;                 // bits of a float; +inf where void or thin
 @group(0) @binding(3) var<storage, read_write> cells: array<vec2<f32>>;     // inverse depth and weight, level after level
 @group(0) @binding(4) var<storage, read_write> filled: array<u32>;          // depth without holes, bits
-@group(0) @binding(5) var<storage, read_write> places: array<vec2<u32>>;    // bits of z in the reference, and the pixel there or OUTSIDE
-@group(0) @binding(6) var<storage, read_write> nearest: array<atomic<u32>>; // bits of the least z of each reference pixel
-@group(0) @binding(7) var<storage, read_write> first: array<atomic<u32>>;   // of equally near pixels the first
+@group(0) @binding(5) var<storage, read_write> places: array<vec2<u32>>;    // bits of z in the reference, and the pixel there, or HIDDEN, or OUTSIDE
+@group(0) @binding(6) var<storage, read_write> nearest: array<atomic<u32>>; // bits of the least z of each reference pixel; then of equally near ones the first
+@group(0) @binding(7) var<storage, read> veto: array<f32>;                  // share of the confidence that is taken away
 @group(0) @binding(8) var<storage, read> coded: array<f32>;                 // the decoded reference [h][w][3] in [0, 1]
 @group(0) @binding(9) var<storage, read> own: array<vec4<f32>>;             // the client's view from the reference camera
 @group(0) @binding(10) var<storage, read_write> lack: array<vec4<f32>>;     // what is added, at the reference's pixels
 @group(0) @binding(11) var<storage, read_write> shown: array<u32>;          // 8 bits a channel; with FLOATS four floats
+@group(0) @binding(12) var<storage, read_write> sums: array<vec4<f32>>;     // of the finest cells: what was added, confidence
 override FLOATS: bool = false;
 const CELL = 8u;         // pixels a side of the grid that fills holes in the depth
 const VOID = 0x7f800000u;
 const OUTSIDE = 0xffffffffu;
+const HIDDEN = 0xfffffffeu;
 const FAR = 1e6;         // depth where nothing is known anywhere, and the largest that counts, world units
 const LEAST_DEPTH = 0x358637bdu;  // bits of 1 / FAR: what is nearer is not known
 const LEAST_WEIGHT = 1e-6;
+const LEAST_AROUND = 1.0;  // confident pixels of a cell: what is fewer says less of the hidden pixels around
 const ZERO = 110.0 / 219.0; const SPAN = 109.0 / 219.0; const STILL = 1e-5;  // see cags_common.correction.compander
 
 fn known(bits: u32) -> bool { return bits >= LEAST_DEPTH && bits < VOID; }
@@ -114,10 +118,11 @@ fn pushed(lane: u32, fine: u32, size: vec2<u32>, coarse: u32, half: vec2<u32>) {
   }
 }
 
+fn reference_cells() -> u32 { return (job.reference.x + 1u) * (job.reference.y + 1u); }
+
 @compute @workgroup_size(256) fn reset(@builtin(global_invocation_id) id: vec3<u32>) {
-  if (id.x >= (job.reference.x + 1u) * (job.reference.y + 1u)) { return; }
+  if (id.x >= 2u * reference_cells()) { return; }
   atomicStore(&nearest[id.x], 0xffffffffu);
-  atomicStore(&first[id.x], 0xffffffffu);
 }
 
 struct Place { xy: vec2<f32>, z: f32 }
@@ -153,7 +158,7 @@ fn placed(pixel: vec2<u32>, d: f32) -> Place {
   if (any(pixel >= job.size)) { return; }
   let i = pixel.y * job.size.x + pixel.x;
   let p = places[i];
-  if (p.y != OUTSIDE && p.x == atomicLoad(&nearest[p.y])) { atomicMin(&first[p.y], i); }
+  if (p.y != OUTSIDE && p.x == atomicLoad(&nearest[p.y])) { atomicMin(&nearest[reference_cells() + p.y], i); }
 }
 
 fn depth_step(i: u32, j: u32) -> f32 { return abs(bitcast<f32>(filled[i]) - bitcast<f32>(filled[j])); }
@@ -172,7 +177,7 @@ fn slack(id: vec2<u32>, i: u32) -> f32 {
 
 fn hidden(id: vec2<u32>, i: u32, p: vec2<u32>) -> bool {
   let limit = bitcast<f32>(min(atomicLoad(&nearest[p.y]), 0x7f7fffffu)) * (1.0 + job.tolerance) + slack(id, i);
-  let f = atomicLoad(&first[p.y]);
+  let f = atomicLoad(&nearest[reference_cells() + p.y]);
   let at = vec2<f32>(vec2(f % job.size.x, f / job.size.x));
   return bitcast<f32>(p.x) > limit && any(abs(vec2<f32>(id) - at) > job.cell);
 }
@@ -186,19 +191,37 @@ fn lacking(xy: vec2<f32>) -> vec3<f32> {
   return mix(top, bottom, a.y);
 }
 
-@compute @workgroup_size(16, 16) fn add(@builtin(global_invocation_id) id: vec3<u32>) {
-  if (any(id.xy >= job.size)) { return; }
-  let i = id.y * job.size.x + id.x;
-  let p = places[i];
-  var rgb = picture[i].xyz;
-  var confidence = 0.0;
-  if (p.y != OUTSIDE && !hidden(id.xy, i, p)) {
-    let xy = placed(id.xy, bitcast<f32>(filled[i])).xy;  // for the sample alone: what is compared was stored
-    let distance = min(min(xy.x, f32(job.reference.x) - xy.x), min(xy.y, f32(job.reference.y) - xy.y));
-    confidence = clamp(distance / max(job.border, 1e-6), 0.0, 1.0);
-    rgb += confidence * lacking(xy);
+fn vetoed(id: vec2<u32>, i: u32) -> f32 {
+  if (job.veto_cell == 0u) { return 0.0; }
+  if (job.veto_cell == 1u) { return clamp(veto[i], 0.0, 1.0); }
+  let size = (job.size + job.veto_cell - 1u) / job.veto_cell;
+  let f = clamp((vec2<f32>(id) + 0.5) / f32(job.veto_cell) - 0.5, vec2(0.0), vec2<f32>(size) - 1.0);
+  let lo = vec2<u32>(floor(f)); let hi = min(lo + 1u, size - 1u); let a = f - vec2<f32>(lo);
+  let top = mix(veto[lo.y * size.x + lo.x], veto[lo.y * size.x + hi.x], a.x);
+  let bottom = mix(veto[hi.y * size.x + lo.x], veto[hi.y * size.x + hi.x], a.x);
+  return clamp(mix(top, bottom, a.y), 0.0, 1.0);
+}
+
+struct Sample { xy: vec2<f32>, weight: f32 }  // where in the reference, and how much of it is added
+
+// Fades towards the border; holes do not, and take the nearest point of the reference beyond it.
+fn sample_of(id: vec2<u32>, i: u32, p: vec2<u32>, alpha: f32) -> Sample {
+  let most = vec2<f32>(job.reference);
+  let xy = clamp(placed(id, bitcast<f32>(filled[i])).xy, vec2(0.0), most);  // what is compared was stored
+  var weight = 0.0;
+  if (p.y != OUTSIDE) {
+    let distance = min(min(xy.x, most.x - xy.x), min(xy.y, most.y - xy.y));
+    weight = clamp(distance / max(job.border, 1e-6), 0.0, 1.0);
   }
-  rgb = clamp(rgb, vec3(0.0), vec3(1.0));
+  let z = bitcast<f32>(p.x);
+  if (alpha < job.hole_alpha && z > 0.0 && z < 3e38) {
+    weight = max(weight, clamp(1.0 - alpha / max(job.hole_alpha, 1e-6), 0.0, 1.0));
+  }
+  return Sample(xy, weight * (1.0 - vetoed(id, i)));
+}
+
+fn show(i: u32, colour: vec3<f32>, confidence: f32) {
+  let rgb = clamp(colour, vec3(0.0), vec3(1.0));
   if (FLOATS) {
     for (var c = 0u; c < 3u; c++) { shown[4u * i + c] = bitcast<u32>(rgb[c]); }
     shown[4u * i + 3u] = bitcast<u32>(confidence);
@@ -207,15 +230,58 @@ fn lacking(xy: vec2<f32>) -> vec3<f32> {
   }
 }
 
+var<workgroup> parts: array<vec4<f32>, 256>;
+
+// The frame but for hidden pixels, and the sums over the 2 x 2 cells of the workgroup.
+@compute @workgroup_size(16, 16) fn add(
+  @builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>, @builtin(local_invocation_index) lane: u32
+) {
+  var added = vec4(0.0);  // and the confidence
+  if (all(id.xy < job.size)) {
+    let i = id.y * job.size.x + id.x;
+    let p = places[i];
+    if (p.y != OUTSIDE && hidden(id.xy, i, p)) {
+      places[i].y = HIDDEN;
+    } else {
+      let drawn = picture[i];
+      let at = sample_of(id.xy, i, p, drawn.w);
+      if (at.weight > 0.0) { added = vec4(at.weight * lacking(at.xy), at.weight); }
+      show(i, drawn.xyz + added.xyz, added.w);
+    }
+  }
+  parts[lane] = added;
+  workgroupBarrier();
+  if (local.x % CELL == 0u) {
+    for (var k = 1u; k < CELL; k++) { added += parts[lane + k]; }
+    parts[lane] = added;
+  }
+  workgroupBarrier();
+  let cell = id.xy / CELL;
+  if (all(local.xy % CELL == vec2(0u)) && all(cell < job.grid)) {
+    for (var k = 1u; k < CELL; k++) { added += parts[lane + 16u * k]; }
+    sums[cell.y * job.grid.x + cell.x] = added;
+  }
+}
+
+// Hidden pixels: the mean of what was added around them.
+@compute @workgroup_size(16, 16) fn surround(@builtin(global_invocation_id) id: vec3<u32>) {
+  if (any(id.xy >= job.size)) { return; }
+  let i = id.y * job.size.x + id.x;
+  let p = places[i];
+  if (p.y != HIDDEN) { return; }
+  let f = clamp((vec2<f32>(id.xy) + 0.5) / f32(CELL) - 0.5, vec2(0.0), vec2<f32>(job.grid) - 1.0);
+  let lo = vec2<u32>(floor(f)); let hi = min(lo + 1u, job.grid - 1u); let a = f - vec2<f32>(lo);
+  let w = job.grid.x;
+  let top = mix(sums[lo.y * w + lo.x], sums[lo.y * w + hi.x], a.x);
+  let bottom = mix(sums[hi.y * w + lo.x], sums[hi.y * w + hi.x], a.x);
+  let sum = mix(top, bottom, a.y);
+  let drawn = picture[i];
+  show(i, drawn.xyz + sample_of(id.xy, i, p, drawn.w).weight * sum.xyz / max(sum.w, LEAST_AROUND), 0.0);
+}
+
 // A frame that no reference corrects.
 @compute @workgroup_size(16, 16) fn plain(@builtin(global_invocation_id) id: vec3<u32>) {
   if (any(id.xy >= job.size)) { return; }
   let i = id.y * job.size.x + id.x;
-  let rgb = clamp(picture[i].xyz, vec3(0.0), vec3(1.0));
-  if (FLOATS) {
-    for (var c = 0u; c < 3u; c++) { shown[4u * i + c] = bitcast<u32>(rgb[c]); }
-    shown[4u * i + 3u] = 0u;
-  } else {
-    shown[i] = pack4x8unorm(vec4(rgb, 1.0));
-  }
+  show(i, picture[i].xyz, 0.0);
 }

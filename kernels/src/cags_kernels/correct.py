@@ -19,7 +19,7 @@ I16: TypeAlias = NDArray[np.int16]
 _Pointer, _int32, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
 
 LANES = 4
-"""Of a pixel of what is lacking: red, green, blue, and one that is 0."""
+"""Of a pixel of what is lacking: red, green, blue, and one that is a whole unit."""
 
 UNIT = 32767
 """What a difference of 1 is there."""

@@ -7,7 +7,7 @@ import os
 from functools import cache
 from pathlib import Path
 
-ABI_VERSION = 11
+ABI_VERSION = 12
 _LIBRARY = "libcags_kernels.so"
 _REASONS = {1: "an argument is out of range", 2: "out of memory", 3: "an internal failure"}
 

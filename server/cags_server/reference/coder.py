@@ -54,6 +54,11 @@ count.
 BETTER = 0.8
 """The other kind takes over where its score is less than this share of that in use."""
 
+LATE_WINDOW, OFTEN_LATE, SELDOM_LATE = 15, 0.4, 0.1
+"""References over which lateness is looked at; shares of late ones from which on, and up to which, differences are left
+aside and taken up again.
+"""
+
 RATE_EXPONENT = 0.5
 """Error times bytes to this power is the score of a kind: twice the bytes must bring 1.5 dB."""
 
@@ -126,6 +131,7 @@ class ReferenceCoder:
         self._knee = KNEES[-1]
         self._begin_anew = True
         self._mean_bytes, self._counted = 0.0, 0
+        self._late = 0.0  # share of references that come late, of late
         self._picture_left = 0.0  # error of the newest picture that was coded
         self._target_bytes = 0.0  # of a picture that needs others; 0: not known
 
@@ -172,8 +178,8 @@ class ReferenceCoder:
         before = _power(lack)
         if self.compares and before < INVISIBLE:
             return Coded(NOTHING, before=before, after=before)
-        if self.kinds[0] is PICTURE and DIFFERENCE in self.kinds and before < self._picture_left:
-            self._change_kind()  # the client's own view is better than what a picture would make of it
+        if self._wrong_kind(before):
+            self._change_kind()
         kind = self.kinds[0]
         coded = self._coded(kind, truth, lack, idr=idr or self._begin_anew)
         most = KEY_SHARE * self._target_bytes
@@ -186,9 +192,25 @@ class ReferenceCoder:
         if not coded.idr:
             self._mean_bytes += (len(coded.access_unit) - self._mean_bytes) / min(self._counted + 1, RATE_WINDOW)
             self._counted += 1
-        if len(self.kinds) > 1:
+        if len(self.kinds) > 1 and self._late <= OFTEN_LATE:
             self._try_other(coded, truth, lack)
         return coded
+
+    def arrives(self, *, late: bool) -> None:
+        """Whether the reference that was coded last comes after its frame is displayed, about."""
+        self._late += (late - self._late) / LATE_WINDOW
+
+    def _wrong_kind(self, before: float) -> bool:
+        """Whether the kind in use is out of place, however it codes; ``before`` is the error of the client's own view.
+
+        Where references come late the client's splats have changed by then, which a picture survives. Else a picture
+        must leave less error than the client's own view has.
+        """
+        if len(self.kinds) < 2:
+            return False
+        if self.kinds[0] is DIFFERENCE:
+            return self._late > OFTEN_LATE
+        return self._late < SELDOM_LATE and before < self._picture_left
 
     def _coded(self, kind: ReferenceKind, truth: F32, lack: F32, *, idr: bool) -> Coded:
         video = self._videos.get(kind)

@@ -11,6 +11,7 @@ from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner, StreamCase
 from cags_bench.reproduce.command import ReproduceSettings
 from cags_bench.reproduce.experiments import EXPERIMENTS
+from cags_bench.reproduce.experiments.streaming import covered_share
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
 from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Context, Plan
@@ -110,9 +111,23 @@ def test_methods_are_configurations_that_the_program_accepts(name):
     server, client = ServerSettings(**method.server), ClientSettings(**method.client)
     EncodeSettings(**method.encode)
     align.create(client.align)
-    restore.create(client.restore)
+    restore.check_name(client.restore)
     create_rate_policy(server.abr)
     create_fov_policy(server.fov)
+
+
+def test_the_published_way_has_pictures_drawn_plainly_and_restored_by_the_network():
+    published, without = METHODS["cags-paper"], METHODS["no-prpa"]
+    assert published.server["references"] == "picture"
+    assert published.server["reference_footprint"] == "plain"
+    assert published.client["restore"] == "srresnet"
+    assert {k: v for k, v in without.client.items() if k != "align"} == published.client
+    assert (without.server, without.encode) == (published.server, published.encode), "one part differs"
+
+
+def test_coverage_is_that_of_frames_that_used_a_reference():
+    assert covered_share([{"aligned_share": 0.5}, {"aligned_share": 0.0}, {"aligned_share": 1.0}, {}]) == 0.75
+    assert covered_share([{"aligned_share": 0.0}]) is None
 
 
 def test_keys_follow_content_and_configuration(tmp_path):
@@ -169,6 +184,25 @@ def test_streamed_experiments_ask_only_for_what_was_run_ahead():
         context = Context(plan, runner, print)
         runner.prepared = set(EXPERIMENTS[name].cases(context))
         assert EXPERIMENTS[name].run(context).rows
+
+
+def test_components_are_timed_on_one_view(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    plan = replace(PLAN, scenes=("procedural:size=500,frames=2",), frames=2)
+    section = EXPERIMENTS["components"].run(Context(plan, Runner(ResultCache(tmp_path / "r")), lambda _: None))
+    times = {row[0]: row[1] for row in section.rows}
+    assert {"correct by a new difference", "correct by a new picture", "PRPA", "colour restoration"} <= set(times)
+    assert all(ms > 0 for ms in times.values())
+
+
+def test_a_picture_puts_the_colours_of_the_base_level_right(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    plan = replace(
+        PLAN, scenes=("procedural:size=2000,frames=2",), frames=2, poses="synthetic:walking", width=640, height=480
+    )
+    section = EXPERIMENTS["motivation"].run(Context(plan, Runner(ResultCache(tmp_path / "r")), lambda _: None))
+    base = section.rows[0]
+    assert base[5] > base[4] + 3, "colours alone, at the base level"
 
 
 def test_the_same_session_gives_the_same_bytes_with_any_threads(monkeypatch, tmp_path):

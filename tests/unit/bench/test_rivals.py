@@ -31,7 +31,7 @@ def test_a_claim_is_five_decibels_over_two_baselines_at_two_rates() -> None:
         ({"lod_mean": 24.0}, 4.0, "its quantiser's own error at 30.0 dB"),
         ({}, 8.0, "LTS-F used 2.00 times our bytes"),
         ({}, 2.0, "LTS-F used 50% of our bytes and needed no more"),
-        ({"psnr_distorted_db": 32.0}, 4.0, "restoration cost us 2.0 dB"),
+        ({"psnr_distorted_db": 32.0}, 4.0, "references cost us 2.0 dB"),
         ({"frames_missed": 20}, 4.0, "50% of our frames were shown without all their data"),
         ({}, 4.0, "at mean LoD 5.0 of 24 and the same bytes, LTS-F is at 33.0 dB already"),
         ({"lod_mean": None}, 4.0, "and the same bytes"),

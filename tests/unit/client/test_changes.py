@@ -28,17 +28,17 @@ def line(shift: float = 0.0) -> Splats:
 def test_what_a_reference_assumes_has_not_changed_for_it() -> None:
     changes = Changes()
     changes.committed(3, rows(0, 1))
-    changes.used(7, line().means, basis=3)
-    assert not changes.since(changes.right_for(7, 3))
+    changes.used(line().means, 3)
+    assert not changes.since(3)
     assert not changes.veto(3, line(), FAR, CAMERA, FOCAL_PX).any()
     changes.committed(4, rows(2))
-    assert changes.since(changes.right_for(7, 3))
+    assert changes.since(3)
     assert not changes.since(4)
 
 
 def test_the_veto_lies_where_a_changed_splat_is_seen() -> None:
     changes = Changes()
-    changes.used(1, line().means, basis=1)
+    changes.used(line().means, 1)
     changes.committed(2, rows(4))
     veto = changes.veto(1, line(), FAR, CAMERA, FOCAL_PX)
     columns = np.flatnonzero(veto.any(axis=0))
@@ -50,17 +50,17 @@ def test_the_veto_lies_where_a_changed_splat_is_seen() -> None:
 
 def test_what_has_moved_by_more_than_a_little_counts_as_changed() -> None:
     changes, little = Changes(), 0.5 * MOVED_PX * 4.0 / FOCAL_PX
-    changes.used(1, line().means, basis=1)
+    changes.used(line().means, 1)
     assert not changes.veto(1, line(little), FAR, CAMERA, FOCAL_PX).any()
     assert changes.veto(1, line(4 * little), FAR, CAMERA, FOCAL_PX).any()
 
 
-def test_a_picture_is_right_for_what_was_shown_with_it() -> None:
+def test_of_a_picture_only_what_has_moved_counts() -> None:
     changes = Changes()
-    changes.committed(9, rows(0))
-    changes.used(2, line().means, basis=None)
-    assert changes.right_for(2, 5) == 9
-    assert changes.right_for(1, 5) == 5, "of another reference its basis is what counts"
+    changes.used(line().means, 1)
+    changes.committed(2, rows(4))
+    assert not changes.veto(None, line(), FAR, CAMERA, FOCAL_PX).any()
+    assert changes.veto(None, line(1.0), FAR, CAMERA, FOCAL_PX).any()
 
 
 def test_what_was_shown_before_a_mark_that_is_older_does_not_come_back() -> None:
@@ -72,7 +72,7 @@ def test_what_was_shown_before_a_mark_that_is_older_does_not_come_back() -> None
 
 def test_another_group_of_frames_begins_anew() -> None:
     changes = Changes()
-    changes.used(1, line().means, basis=1)
+    changes.used(line().means, 1)
     changes.committed(2, rows(1))
     changes.clear()
     assert not changes.since(0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cags_common.correction import Corrected, CorrectSettings, Reference, compand
+from cags_common.correction import Corrected, CorrectSettings, Reference, compand, veto_shape
 from cags_common.correction.compander import ZERO
 from cags_common.correction.oracle import correct
 from cags_common.geometry import Camera, Intrinsics, Pose
@@ -49,14 +49,16 @@ def reference(**changed: object) -> Reference:
     return replace(Reference(compand(lack(), 0.1).astype(F), SERVER), **changed)
 
 
-def by_definition(splats: Splats, ref: Reference, settings: CorrectSettings | None = None) -> Corrected:
+def by_definition(
+    splats: Splats, ref: Reference, settings: CorrectSettings | None = None, veto: np.ndarray | None = None
+) -> Corrected:
     """Corrected from the device's own view: a z-test may hang on the last bit of a depth."""
     scene = rasteriser().load(splats)
     own = None
     if ref.picture:
         footprint = Footprint.of(CLIENT.intrinsics, ref.camera.intrinsics)
         own = scene.render(ref.camera, replace(EXACT, footprint=footprint, depth=DepthKind.NONE)).rgb
-    return correct(scene.render(CLIENT, EXACT), CLIENT, ref, own, settings)
+    return correct(scene.render(CLIENT, EXACT), CLIENT, ref, own, settings, veto=veto)
 
 
 def share_within(a: np.ndarray, b: np.ndarray) -> float:
@@ -77,6 +79,28 @@ def test_the_frame_is_the_definitions(picture: bool, border: float) -> None:
     assert (right.confidence > 0).mean() > 0.5
     assert share_within(ours.rgb, right.rgb) >= 0.9999
     assert (np.abs(ours.confidence - right.confidence) > 1e-3).mean() <= 1e-3
+
+
+@needs_adapter
+def test_a_veto_and_holes_beyond_the_reference_are_the_definitions() -> None:
+    wall = plates()
+    splats = wall.take(np.flatnonzero(wall.means[:, 0] < 0.3))
+    aside = replace(SERVER, pose=Pose.looking_at((0.9, 0.3, -4.7), (-1.2, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    ref = Reference(reference().coded, aside)
+    free = None
+    for shape in (None, veto_shape(CLIENT), (64, 96), None):
+        veto = None if shape is None else np.random.default_rng(1).random(shape, dtype=F)
+        right = by_definition(splats, ref, veto=veto)
+        ours = corrected(rasteriser().load(splats), CLIENT, EXACT, ref, veto=veto)
+        assert share_within(ours.rgb, right.rgb) >= 0.999
+        assert (np.abs(ours.confidence - right.confidence) > 1e-3).mean() <= 1e-3
+        free = right if free is None else free
+        assert veto is None or (right.confidence < free.confidence - 0.1).mean() > 0.3
+    assert free is not None
+    narrow = by_definition(splats, ref, CorrectSettings(hole_alpha=0.0))
+    assert ((free.confidence > 0.5) & (narrow.confidence == 0)).mean() > 0.05, "holes beyond the reference"
+    with pytest.raises(ValueError, match="veto of shape"):
+        corrected(rasteriser().load(splats), CLIENT, EXACT, ref, veto=np.zeros((3, 3), F))
 
 
 @needs_adapter

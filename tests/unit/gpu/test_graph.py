@@ -139,7 +139,7 @@ def test_shaders_use_nothing_that_some_device_lacks(shader: str) -> None:
 
 def test_buffers_that_passes_name_are_declared() -> None:
     declared = {name for buffers in graph()["buffers"].values() for name in buffers}
-    by_host = {"sh_rest", "staged", "own", "truth", "mirror", "coded_out"}
+    by_host = {"sh_rest", "staged", "own", "truth", "mirror", "coded_out", "veto"}
     for _, _, bind in passes():
         for name, access in (pair for pair in bind if pair):
             assert access == "uniform" or name.startswith("@") or name in declared | by_host, name

@@ -10,7 +10,9 @@ import pytest
 import cags_kernels
 from cags_common.errors import DecodeError
 from cags_common.motion import chunk as chunks
+from cags_common.motion.apply import Looks, Steps, evaluate
 from cags_common.motion.chunk import Blocks, ChunkDecoder, encode
+from cags_common.motion.symbols import _packed, _unpacked
 
 SPAN, SPLATS = 12, 70
 FINEST = 0.5 + chunks.DEADZONES[-1]
@@ -150,3 +152,30 @@ def test_the_largest_claim_of_a_few_bytes_takes_bounded_memory() -> None:
         assert tracemalloc.get_traced_memory()[1] < 160 << 20
     finally:
         tracemalloc.stop()
+
+
+def test_halved_units_move_half_as_far() -> None:
+    moves = np.arange(15, dtype=np.float64).reshape(5, 1, 3)
+    looks = Looks(np.zeros((1, 3), np.float32), np.float32([[1, 0, 0, 0]]), np.zeros(1, np.float32))
+    steps = Steps(np.float32([0.5]), np.float32([0.5]))
+    chunks_ = [decoded(encode((0, 0), moves, None, starts=True, finer=(finer, 0))) for finer in (0, 1)]
+    shown = [evaluate(chunk, 4.0, looks, steps).means for chunk in chunks_]
+    assert np.array_equal(shown[1] * 2, shown[0]) and shown[0].any()
+
+
+def test_units_are_halved_within_bounds_alone() -> None:
+    moves = np.zeros((2, 1, 3))
+    with pytest.raises(ValueError, match=r"halved \(9, 0\) times"):
+        encode((0, 0), moves, None, starts=True, finer=(9, 0))
+    payload = bytearray(encode((0, 0), moves, None, starts=True)[0])
+    payload[18] = 9
+    with pytest.raises(DecodeError, match="beyond bounds"):
+        ChunkDecoder(bytes(payload))
+
+
+@pytest.mark.parametrize("cut", [1, 4, 20, 40])
+def test_large_residuals_that_are_cut_short_are_refused(cut: int) -> None:
+    data = _packed(np.array([1 << 20, -(1 << 22), 300, -127], np.int32))
+    assert _unpacked(memoryview(data)).tolist() == [1 << 20, -(1 << 22), 300, -127]
+    with pytest.raises(DecodeError):
+        _unpacked(memoryview(data[: max(len(data) - cut, 1)]))

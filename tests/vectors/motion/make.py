@@ -46,6 +46,13 @@ def cases() -> dict[str, dict[str, Any]]:
         "rotations": {"moves": None, "turns": smooth(random, 64, 3, 4, 1.0), "starts": False},
         "many-lanes": {"moves": smooth(random, 6, 900, 3, 0.25), "turns": None, "starts": True},
         "no-splats": {"moves": np.zeros((2, 0, 3)), "turns": None, "starts": True},
+        "finer": {
+            "moves": smooth(random, 4, 9, 3, 1.0),
+            "turns": smooth(random, 4, 9, 4, 0.25),
+            "starts": True,
+            "finer": (3, 1),
+            "told": (2, 1),
+        },
         "one-frame": {
             "moves": smooth(random, 1, 3, 3, 1.0),
             "turns": None,

@@ -11,7 +11,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Experiment(
             "motivation",
             "figure",
-            "Super-resolution, colour restoration, and restoration by example",
+            "Super-resolution, colours alone, and correction by example",
             coding.motivation,
         ),
         Experiment("svq", "table", "Scalable vector quantisation at its highest level", coding.svq),
@@ -27,7 +27,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Experiment(
             "ablations",
             "figure",
-            "Without alignment, without the adaptive field of view",
+            "Pictures alone, without the adaptive field of view, without alignment",
             streaming.ablations,
             cases=streaming.ablation_cases,
         ),

@@ -1,4 +1,4 @@
-"""Tables and figures of the codec: levels of quantisation, layers, the ladder, and what colour restoration adds."""
+"""Tables and figures of the codec: levels of quantisation, layers, the ladder, and what a reference adds."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ from cags_bench.jsonl import JsonObject
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Curve, Plot, Section
 from cags_bench.seeing import see
-from cags_client import restore
-from cags_client.align import ReferencePicture
-from cags_common import raster
+from cags_common import correction, raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
 from cags_common.codecs import dequantise_tiles
+from cags_common.correction import Reference
 from cags_common.dequantise import Dequantiser
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.lod import LodLayer
@@ -187,7 +186,7 @@ def _without(reader: BundleReader, books: CodebookSet, stills: Stills, left_out:
 
 
 def motivation(context: Context) -> Section:
-    """Size against PSNR: the reference alone, the distorted picture alone, and restoration by example."""
+    """Size against PSNR: the reference alone, the distorted picture alone, and correction by example."""
     rows: list[list[Cell]] = []
     plots = []
     for scene in context.plan.scenes:
@@ -209,7 +208,7 @@ def motivation(context: Context) -> Section:
         plots.append(Plot(scene, "bytes a splat", "PSNR [dB]", curves))
     return Section(
         name="motivation",
-        title="Super-resolution, colour restoration, and restoration by example",
+        title="Super-resolution, colours alone, and correction by example",
         paper="Figure 'motivation'. Five depths of the 66-bit ladder stand for the paper's five flat quantisers; "
         "references are rendered for the exact pose, as there.",
         columns=("scene", "LoD", "bytes a splat", "reference upsampled [dB]", "distorted [dB]", "by example [dB]"),
@@ -218,23 +217,23 @@ def motivation(context: Context) -> Section:
     )
 
 
-def _reference(stills: Stills, camera: Camera) -> ReferencePicture:
+def _reference(stills: Stills, camera: Camera) -> Reference:
     small = replace(camera, intrinsics=camera.intrinsics.resized(400, 300))
     footprint = Footprint.of(camera.intrinsics, small.intrinsics)
     rgb = raster.create("auto").load(stills.source).render(small, RenderOptions(footprint=footprint)).rgb
-    return ReferencePicture(rgb.clip(0, 1), small, 0)
+    return Reference(rgb.clip(0, 1), small, picture=True)
 
 
-def _three_ways(stills: Stills, splats: Splats, references: list[ReferencePicture]) -> dict[str, Any]:
+def _three_ways(stills: Stills, splats: Splats, references: list[Reference]) -> dict[str, Any]:
     import cv2
 
-    scene, restorer = raster.create("auto").load(splats), restore.create("affine")
+    scene, corrector = raster.create("auto").load(splats), correction.create("auto")
     sums = {"reference upsampled": 0.0, "distorted": 0.0, "by example": 0.0}
     for camera, truth, reference in zip(stills.cameras, stills.truths, references, strict=True):
         seen = see(scene, camera)
-        restored = seen.restored(reference, restorer)
+        corrected = seen.corrected(reference, corrector).rgb
         size = (camera.width_px, camera.height_px)
-        up: F32 = np.asarray(cv2.resize(reference.rgb, size, interpolation=cv2.INTER_LINEAR), np.float32)
-        for key, picture in zip(sums, (up, seen.distorted, restored), strict=True):
+        up: F32 = np.asarray(cv2.resize(reference.coded, size, interpolation=cv2.INTER_LINEAR), np.float32)
+        for key, picture in zip(sums, (up, seen.distorted, corrected), strict=True):
             sums[key] += psnr(picture, truth) / len(stills.cameras)
     return sums

@@ -69,7 +69,7 @@ class Duel:
             parts.append(f"{title} used {share:.0%} of our bytes and needed no more")
         gain = self.ours[PSNR] - self.ours["psnr_distorted_db"]
         if gain < 0:
-            parts.append(f"restoration cost us {-gain:.1f} dB")
+            parts.append(f"references cost us {-gain:.1f} dB")
         missed = self.ours["frames_missed"] / max(self.ours["frames"], 1)
         if missed > 0.1:
             parts.append(f"{missed:.0%} of our frames were shown without all their data")

@@ -24,7 +24,9 @@ struct Scratch {
   AlignedArray<Nearest> nearest;
   AlignedArray<float> limit, cells, lines, filled;
   AlignedArray<const float*> rows;
-  AlignedArray<uint8_t> holes;
+  AlignedArray<float> sums;
+  AlignedArray<uint64_t> hidden;
+  AlignedArray<uint8_t> marked;  // of rows of cells: those that a later pass looks at again
 };
 
 bool side(int value) { return value >= 1 && value <= kMaxSide; }
@@ -114,7 +116,9 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
   const size_t pixels = size_t(in.reference_width + 1) * (in.reference_height + 1), each = pixels + 8;  // with one that nobody looks at
   const size_t line = Line::floats(in.width);
   float* lines = scratch->lines.reserve(line * threads);
-  uint8_t* holes = scratch->holes.reserve(cells.rows);
+  uint8_t* marked = scratch->marked.reserve(cells.rows);
+  const int runs = static_cast<int>(rounded_up(in.width, kRun) / kRun);
+  const Around around{scratch->sums.reserve(size_t(cells.rows) * cells.columns * kLanes), scratch->hidden.reserve(size_t(in.height) * runs), cells.columns, runs};
   Nearest* nearest = scratch->nearest.reserve(each * threads);
   std::fill_n(nearest, each * threads, kNobody);
   const size_t pitch = Depths::pitch_of(in.width);
@@ -122,13 +126,13 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
 
   parallel_for(threads, cells.rows, [&](int row, int worker) {
     FlushDenormals flush;
-    holes[row] = stages().survey(in, row, Line(lines + line * worker, in.width), cells, depths, nearest + each * worker);
+    marked[row] = stages().survey(in, row, Line(lines + line * worker, in.width), cells, depths, nearest + each * worker);
   });
-  if (std::any_of(holes, holes + cells.rows, [](uint8_t has) { return has != 0; })) {
+  if (std::any_of(marked, marked + cells.rows, [](uint8_t has) { return has != 0; })) {
     smooth(levels);
     parallel_for(threads, cells.rows, [&](int row, int worker) {
       FlushDenormals flush;
-      if (holes[row]) stages().patch(in, row, Line(lines + line * worker, in.width), cells, depths, nearest + each * worker);
+      if (marked[row]) stages().patch(in, row, Line(lines + line * worker, in.width), cells, depths, nearest + each * worker);
     });
   }
   float* limit = scratch->limit.reserve(pixels);
@@ -143,7 +147,12 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
   });
   parallel_for(threads, cells.rows, [&](int row, int worker) {
     FlushDenormals flush;
-    stages().finish(in, row, Line(lines + line * worker, in.width), depths, {nearest, limit}, shown, confidence);
+    marked[row] = stages().finish(in, row, Line(lines + line * worker, in.width), depths, {nearest, limit}, around, shown, confidence);
+  });
+  if (std::none_of(marked, marked + cells.rows, [](uint8_t has) { return has != 0; })) return;
+  parallel_for(threads, cells.rows, [&](int row, int) {
+    FlushDenormals flush;
+    if (marked[row]) stages().surround(in, row, around, shown, confidence);
   });
 }
 

@@ -25,7 +25,7 @@ struct CagsAddInput {
 };
 
 // What is lacking, in units of 1 / 32767, with the edge repeated once around it, ready to be sampled: of each pixel but the last
-// of a row the values and those of the pixel to the right, [height + 2, width + 1, 4, 2]; the fourth lane is 0.
+// of a row the values and those of the pixel to the right, [height + 2, width + 1, 4, 2]; the fourth lane is 32767.
 CAGS_API int32_t cags_lack(const CagsLackInput* input, int16_t* lack);
 // The frame [height, width, 3] in [0, 1], and how much of what is lacking was added [height, width].
 CAGS_API int32_t cags_add_lack(const CagsAddInput* input, float* shown, float* confidence);

@@ -9,8 +9,9 @@ namespace cags::correct {
 
 constexpr int kCell = 8;         // pixels a side of the cells that fill holes: a vector's lanes
 constexpr int kVetoCell = 16;    // pixels a side of a coarse veto's cells
+constexpr float kLeastAround = 1;  // confident pixels of a cell: what is fewer says less of the hidden pixels around
 constexpr int kRun = 64;         // pixels worked on at a time: what is known of them stays in the nearest cache
-constexpr int kLanes = 4;        // red, green, blue, nothing
+constexpr int kLanes = 4;        // red, green, blue, one
 constexpr int kTap = 2 * kLanes;  // of a pixel and of the one to the right, lane beside lane
 constexpr float kUnit = 32767;   // of what is lacking
 constexpr float kFar = 1e6f;     // depth where nothing is known anywhere, and the largest that counts
@@ -63,6 +64,13 @@ struct Occlusion {
   const float* limit;      // the same: depth behind which a pixel may be hidden
 };
 
+// Of the cells, what was added to their pixels, and where it is to be added too.
+struct Around {
+  float* sums;       // [rows, columns, kLanes]; the last lane is that of the confidence
+  uint64_t* hidden;  // [height, runs], a bit a pixel: what the reference does not see
+  int columns, runs;
+};
+
 struct Stages {
   // One row of what is lacking, without its border above and below.
   void (*expand)(const CagsLackInput&, int row, int16_t* to);
@@ -70,8 +78,10 @@ struct Stages {
   bool (*survey)(const CagsAddInput&, int row, const Line&, const Cells&, const Depths&, Nearest*);
   // One row of cells that has holes: they are filled, and those of their pixels that are nearest.
   void (*patch)(const CagsAddInput&, int row, const Line&, const Cells&, const Depths&, Nearest*);
-  // One row of cells: the frame.
-  void (*finish)(const CagsAddInput&, int row, const Line&, const Depths&, const Occlusion&, float* shown, float* confidence);
+  // One row of cells: the frame but for hidden pixels, whose weight stands in `confidence`. Returns whether there are any.
+  bool (*finish)(const CagsAddInput&, int row, const Line&, const Depths&, const Occlusion&, const Around&, float* shown, float* confidence);
+  // One row of cells: the hidden pixels.
+  void (*surround)(const CagsAddInput&, int row, const Around&, float* shown, float* confidence);
 };
 
 extern const Stages stages_portable;

@@ -169,3 +169,22 @@ def test_single_splats_are_frames_too() -> None:
 def test_linking_is_deterministic() -> None:
     frames = [splats for splats, _ in disguised("fourd:splats=2000,births=250,frames=2")]
     assert np.array_equal(links(*frames), links(*frames))
+
+
+def test_a_surface_of_alike_splats_that_leaps_by_their_spacing_is_linked_by_its_flow() -> None:
+    side, random = 40, np.random.default_rng(0)
+    grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) + 0.2 * random.normal(
+        size=(side * side, 2)
+    )
+    base = cloud(side * side, 0)
+    alike = with_changes(
+        base,
+        means=np.concatenate([grid, 0 * grid[:, :1]], axis=1).astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (len(base), 1)),
+        log_scales=np.full((len(base), 3), np.log(0.2), np.float32),
+        sh0=np.zeros((len(base), 3), np.float32),
+    )
+    push = 1.2 * np.clip(grid[:, :1] / side, 0, 1) ** 2 * np.array([[1.0, 0.0, 0.0]])
+    order = random.permutation(len(base))
+    rows = links(alike, moved(alike, push).take(order))
+    assert np.mean(rows == order) >= 0.98

@@ -1,7 +1,9 @@
-// The frame: what is lacking, sampled where the reference shows it, and added.
+// The frame: what is lacking, sampled where the reference shows it, and added; where it is hidden there, the mean of what was
+// added around.
 #pragma once
 #include "correct/stages/occlude.h"
 
+#include <bit>
 #include <cmath>
 #include <cstdlib>
 
@@ -41,16 +43,26 @@ inline bool hidden(const CagsAddInput& in, const Depths& depths, int row, int co
   return behind > across && behind > across + in.slope_cells * in.cell_y * slope(in, depths, row, column, 1, 0);
 }
 
-// Returns whether any pixel of the run lies in the reference.
-inline bool place(const CagsAddInput& in, const Projection& project, int first, int count, const float* depth, Taps& taps) {
+// Returns whether anything is added to any pixel of the run. `alpha` is looked at with kHoles only.
+template <bool kHoles>
+inline bool place(const CagsAddInput& in, const Projection& project, int first, int count, const float* depth, [[maybe_unused]] const float* alpha,
+                  Taps& taps) {
   const float fade = 1.0f / std::max(in.border_px, 1e-6f);
+  [[maybe_unused]] const float opaque = 1.0f / std::max(in.hole_alpha, 1e-6f);
   const int across = in.reference_width + 1, wide = in.reference_width + 1;
   uint32_t any = 0;
   for (int i = 0; i < count; i += kCell) {
-    const Placed p = project(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
-    any |= bits(p.inside);
+    const Placed p = project.operator()<kHoles>(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
     const Eight distance = lesser(lesser(p.x, project.right - p.x), lesser(p.y, project.bottom - p.y));
-    store(taps.confidence + i, keep(p.inside, clamped(distance * fade, 0, 1)));
+    Eight certain = keep(p.inside, clamped(distance * fade, 0, 1));
+    any |= bits(p.inside);
+    if constexpr (kHoles) {  // holes do not fade, and are not black beyond the reference
+      const Eight through = load(alpha + i);
+      const EightInts hole = p.ahead & (through < all(in.hole_alpha));
+      certain = greater(certain, keep(hole, clamped(1.0f - through * opaque, 0, 1)));
+      any |= bits(hole);
+    }
+    store(taps.confidence + i, certain);
     store(taps.z + i, p.z);
     store(taps.cell + i, truncated(p.y) * across + truncated(p.x));
     // in the padded picture, whose pixel (1, 1) is the picture's (0, 0)
@@ -64,17 +76,19 @@ inline bool place(const CagsAddInput& in, const Projection& project, int first, 
   return any;
 }
 
-inline void hide(const CagsAddInput& in, const Depths& depths, const Occlusion& occlusion, int row, int first, int count, Taps& taps) {
+// The run's hidden pixels, one bit each.
+inline uint64_t hide(const CagsAddInput& in, const Depths& depths, const Occlusion& occlusion, int row, int first, int count, const Taps& taps) {
   float limit[kRun];
   for (int i = 0; i < count; i++) limit[i] = occlusion.limit[taps.cell[i]];
-  uint64_t doubtful = 0;
+  uint64_t doubtful = 0, out = 0;
   for (int i = 0; i < count; i += kCell) doubtful |= uint64_t{bits(load(taps.z + i) > load(limit + i))} << i;
   if (count < kRun) doubtful &= (uint64_t{1} << count) - 1;
   for (; doubtful; doubtful &= doubtful - 1) {
     const int i = std::countr_zero(doubtful);
     const float behind = taps.z[i] - limit[i];
-    if (hidden(in, depths, row, first + i, behind, occlusion.nearest[taps.cell[i]])) taps.confidence[i] = 0.0f;
+    if (hidden(in, depths, row, first + i, behind, occlusion.nearest[taps.cell[i]])) out |= uint64_t{1} << i;
   }
+  return out;
 }
 
 // The weights of rows, once confidences are final.
@@ -109,18 +123,42 @@ inline Eight sampled(const int16_t* upper, int pitch, const Taps& taps, int i) {
   return sums * halves(taps.top[i], taps.low[i]);
 }
 
-// `rgb` and `out` are runs of whole pixels and four floats more.
-inline void add_run(const CagsAddInput& in, Taps& taps, int count, const float* rgb, float* out) {
+// `rgb` and `out` are runs of whole cells and four floats more; `sums` are those of the run's cells, to which theirs are added.
+inline void add_run(const CagsAddInput& in, Taps& taps, int count, const float* rgb, float* out, float* sums) {
   const int pitch = kTap * (in.reference_width + 1);
   const int16_t* lack = in.lack;
   weigh(count, taps);
-  for (int i = 0; i < count; i += 2) {  // of an odd run the last pair's second pixel has no confidence
-    const Eight a = sampled(lack, pitch, taps, i), b = sampled(lack, pitch, taps, i + 1);
-    const Eight added = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) + __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
-    const Eight shown = clamped(both(rgb + 3 * i, rgb + 3 * i + 3) + added, 0, 1);
-    store(out + 3 * i, half<0>(shown));
-    store(out + 3 * i + 3, half<1>(shown));
+  for (int first = 0; first < count; first += kCell, sums += kLanes) {  // pixels after the last have no confidence
+    Eight total = {};
+    for (int i = first; i < first + kCell; i += 2) {
+      const Eight a = sampled(lack, pitch, taps, i), b = sampled(lack, pitch, taps, i + 1);
+      const Eight added = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) + __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+      total += added;
+      const Eight shown = clamped(both(rgb + 3 * i, rgb + 3 * i + 3) + added, 0, 1);
+      store(out + 3 * i, half<0>(shown));
+      store(out + 3 * i + 3, half<1>(shown));
+    }
+    store(sums, load<Four>(sums) + (half<0>(total) + half<1>(total)));
   }
+}
+
+// Lanes of the eight pixels from the `first` on whose bits are set.
+inline EightInts lanes_of(uint64_t pixels, int first) {
+  constexpr EightInts each = {1, 2, 4, 8, 16, 32, 64, 128};
+  return ((EightInts{} + static_cast<int32_t>(pixels >> first & 0xff)) & each) != 0;
+}
+
+// Takes the confidence of hidden pixels to `aside`.
+inline void set_aside(uint64_t hidden, int count, Taps& taps, float* aside) {
+  for (int i = 0; i < count; i += kCell) {
+    const Eight here = load(taps.confidence + i);
+    store(aside + i, here);
+    store(taps.confidence + i, keep(~lanes_of(hidden, i), here));
+  }
+}
+
+inline void put_back(uint64_t hidden, int count, const float* aside, Taps& taps) {
+  for (int i = 0; i < count; i += kCell) store(taps.confidence + i, select(lanes_of(hidden, i), load(aside + i), load(taps.confidence + i)));
 }
 
 inline void clip_run(const float* rgb, int values, float* out) {
@@ -156,19 +194,25 @@ inline void keep_of(const CagsAddInput& in, int row, const Line& line) {
   }
 }
 
-void finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths& depths, const Occlusion& occlusion, float* shown,
-            float* confidence) {
+bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths& depths, const Occlusion& occlusion, const Around& around,
+            float* shown, float* confidence) {
   const bool streams = int64_t{in.width} * in.height >= kLeastStreamed;
   Taps taps;
-  float colours[3 * kRun + 8], rest[3 * kRun + 8] = {}, rest_depth[kRun] = {};
+  float colours[3 * kRun + 8], rest[3 * kRun + 8] = {}, rest_depth[kRun] = {}, rest_alpha[kRun] = {}, aside[kRun] = {};
+  float* sums = around.sums + int64_t{cell_row} * around.columns * kLanes;
+  std::fill_n(sums, int64_t{around.columns} * kLanes, 0.0f);
+  uint64_t some = 0;
   for (int r = 0; r < rows_of(in, cell_row); r++) {
     const int row = cell_row * kCell + r;
     const Projection project(in, row);
+    const bool holes = depths.rows[row] != in.depth + int64_t{row} * in.width;
+    uint64_t* hidden_runs = around.hidden + int64_t{row} * around.runs;
     if (in.veto) keep_of(in, row, line);
     for (int first = 0; first < in.width; first += kRun) {
       const int count = std::min(kRun, in.width - first);
       const int64_t start = int64_t{row} * in.width + first;
-      const float *rgb = in.rgb + 3 * start, *depth = depths.rows[row] + first;
+      const float *rgb = in.rgb + 3 * start, *depth = depths.rows[row] + first, *alpha = in.alpha + start;
+      uint64_t& hidden = hidden_runs[first / kRun] = 0;
       prefetch(rgb + 3 * kRun, 3 * kRun), prefetch(depth + kRun, kRun);
       const bool last = start + kRun + 3 > int64_t{in.width} * in.height;  // a vector might reach beyond the picture
       if (last || count < kRun) {
@@ -178,13 +222,19 @@ void finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths
       if (count < kRun) {
         std::copy_n(depth, count, rest_depth);
         depth = rest_depth;
+        if (holes) std::copy_n(alpha, count, rest_alpha);
+        alpha = rest_alpha;
       }
-      if (place(in, project, first, count, depth, taps)) {
-        hide(in, depths, occlusion, row, first, count, taps);
+      const bool any = holes ? place<true>(in, project, first, count, depth, alpha, taps) : place<false>(in, project, first, count, depth, alpha, taps);
+      if (any) {
+        hidden = hide(in, depths, occlusion, row, first, count, taps);
         if (in.veto) {
           for (int i = 0; i < count; i++) taps.confidence[i] *= line.keep[first + i];
         }
-        add_run(in, taps, count, rgb, colours);
+        if (hidden) set_aside(hidden, count, taps, aside);
+        add_run(in, taps, count, rgb, colours, sums + first / kCell * kLanes);
+        if (hidden) put_back(hidden, count, aside, taps);
+        some |= hidden;
       } else {
         clip_run(rgb, 3 * count, colours);
       }
@@ -195,6 +245,66 @@ void finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths
 #if defined(__x86_64__)
   if (streams) __builtin_ia32_sfence();
 #endif
+  return some;
+}
+
+// The cells' sums at the height of a row: what was added, and in the last lane the confidence by which it was.
+struct Surroundings {
+  Surroundings(const Around& around, int row, int rows) : columns(around.columns) {
+    const Between at(row, kCell, rows);
+    top = around.sums + int64_t{at.above} * columns * kLanes, low = around.sums + int64_t{at.below} * columns * kLanes, share = at.share;
+  }
+
+  Four operator()(int column) const {
+    const int at = std::clamp(column, 0, columns - 1) * kLanes;
+    const Four above = load<Four>(top + at);
+    return above + (load<Four>(low + at) - above) * share;
+  }
+
+  int columns;
+  const float *top, *low;
+  float share;
+};
+
+// The eight pixels of a cell's row.
+inline void surround_some(uint32_t hidden, const Surroundings& sums, int cell, const float* rgb, float* shown, float* confidence) {
+  const Four sides[3] = {sums(cell - 1), sums(cell), sums(cell + 1)};
+  for (; hidden; hidden &= hidden - 1) {
+    const int i = std::countr_zero(hidden), left = i / (kCell / 2);
+    const Four around = sides[left] + (sides[left + 1] - sides[left]) * kBetween[i];
+    const Four added = around * (confidence[i] / std::max(around[kLanes - 1], kLeastAround));
+    for (int c = 0; c < 3; c++) shown[3 * i + c] = std::min(std::max(rgb[3 * i + c] + added[c], 0.0f), 1.0f);
+    confidence[i] = 0.0f;
+  }
+}
+
+// Asks for the hidden pixels of a row ahead of need: they are few and apart, and streamed out of the caches.
+inline void prefetch_hidden(const CagsAddInput& in, const Around& around, int row, const float* shown, const float* confidence) {
+  for (int run = 0; run < around.runs; run++) {
+    uint64_t hidden = around.hidden[int64_t{row} * around.runs + run];
+    for (int64_t at = int64_t{row} * in.width + int64_t{run} * kRun; hidden; at += kCell, hidden >>= kCell) {
+      if (!(hidden & 0xff)) continue;
+      __builtin_prefetch(confidence + at, 1);
+      for (const int part : {0, 16}) __builtin_prefetch(in.rgb + 3 * at + part), __builtin_prefetch(shown + 3 * at + part, 1);
+    }
+  }
+}
+
+void surround(const CagsAddInput& in, int cell_row, const Around& around, float* shown, float* confidence) {
+  const int first = cell_row * kCell, end = first + rows_of(in, cell_row);
+  prefetch_hidden(in, around, first, shown, confidence);
+  for (int row = first; row < end; row++) {
+    if (row + 1 < end) prefetch_hidden(in, around, row + 1, shown, confidence);
+    const Surroundings sums(around, row, (in.height + kCell - 1) / kCell);
+    for (int run = 0; run < around.runs; run++) {
+      uint64_t hidden = around.hidden[int64_t{row} * around.runs + run];
+      const int64_t start = int64_t{row} * in.width + int64_t{run} * kRun;
+      for (int i = 0; hidden; i += kCell, hidden >>= kCell) {
+        const int64_t at = start + i;
+        if (hidden & 0xff) surround_some(hidden & 0xff, sums, run * (kRun / kCell) + i / kCell, in.rgb + 3 * at, shown + 3 * at, confidence + at);
+      }
+    }
+  }
 }
 
 }  // namespace

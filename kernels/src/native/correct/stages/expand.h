@@ -44,7 +44,7 @@ inline EightInts in_units(const Eight& lack) {
 
 inline void put_tap(const int32_t* left, const int32_t* right, int16_t* to) {
   for (int c = 0; c < 3; c++) to[2 * c] = static_cast<int16_t>(left[c]), to[2 * c + 1] = static_cast<int16_t>(right[c]);
-  to[6] = to[7] = 0;
+  to[6] = to[7] = static_cast<int16_t>(kUnit);
 }
 
 // A row of colours [width, 3], which `made` gives eight values at a time, as taps [width + 1, 4, 2].

@@ -71,8 +71,9 @@ inline void line_of(const float* values, int columns, const Between& at, float* 
 
 // How pixels of one row lie in the reference.
 struct Placed {
-  Eight x, y, z;  // 0 where not inside
-  EightInts inside;
+  Eight x, y;  // where not inside 0; where asked for what lies beyond, the nearest point of the reference
+  Eight z;     // 0 where not inside
+  EightInts inside, ahead;
 };
 
 struct Projection {
@@ -83,14 +84,16 @@ struct Projection {
   }
 
   // Pixels at `u` (centres) of positive depths; what has none is nowhere.
+  template <bool kBeyond = false>
   Placed operator()(const Eight& u, const Eight& depth) const {
     const Eight z = depth * (slope[2] * u + offset[2]) + b[2], inverse = 1.0f / z;
     const Eight x = (depth * (slope[0] * u + offset[0]) + b[0]) * inverse;
     const Eight y = (depth * (slope[1] * u + offset[1]) + b[1]) * inverse;
     // Comparisons with NaN are false, so that overflowing pixels fall out here.
-    const EightInts inside = (depth > 0.0f) & (z > 0.0f) & (z <= all(std::numeric_limits<float>::max())) & (x >= 0.0f) & (y >= 0.0f) &
-                             (x <= all(right)) & (y <= all(bottom));
-    return {keep(inside, x), keep(inside, y), keep(inside, z), inside};
+    const EightInts ahead = (depth > 0.0f) & (z > 0.0f) & (z <= all(std::numeric_limits<float>::max()));
+    const EightInts inside = ahead & (x >= 0.0f) & (y >= 0.0f) & (x <= all(right)) & (y <= all(bottom));
+    if constexpr (kBeyond) return {keep(ahead, clamped(x, 0, right)), keep(ahead, clamped(y, 0, bottom)), keep(inside, z), inside, ahead};
+    return {keep(inside, x), keep(inside, y), keep(inside, z), inside, ahead};
   }
 
   float right, bottom;

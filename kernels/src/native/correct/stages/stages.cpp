@@ -6,6 +6,6 @@
 
 namespace cags::correct {
 
-extern const Stages CAGS_CORRECT_STAGES{expand, survey, patch, finish};
+extern const Stages CAGS_CORRECT_STAGES{expand, survey, patch, finish, surround};
 
 }  // namespace cags::correct

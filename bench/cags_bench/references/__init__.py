@@ -1,0 +1,1 @@
+"""What references bring: differences, pictures, the paper's way, and none, over whole sessions."""

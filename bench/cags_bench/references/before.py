@@ -1,0 +1,76 @@
+"""The state before: equal cases played by an earlier installation, or read from what such a run wrote."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+
+from cags_bench.bundles import default_cache
+from cags_bench.jsonl import JsonObject
+from cags_bench.references.cases import Case, figures_of
+from cags_bench.references.methods import EARLIER, OURS
+from cags_common.errors import ConfigError
+from cags_server.settings import ServerSettings
+
+
+def played_before(python: str, case: Case) -> JsonObject:
+    """``case`` by ``cags-bench stream`` of the installation of ``python``, restored by its own default.
+
+    Bundles are shared with it where the format is the same, so that both send the same splats. Raises
+    :class:`ConfigError` where it cannot be run.
+    """
+    server = ServerSettings()
+    with tempfile.TemporaryDirectory(prefix="cags-before-") as out:
+        command = [str(_executable(python)), "-m", "cags_bench", "stream", "--json", "--out", out]
+        options = {
+            "scene": case.scene,
+            "trace": case.trace(),
+            "poses": case.poses,
+            "frames": case.frames,
+            "width": case.width,
+            "height": case.height,
+            "predictor": server.predictor,
+            "fov-policy": server.fov,
+            "abr": server.abr,
+            "cache": case.cache or str(default_cache()),
+        }
+        for name, value in options.items():
+            command += [f"--{name}", str(value)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            said = (done.stderr.strip().splitlines() or ["nothing"])[-1]
+            raise ConfigError(f"before = {python!r} cannot play {case.scene}; it says: {said}")
+        last = json.loads(done.stdout.splitlines()[-1])
+        text = (Path(out) / "frames.jsonl").read_text(encoding="utf-8")
+    frames = [json.loads(line) for line in text.splitlines()]
+    return figures_of(frames, last) | {"before_commit": last.get("commit")}
+
+
+def read_baseline(path: Path) -> list[JsonObject]:
+    """Lines of an earlier run: those of the installation that it compared with, else its own default method's.
+
+    Raises :class:`ConfigError` for a file that holds none.
+    """
+    try:
+        lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"baseline = {str(path)!r} cannot be read: {error}") from error
+    ours = [line for line in lines if line.get("benchmark") == "references" and not line.get("summary")]
+    for method in (EARLIER, OURS):
+        found = [line for line in ours if line["method"] == method]
+        if found:
+            return found
+    raise ConfigError(
+        f"baseline = {str(path)!r} holds no case to compare with; write one with "
+        f"cags-bench references --methods {OURS} --json"
+    )
+
+
+def _executable(python: str) -> Path:
+    path = Path(python)
+    if not path.is_file() or not os.access(path, os.X_OK):
+        raise ConfigError(f"before = {python!r} is no program; give the python of an earlier installation")
+    return path.absolute()

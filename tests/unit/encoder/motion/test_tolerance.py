@@ -1,0 +1,36 @@
+"""How exactly motion is told."""
+
+import numpy as np
+
+from cags_common.motion.chunk import LEVELS
+from cags_encoder.motion.chunks import exactness
+from cags_encoder.motion.tolerance import Tolerance, Tolerances
+
+
+def waves(size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Samples [17, 200, 3] in units, and that all of them are there."""
+    random = np.random.default_rng(0)
+    values = size * np.sin(np.arange(17)[:, None, None] / 5 + random.uniform(0, 6, (1, 200, 3)))
+    return values, np.ones((17, 200), bool)
+
+
+def test_what_quantised_looks_hide_is_told_by_the_usual_units() -> None:
+    found = exactness(*waves(40.0), Tolerance(8.0, 0.5, 0.1), starts=True, turn=False)
+    assert (found.finer, found.told) == (0, LEVELS)
+
+
+def test_a_better_base_halves_the_units_and_leaves_out_what_it_makes_superfluous() -> None:
+    usual = exactness(*waves(40.0), Tolerance(8.0, 0.5, 0.25), starts=True, turn=False)
+    fine = exactness(*waves(40.0), Tolerance(0.5, 0.5, 0.25), starts=True, turn=False)
+    assert fine.finer > usual.finer
+    assert fine.told < usual.told
+
+
+def test_motion_that_nobody_sees_is_told_by_one_level() -> None:
+    assert exactness(*waves(40.0), Tolerance(1e3, 1e3, 1e3), starts=True, turn=False).told == 1
+
+
+def test_where_little_moves_it_may_be_off_by_more() -> None:
+    wide = Tolerances().over(0.25)
+    assert wide.moves.base == 2 * Tolerance().base
+    assert Tolerances().over(1.0) == Tolerances()
