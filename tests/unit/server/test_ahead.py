@@ -7,15 +7,17 @@ from typing import Any
 
 import pytest
 
+from cags_common.geometry import Pose
 from cags_common.raster.base import Footprint
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
 from cags_server.reference.job import FrameJob
 from cags_server.settings import PLAIN
-from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, library
+from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, hello, library
 from support.streamer_rig import OFFSET_US, Rig, of
 
 AHEAD = 3
+BEHIND = Pose.looking_at((0, 0, 0), (0, 0, -3), (0, -1, 0))
 FAR = replace(SETTINGS, tiles_ahead=AHEAD)
 
 
@@ -119,6 +121,20 @@ def test_in_a_loop_the_first_frames_end_before_the_last_ones_are_shown() -> None
     assert [ends(out) for out in outs[8:11]] == [[11], [0], [1]]
     assert not any(of(TileLayers, out) for out in outs[9:]), "it holds everything"
     assert not any(mark.restart for mark in rig.marks)
+
+
+def test_what_comes_into_view_in_the_last_frame_is_sent_though_no_difference_waits_for_it() -> None:
+    """It had to come before the reference of its frame is begun; that was past, and so nothing was sent."""
+    settings = replace(FAR, references="difference", opening_tiles=False, predictor="hold")
+    rig = Rig(settings, joins=hello(BEHIND))
+    rig.poses(0, 20_000, pose=BEHIND)
+    rig.control("play")
+    for _ in range(11):
+        assert of(TileLayers, rig.step()) == []
+    seen_us = rig.now_us - OFFSET_US
+    rig.poses(seen_us, seen_us + 1000)
+    assert {(6, tile) for tile in range(4)} <= set(first_levels(rig.step()))
+    assert rig.streamer.next_due_us() is None
 
 
 def test_what_is_seen_ahead_serves_the_frames_without_a_render() -> None:
