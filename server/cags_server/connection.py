@@ -65,7 +65,7 @@ class Connection:
         self._quota = ClientQuota(quotas or Quotas(), now_us)
         self._fetches, self._unopened = fetches, False
         self._fetching: int | None = None  # media frame
-        self._fetched: int | None = None
+        self._fetched: set[int] = set()  # of the frames that are needed
         self._stats = StreamStats()
 
     @property
@@ -127,7 +127,8 @@ class Connection:
 
     def fetched(self, frame: int, now_us: int) -> None:
         """``frame`` was read, or could not be: then reading it where it is needed tells why."""
-        self._fetching, self._fetched = None, frame
+        self._fetching = None
+        self._fetched.add(frame)
         if self.streamer is not None and self._unopened and not self.closed:
             self._open(self.streamer, now_us)
             self._settle(now_us)
@@ -136,10 +137,13 @@ class Connection:
         """The media frame that the stream waits for; None where it can go on."""
         if not self._fetches or self.streamer is None:
             return None
-        frame = self.streamer.first_frame if self._unopened else self.streamer.next_frame
-        if frame is None or frame == self._fetched or self._library.at_hand(frame):
-            return None
-        return frame
+        streamer = self.streamer
+        wanted = (streamer.first_frame,) if self._unopened else (streamer.next_frame, streamer.frame_ahead)
+        self._fetched.intersection_update(wanted)
+        for frame in wanted:
+            if frame is not None and frame not in self._fetched and not self._library.at_hand(frame):
+                return frame
+        return None
 
     def next_job(self, now_us: int) -> FrameJob | None:
         """The next frame to render, if one is due and none is being rendered."""

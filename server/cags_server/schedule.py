@@ -114,10 +114,15 @@ class Schedule:
         return self._rendered_tick if out else None
 
     @property
+    def serves(self) -> int:
+        """The tick to be served next: that of the render that is out, while nothing has been sent for it."""
+        unserved = self._unserved_render
+        return self.next_tick if unserved is None else unserved
+
+    @property
     def next_frame(self) -> int | None:
         """Media frame of the tick to be served next; None while there is none."""
-        unserved = self._unserved_render
-        return self.media_frame(self.next_tick if unserved is None else unserved) if self._controlled else None
+        return self.media_frame(self.serves) if self._controlled else None
 
     def next_due_us(self, rtt_us: int, *, seen: bool) -> int | None:
         """When the next frame must be planned, or served blind; None while there is none.
@@ -127,8 +132,7 @@ class Schedule:
         if self.next_frame is None:
             return None
         unserved, lead_us, period_us = self._unserved_render, self.lead_us(rtt_us), self.timeline.period_us
-        tick = self.next_tick if unserved is None else unserved
-        due_us = self._clock.to_server(round(self.timeline.display_us(tick) - lead_us))
+        due_us = self._clock.to_server(round(self.timeline.display_us(self.serves) - lead_us))
         if not self.rendering:
             return due_us
         if not seen:

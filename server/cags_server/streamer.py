@@ -8,7 +8,6 @@ Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 
 from cags_common.geometry import Camera, Pose
 from cags_common.held_tile import HeldTile
@@ -103,6 +102,12 @@ class Streamer:
         """The media frame to be planned next; None while there is none."""
         return self._schedule.next_frame
 
+    @property
+    def frame_ahead(self) -> int | None:
+        """The media frame whose tiles are to be planned next; None while there is none."""
+        tick, frame = self._schedule.serves, self._schedule.next_frame
+        return None if frame is None else self._ahead(tick, frame).frame
+
     def opening_due_us(self) -> int | None:
         """When :meth:`end_opening` has something to say."""
         return self._joining.due_us()
@@ -138,10 +143,7 @@ class Streamer:
             case ev.KeyframeRequested(reference_seq):
                 self._video.requested(reference_seq)
             case ev.Sent(outgoing, _):
-                if isinstance(outgoing.message, TileLayers | FrameEnd):
-                    self._mirror.sent(outgoing.message, outgoing.payload)
-                    if now_us - self._marked_us >= MARK_EVERY_US and self._coder.kind is not None:
-                        self._mark(now_us)
+                self._on_sent(outgoing, now_us)
             case ev.Delivered(outgoing, _):
                 self._on_settled(outgoing, delivered=True)
             case ev.Dropped(outgoing, reason, sent_bytes, _):
@@ -153,6 +155,14 @@ class Streamer:
                     self._tiles.evicted(held)
             case _:
                 pass
+
+    def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
+        """A message was written to its end."""
+        if isinstance(outgoing.message, TileLayers | FrameEnd):
+            if self._coder.compares:
+                self._mirror.sent(outgoing.message, outgoing.payload)
+            if now_us - self._marked_us >= MARK_EVERY_US and self._coder.kind is not None:
+                self._mark(now_us)
 
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us, self.stats.rtt_us)
@@ -220,11 +230,27 @@ class Streamer:
     def _greeting(self, now_us: int) -> FrameJob | None:
         """The first picture, of what a client sees that has just joined: it comes before the first tile."""
         self._greets = False
-        if self._coder.kind is None or self._schedule.begun or not self._may_render(now_us):
+        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), GREETING_DEADLINE_US)
+        if self._coder.kind is None or self._schedule.begun or not (affordable and self._may_render(now_us)):
             return None
         self._schedule.rendering = True
-        plan = self._plan(0, self._schedule.timeline.frame, 1, now_us)
-        return self._job(replace(plan, greets=True), now_us)
+        frame, seen = self._schedule.timeline.frame, self._viewer.first_view()
+        plan = FramePlan(
+            generation=self._schedule.generation,
+            tick=0,
+            frame=frame,
+            ahead=Ahead(frame, 0),
+            ticks_covered=1,
+            planned_us=now_us,
+            display_us=0,
+            horizon_us=0,
+            predicted=seen,
+            margins=self._viewer.margins(frame, seen),
+            idr=self._video.needs_idr,
+            basis=self._mark(now_us),
+            greets=True,
+        )
+        return self._job(plan, now_us)
 
     def _job(self, plan: FramePlan, now_us: int) -> FrameJob:
         self._video.needs_idr = False
@@ -316,11 +342,11 @@ class Streamer:
         return not self._video.needs_idr and self._schedule.between_references(seen=seen)
 
     def _next_is_seen(self) -> bool:
-        """Whether what was seen last says what the next media frame will show: not in another group of frames."""
-        frame = self._schedule.next_frame
-        if frame is None or self._tiles.ended is None or frame < self._tiles.ended:
+        """Whether what was seen last says what the next tiles will show: not in another group of frames."""
+        ahead = self.frame_ahead
+        if ahead is None or self._tiles.ended is None or ahead < self._tiles.ended:
             return False
-        return self._sight.tells_of(frame)
+        return self._sight.tells_of(ahead)
 
     def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
         display_us = self._schedule.timeline.display_us(tick)
@@ -363,6 +389,7 @@ class Streamer:
             self._video.broken()
             return []
         if plan.greets:
+            self._reference_budget.spent(len(render.coded.access_unit))
             return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
         self._sight.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
@@ -439,8 +466,8 @@ class Streamer:
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
         spare_us = float(to_display_us - MARGIN_US)
-        if self._coder.kind is ReferenceKind.DIFFERENCE:  # what is to be shown is there when it is compared with
-            spare_us -= lead_us
+        if self._coder.kind is ReferenceKind.DIFFERENCE and spare_us > lead_us:
+            spare_us -= lead_us  # what is to be shown is there when it is compared with, where it still can be
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
         timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))

@@ -61,6 +61,10 @@ class Viewer:
         if not len(self._history):
             self._history.add(PoseSample(self.clock.to_client(now_us), self._first))
 
+    def first_view(self) -> PoseDistribution:
+        """Where the viewer stands before the client's clock is known: where the Hello said."""
+        return PoseDistribution(self._first, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
     def horizon_us(self, display_us: int) -> int:
         """How far ahead of the newest pose ``display_us`` (client clock) is."""
         return max(0, display_us - self._history.newest.t_us)

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 import threading
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,8 +78,9 @@ class GofStore:
         self._manifest, self._gof, self._opener = manifest, gof, opener
         self.capacity = manifest.capacity[gof]
         frames, self._top_lod = manifest.gof_frames(gof), manifest.lods - 1
+        myself = weakref.ref(self)  # a cycle would keep all splats until a collection finds it
         self._buffer = SplatBuffer(
-            self.capacity, manifest.sh_degree, on_replaced=self._replaced, threads=opener.threads
+            self.capacity, manifest.sh_degree, on_replaced=partial(_tell_replaced, myself), threads=opener.threads
         )
         layered, in_motion = manifest.codec != WHOLE_TILES_CODEC, manifest.motion is not None
         self._tiles = GofTiles(frames, self.capacity, opener, layered=layered, in_motion=in_motion, mark=mark)
@@ -286,3 +289,9 @@ class GofStore:
             return self._buffer.uses(held.key[0], held.ids_of, shown=True)
         looks = self._tiles.looks(held.looks)
         return looks is not None and looks.on_display and self._buffer.moves(held.looks) == held.key[0]
+
+
+def _tell_replaced(store: weakref.ref[GofStore], slot: Slot) -> None:
+    told = store()
+    if told is not None:
+        told._replaced(slot)

@@ -41,8 +41,10 @@ async def test_several_clients_watch_at_once_and_leave() -> None:
         clients = [await Client.join(server) for _ in range(4)]
         watched = await asyncio.gather(*(client.play() for client in clients))
         for frames in watched:
-            assert frames == sorted(set(frames))  # on a busy machine some are skipped
-            assert frames
+            greeting, *played = frames
+            assert greeting == 0
+            assert played == sorted(set(played))  # on a busy machine some are skipped
+            assert played
         for client in clients:
             client.session.bye("done", now_us=now_us())
             for data in client.session.data_to_send(now_us()):

@@ -9,6 +9,7 @@ import pytest
 
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
+from cags_server.ahead import Ahead
 from cags_server.records import FrameRecord, StreamStats
 from cags_server.status import SessionBook, page, short_of
 from support.live_server import Client, now_us, serving
@@ -67,7 +68,7 @@ async def test_with_a_token_it_is_for_those_who_have_it(path: str, how: dict, st
 
 
 def record(**changes: object) -> FrameRecord:
-    made = FrameRecord(0, 0, 0, round(PERIOD_US), 0, Pose.identity(), (0.1, 0.1), 1)
+    made = FrameRecord(0, 0, Ahead(1, round(2 * PERIOD_US)), 0, round(PERIOD_US), 0, Pose.identity(), (0.1, 0.1), 1)
     for name, value in changes.items():
         setattr(made, name, value)
     return made

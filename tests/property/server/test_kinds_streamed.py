@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -31,6 +31,14 @@ from support.streamer_rig import OFFSET_US
 UNLIMITED_BPS = 1e10
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _every_frame_ahead_is_drawn() -> Iterator[None]:
+    """What is chosen for a frame is what is seen there: else a frame before it stands for it, unless much is new."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cags_server.reference.job.MANY_NEW", -1.0)
+        yield
+
+
 class Viewer:
     """A viewer who looks about at random, and a link without bounds."""
 
@@ -48,6 +56,8 @@ class Viewer:
         self.planned: list[int] = []
         self.now_us = OFFSET_US
         self.take(self.streamer.opening(self.now_us))
+        greeting = self.streamer.begin(self.now_us)
+        self.take([] if greeting is None else self.streamer.finish(greeting.run(), self.now_us))
         self.play(start)
 
     def _look(self) -> Pose:
@@ -56,6 +66,7 @@ class Viewer:
 
     def take(self, outgoing: list[ev.Outgoing], delivers: Callable[[ev.Outgoing], bool] = lambda each: True) -> None:
         for each in outgoing:
+            self.streamer.on_event(ev.Sent(each, self.now_us), self.now_us)
             if delivers(each) or not isinstance(each.message, TileLayers):
                 self.client.take([each])
                 self.streamer.on_event(ev.Delivered(each, 0), self.now_us)
@@ -72,20 +83,22 @@ class Viewer:
         self.streamer.on_event(ev.PosesReceived(samples, OFFSET_US + times_us[-1]), self.now_us)
 
     def step(self, delivers: Callable[[ev.Outgoing], bool] = lambda each: True) -> int | None:
-        """Plan the next frame: its number; None after the last."""
+        """Plan the next frame: the number of that whose tiles are sent with it; None after the last."""
         due_us = self.streamer.next_due_us()
         if due_us is None:
             return None
         self.now_us = max(due_us, self.now_us)
         job = self.streamer.begin(self.now_us)
         assert job is not None
+        begins = self.streamer._tiles.from_nothing  # with what belongs to the frame itself
         out = self.streamer.finish(job.run(), self.now_us)
-        self.planned.append(job.plan.frame)
+        frame = job.plan.ahead.frame
+        self.planned.append(frame)
         for each in out:
             if isinstance(each.message, TileLayers):
-                assert_is_current(self.library, each.message, job.plan.frame)
+                assert_is_current(self.library, each.message, job.plan.frame if begins else frame)
         self.take(out, delivers)
-        return job.plan.frame
+        return frame
 
     def turn(self) -> None:
         """Look elsewhere, long enough for the server to know."""

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol.events import AckSample, Outgoing
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_server.ahead import Ahead
 from cags_server.budget import MAX_BUDGET_TICKS, MAX_SAVED_S, MESSAGE_OVERHEAD_BYTES, MIN_SAVED_BYTES, ByteBudget
 from cags_server.records import FrameRecord
 from cags_server.tiles import BASE_PRIORITY, ENHANCEMENT_PRIORITY
@@ -17,7 +18,7 @@ PERIOD_US = 100_000.0
 
 
 def record(ticks: int = 1, reference_bytes: int = 0) -> FrameRecord:
-    return FrameRecord(0, 0, 0, 0, 0, Pose.identity(), (0.0, 0.0), ticks, reference_bytes=reference_bytes)
+    return FrameRecord(0, 0, Ahead(0, 0), 0, 0, 0, Pose.identity(), (0.0, 0.0), ticks, reference_bytes=reference_bytes)
 
 
 def tile(size: int) -> Outgoing:

@@ -7,6 +7,7 @@ import pytest
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
 from cags_protocol.messages import PoseSample
+from cags_server.ahead import Ahead
 from cags_server.clock import ClientClock
 from cags_server.records import FrameRecord
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig
@@ -76,4 +77,4 @@ def _poses(t_us: int, arrival_us: int):
 
 
 def _record(number: int):
-    return FrameRecord(number, 0, 0, DAYS_11_US, 0, Pose.identity(), (0.1, 0.1), 1)
+    return FrameRecord(number, 0, Ahead(0, DAYS_11_US), 0, DAYS_11_US, 0, Pose.identity(), (0.1, 0.1), 1)

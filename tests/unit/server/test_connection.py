@@ -12,13 +12,12 @@ from cags_protocol import ClientSession
 from cags_protocol import events as ev
 from cags_protocol.encoding import encode
 from cags_protocol.inventory import pack_inventory
-from cags_protocol.messages import Control, FrameEnd, PoseSample, RefusalCode, TileLayers
-from cags_server.bandwidth import MeasuredEstimator
+from cags_protocol.messages import Control, FrameEnd, PoseSample, ReferenceFrame, RefusalCode, TileLayers
 from cags_server.connection import Connection
 from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.render_slots import RenderSlots
-from cags_server.streamer import Streamer
 from support.server_scene import SETTINGS, FakeReader, hello, library
+from support.streamer_rig import Rig, of
 
 STEP_US = 5_000
 
@@ -71,7 +70,8 @@ def test_a_client_joins_plays_to_the_end_and_leaves() -> None:
     assert pair.of(ev.FrameEnded)[0].message == FrameEnd(0)
     pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
     pair.run(1000)
-    assert [r.message.frame for r in pair.of(ev.ReferenceReceived)] == list(range(12))
+    references = [r.message for r in pair.of(ev.ReferenceReceived)]
+    assert [r.frame for r in references] == [0, *range(12)], "the first greets"
     assert [e.message.frame for e in pair.of(ev.FrameEnded)] == list(range(12))
     pair.client.bye("done", now_us=pair.now_us)
     pair.run(20)
@@ -80,6 +80,38 @@ def test_a_client_joins_plays_to_the_end_and_leaves() -> None:
     assert pair.connection.ending.code == "bye"
     assert pair.connection.next_timer_us() is None
     assert pair.connection.next_job(pair.now_us) is None
+
+
+def test_marks_come_in_order_and_before_the_references_that_name_them() -> None:
+    pair = Pair()
+    pair.run(100)
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(300)
+    pair.client.control(Control("seek", 8, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(500)
+    newest, named, restarts = 0, list[int](), 0
+    for event in pair.events:
+        if isinstance(event, ev.MarkReceived):
+            assert event.message.number > newest, "those that the jump took back leave gaps"
+            newest, restarts = event.message.number, restarts + event.message.restart
+        elif isinstance(event, ev.ReferenceReceived):
+            assert event.message.basis <= newest
+            named.append(event.message.basis)
+    assert named == sorted(set(named)), "each has a mark of its own"
+    assert len(named) > 8
+    assert restarts == 1
+
+
+def test_after_a_restart_comes_nothing_that_was_chosen_before_the_jump() -> None:
+    pair = Pair()
+    pair.run(100)
+    pair.client.control(Control("play", 0, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(150)
+    pair.client.control(Control("seek", 8, pair.now_us + 250_000), now_us=pair.now_us)
+    pair.run(500)
+    at = next(n for n, each in enumerate(pair.events) if isinstance(each, ev.MarkReceived) and each.message.restart)
+    after = [each.message.frame for each in pair.events[at:] if isinstance(each, ev.TileReceived | ev.FrameEnded)]
+    assert min(after) == 6, "the beginning of the group that was jumped to"
 
 
 def test_a_jump_takes_back_what_waits_for_the_picture_before() -> None:
@@ -141,12 +173,10 @@ def test_a_view_that_cannot_be_drawn_is_refused_and_not_met_when_it_is_drawn(
 
 def test_any_other_view_is_drawn() -> None:
     for view in (Intrinsics(16384, 16384, 8000, 8000, 8192, 8192), Intrinsics(1, 1, 50, 0.01, 0.5, 0.5)):
-        streamer = Streamer(library(), SETTINGS, replace(hello(), intrinsics=view), estimator=MeasuredEstimator())
-        streamer.opening(0)
-        streamer.on_event(ev.ControlReceived(Control("play", 0, 1_000_000), 900_000), 900_000)
-        job = streamer.begin(900_000)
-        assert job is not None
-        assert streamer.finish(job.run(), 950_000)
+        rig = Rig(joins=hello(intrinsics=view))
+        assert of(ReferenceFrame, rig.greeting)
+        rig.play()
+        assert of(ReferenceFrame, rig.step())
 
 
 def test_a_goodbye_of_the_server_reaches_the_client() -> None:

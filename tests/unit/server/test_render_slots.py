@@ -83,7 +83,7 @@ def test_a_frame_without_a_place_is_served_by_what_was_seen() -> None:
         assert rig.streamer.begin(due_us) is None or not some
         rig.deliver(some)
         out += some
-    assert [e.frame for e in of(FrameEnd, out)] == [1, 2]
+    assert [e.frame for e in of(FrameEnd, out)] == [2, 3]
     assert of(TileLayers, out)
     assert of(ReferenceFrame, out) == []
     room[0] = True

@@ -13,7 +13,7 @@ from cags_server.bandwidth import MeasuredEstimator
 from cags_server.budget import MESSAGE_OVERHEAD_BYTES
 from cags_server.settings import ServerSettings
 from cags_server.streamer import Streamer
-from support.server_scene import CLIENT, FPS, SETTINGS, hello, library
+from support.server_scene import CLIENT, FPS, SETTINGS, FakeReader, hello, library
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
 
@@ -55,11 +55,15 @@ def test_a_frame_is_a_reference_tiles_and_an_end() -> None:
     rig = Rig()
     rig.play()
     out = rig.step()
-    (reference,), (end,) = of(ReferenceFrame, out), of(FrameEnd, out + rig.opening)
-    assert (reference.frame, reference.seq, reference.idr, end.frame) == (0, 1, True, 0)
+    (reference,), (end,) = of(ReferenceFrame, out), of(FrameEnd, out)
+    assert (reference.frame, reference.seq, reference.idr) == (0, 2, False), "the greeting came first"
+    assert (reference.kind, reference.basis) == ("picture", rig.marks[-1].number)
+    assert end.frame == 1, "its tiles are those of the next frame"
     assert reference.intrinsics.fov_rad[0] == pytest.approx(CLIENT.fov_rad[0] * 1.1)
     unit = next(o.payload for o in out if o.message is reference)
-    assert H264Decoder().decode(bytes(unit)) is not None
+    decoder = H264Decoder()
+    assert decoder.decode(bytes(rig.greeting[0].payload)) is not None
+    assert decoder.decode(bytes(unit)) is not None
     assert of(TileLayers, out)
 
 
@@ -73,8 +77,8 @@ def test_only_tiles_that_own_visible_splats_are_raised() -> None:
 def test_changed_splats_belong_to_the_tile_of_their_newest_frame() -> None:
     rig = Rig()
     rig.play()
-    rig.step()
     assert 1 in {t.frame for t in of(TileLayers, rig.step()) if t.from_lod == 0}
+    assert 2 in {t.frame for t in of(TileLayers, rig.step()) if t.from_lod == 0}
 
 
 def test_base_layers_go_before_the_frames_end_and_details_after() -> None:
@@ -105,8 +109,7 @@ def test_dropped_and_evicted_layers_are_sent_again() -> None:
     rig = Rig()
     rig.play()
     first = rig.step(deliver=False)
-    for each in first:
-        rig.streamer.on_event(ev.Dropped(each, "stale", 0, 0), 0)
+    rig.drop(first)
     again = rig.step()
     lost = {(m.frame, m.tile) for m in of(TileLayers, first)}
     assert lost <= {(m.frame, m.tile) for m in of(TileLayers, again)}
@@ -177,8 +180,7 @@ def test_an_idr_follows_a_lost_reference_and_a_request_but_only_once() -> None:
     rig.streamer.on_event(ev.KeyframeRequested(asked.seq - 1), 0)  # made before the new IDR arrived
     assert [r.idr for r in of(ReferenceFrame, rig.step())] == [False]
     out = rig.step(deliver=False)
-    reference = next(o for o in out if isinstance(o.message, ReferenceFrame))
-    rig.streamer.on_event(ev.Dropped(reference, "stale", 0, 0), 0)
+    rig.drop([each for each in out if isinstance(each.message, ReferenceFrame)])
     assert [r.idr for r in of(ReferenceFrame, rig.step())] == [True]
 
 
@@ -205,7 +207,7 @@ def test_a_client_that_keeps_a_group_is_sent_nothing_again_when_it_loops_or_jump
     rig.control("seek", 1, 900_000, keeps=keeps)
     again = rig.step()
     assert bool(of(TileLayers, again)) != keeps
-    assert of(FrameEnd, again)[-1].frame == 1
+    assert of(FrameEnd, again)[-1].frame == 2
     rig.control("seek", 8, 1_900_000, keeps=keeps)  # another group
     assert of(TileLayers, rig.step())
     looped = Rig(gof=12)
@@ -220,8 +222,8 @@ def test_a_client_that_keeps_a_group_is_sent_nothing_again_when_it_loops_or_jump
 def test_a_new_group_starts_from_nothing() -> None:
     rig = Rig()
     rig.play()
-    for _ in range(6):
-        rig.step()
+    for _ in range(5):
+        assert all(tile.frame < 6 for tile in of(TileLayers, rig.step()))
     tiles = of(TileLayers, rig.step())
     assert {(t.frame, t.tile) for t in tiles if t.from_lod == 0} >= {(6, 0), (6, 1), (6, 2), (6, 3)}
 
@@ -233,8 +235,8 @@ def test_a_seek_voids_what_is_being_rendered_and_starts_from_nothing() -> None:
     rig.control("seek", 8, 400_000)
     assert rig.streamer.finish(job.run(), OFFSET_US) == []
     out = rig.step()
-    assert [e.frame for e in of(FrameEnd, out)] == [6, 7, 8]
-    assert {t.frame for t in of(TileLayers, out) if t.from_lod == 0} == {6, 7, 8}
+    assert [e.frame for e in of(FrameEnd, out)] == [6, 7, 8, 9]
+    assert {t.frame for t in of(TileLayers, out) if t.from_lod == 0} == {6, 7, 8, 9}
     assert of(ReferenceFrame, out)[0].idr
 
 
@@ -270,7 +272,7 @@ def test_a_reference_only_stream_sends_no_tile() -> None:
     sent = rig.opening + [each for _ in range(4) for each in rig.step()]
     assert of(TileLayers, sent) == []
     assert len(of(ReferenceFrame, sent)) == 4
-    assert [e.frame for e in of(FrameEnd, sent)] == [0, 1, 2, 3]
+    assert [e.frame for e in of(FrameEnd, sent)] == [0, 1, 2, 3, 4]
 
 
 def test_after_a_seek_base_layers_come_whatever_the_budget() -> None:
@@ -293,11 +295,15 @@ def test_unused_budget_is_saved_for_a_tile_larger_than_one_frames_budget() -> No
 
 
 def test_tiles_that_are_not_layered_are_sent_whole_and_again_when_better() -> None:
-    rig = Rig(initial_bps=100_000_000)
-    rig.library.reader.manifest = replace(rig.library.reader.manifest, codec="video")
-    rig.streamer = Streamer(rig.library, SETTINGS, hello(), estimator=MeasuredEstimator(50e6))
-    rig.deliver(rig.streamer.opening(OFFSET_US))
+    reader = FakeReader()
+    reader.manifest = replace(reader.manifest, codec="video")
+    rig = Rig(served=library(reader))
     rig.play()
     sent = [m for _ in range(3) for m in of(TileLayers, rig.step())]
-    assert {(m.from_lod, m.to_lod) for m in sent} == {(3, 4)}
-    assert len({(m.frame, m.tile) for m in sent}) == len(sent)
+    assert all(message.to_lod == message.from_lod + 1 for message in sent)
+    best = {(m.frame, m.tile): 0 for m in of(TileLayers, rig.opening)}
+    for message in sent:
+        key = message.frame, message.tile
+        assert message.from_lod > best.get(key, -1), "only what is better comes again"
+        best[key] = message.from_lod
+    assert set(best.values()) == {3}

@@ -14,7 +14,7 @@ from cags_common.geometry import F32, Intrinsics, Pose
 from cags_common.video.h264 import H264Decoder, is_idr
 from cags_protocol.limits import PROTOCOL_VERSION
 from cags_protocol.messages import Hello, ReferenceKind
-from cags_server.reference.coder import INVISIBLE, RATE_WINDOW, ReferenceCoder
+from cags_server.reference.coder import FIRST_WINDOW, INVISIBLE, KEY_SHARE, RATE_WINDOW, ReferenceCoder
 from cags_server.settings import ServerSettings
 
 CLIENT = Intrinsics.of_fov(321, 241, 1.0, 0.8)
@@ -72,7 +72,7 @@ def test_nothing_is_sent_where_nothing_is_to_be_seen() -> None:
     coded = one.code(truth, truth + np.float32(0.5 * INVISIBLE**0.5), idr=True)
     assert coded.kind is ReferenceKind.NOTHING
     assert not coded.access_unit
-    assert one.code(later, later * 0.8, idr=True).kind is not ReferenceKind.NOTHING
+    assert one.code(later, later * 0.8, idr=True).kind is ReferenceKind.PICTURE
 
 
 def test_what_is_alike_costs_nothing_and_stays_alike() -> None:
@@ -89,16 +89,18 @@ def test_what_is_alike_costs_nothing_and_stays_alike() -> None:
 def test_pictures_serve_a_client_that_flickers_and_differences_one_that_is_good() -> None:
     rng = np.random.default_rng(1)
     auto, decoder, kinds = coder(), H264Decoder(), []
-    for number, truth in enumerate([moving(1)[0]] * 120):
+    truth = moving(1)[0]
+    for number in range(180):
         noise = rng.normal(0, 0.25, (16, 24, 3)).astype(np.float32)
         poor = np.clip(truth + cv2.resize(noise, (96, 64), interpolation=cv2.INTER_NEAREST), 0, 1)
         good = np.clip(truth + 0.02 * np.sin(np.arange(96) / 9)[None, :, None], 0, 1).astype(np.float32)
-        coded = auto.code(truth, poor if number < 60 else good, idr=not number)
+        coded = auto.code(truth, good if 60 <= number < 120 else poor, idr=not number)
         assert decoder.decode(coded.access_unit) is not None, "a change of kind begins a new video"
         kinds.append(coded.kind)
     assert set(kinds[:60]) == {ReferenceKind.PICTURE}
-    assert set(kinds[85:]) == {ReferenceKind.DIFFERENCE}
-    assert sum(a is not b for a, b in pairwise(kinds)) == 1, "no to and fro"
+    assert set(kinds[85:120]) == {ReferenceKind.DIFFERENCE}
+    assert kinds[-1] is ReferenceKind.PICTURE
+    assert sum(a is not b for a, b in pairwise(kinds)) == 2, "no to and fro"
 
 
 @pytest.mark.parametrize(
@@ -135,11 +137,24 @@ def test_quality_follows_the_link() -> None:
     one = coder(replace(SMALL, references="picture", reference_crf=18.0))
     sizes, wanted = [], 350.0
     slow_bps = wanted * 8e6 / PERIOD_US / 0.25
-    for number, picture in enumerate(moving(220, sigma_px=0.8)):
-        one.follow(slow_bps if number < 140 else 1e8, PERIOD_US)
+    for number, picture in enumerate(moving(260, sigma_px=0.8)):
+        one.follow(slow_bps if 40 <= number < 180 else 1e8, PERIOD_US)
         sizes.append(len(one.code(picture, None, idr=not number).access_unit))
-    assert np.mean(sizes[RATE_WINDOW:140]) < 1.3 * wanted, "less where the link is slow"
-    assert np.mean(sizes[210:]) > 1.5 * np.mean(sizes[120:140]), "and again more where it is not"
+    assert np.mean(sizes[1:40]) > 2 * wanted
+    assert np.mean(sizes[160:180]) < 1.3 * wanted, "less where the link is slow"
+    assert np.mean(sizes[40 + FIRST_WINDOW : 40 + RATE_WINDOW]) < 1.5 * wanted, "at once where it is much too slow"
+    assert np.mean(sizes[240:]) > 1.5 * np.mean(sizes[160:180]), "and again more where it is not"
+
+
+def test_a_picture_that_stands_alone_is_coded_again_where_it_is_far_too_large() -> None:
+    picture, sizes = moving(1, sigma_px=0.8)[0], []
+    for link_bps in (3e5, 1e6, 1e8):
+        one = coder(replace(SMALL, references="picture"))
+        one.follow(link_bps, PERIOD_US)
+        sizes.append(len(one.code(picture, None, idr=True).access_unit))
+    most = KEY_SHARE * 3e5 * SMALL.reference_share * PERIOD_US / 8e6
+    assert sizes[2] > 6 * most > 2 * sizes[0], "once: towards what the link bears"
+    assert sizes[0] < sizes[1] < sizes[2]
 
 
 @pytest.mark.parametrize("bps", [300_000, 1_000_000, 4_000_000])

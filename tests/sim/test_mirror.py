@@ -1,0 +1,107 @@
+"""A whole session: what the server drew for each reference is what its client holds when it shows that reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from cags_bench.bundles import cached_bundle
+from cags_bench.sim.session import Cut, Scenario, simulate
+from cags_client.pipeline import ClientPipeline
+from cags_client.presented import PresentedFrame
+from cags_client.settings import ClientSettings
+from cags_common.geometry import F32, Camera
+from cags_common.raster.base import RenderOptions
+from cags_common.splats import Splats
+from cags_encoder import EncodeSettings
+from cags_server.reference.job import FrameJob
+from cags_server.settings import ServerSettings
+from support.closed_loop import assert_same, copied
+
+FRAMES, GROUP = 24, 8
+MOVING = f"procedural:size=900,frames={FRAMES}"
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
+    encoding = EncodeSettings(frames=FRAMES, gof_frames=GROUP)
+    bundle = cached_bundle(MOVING, str(tmp_path_factory.mktemp("bundles")), encoding)
+    client = ClientSettings(width=96, height=72)
+    server = ServerSettings(reference_width=64, reference_height=48, references="difference")
+    return Scenario(bundle, "generated:steady-8", "synthetic:walking", server=server, client=client, scored=False)
+
+
+class Compared:
+    """Notes what the mirror held for each reference, and compares it with what the client holds that shows it."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.frames: list[int] = []
+        self._made: dict[tuple[int, int], Splats] = {}
+        """By frame and mark of the newest connection."""
+        held, present = FrameJob._held, ClientPipeline.present
+
+        def noted(job: FrameJob, options: RenderOptions) -> F32 | None:
+            drawn = held(job, options)
+            assert job.mirror is not None
+            if drawn is not None:
+                assert job.mirror.splats is not None
+                self._made[job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
+            return drawn
+
+        def compared(pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0) -> PresentedFrame:
+            before = pipeline._used
+            shown = present(pipeline, frame, camera, share)
+            reference = shown.reference
+            if reference is not None and reference.frame == frame and reference.assumes and pipeline._used > before:
+                basis = reference.basis - pipeline._marked_before
+                if basis > 0:  # of this connection
+                    self._compare(pipeline, frame, basis)
+            return shown
+
+        patch.setattr(FrameJob, "_held", noted)
+        patch.setattr(ClientPipeline, "present", compared)
+
+    def _compare(self, pipeline: ClientPipeline, frame: int, basis: int) -> None:
+        store, made = pipeline.on_display, self._made.get((frame, basis))
+        if made is None:
+            assert store is None or not store.begun, "the client holds what the mirror lacks"
+            return
+        assert store is not None
+        assert_same(store.splats, made, f"frame {frame}, mark {basis}")
+        self.frames.append(frame)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"tiles_ahead": 1},
+        {"reference_every": 3},
+        {"abr": "paper"},
+    ],
+)
+def test_the_mirror_is_the_client_at_every_difference(
+    scenario: Scenario, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared = Compared(monkeypatch)
+    simulate(replace(scenario, server=replace(scenario.server, **changes)))
+    assert compared.frames == sorted(compared.frames)
+    assert len(compared.frames) >= 0.8 * FRAMES / changes.get("reference_every", 1)
+    assert {frame // GROUP for frame in compared.frames} == set(range(FRAMES // GROUP))
+
+
+@pytest.mark.parametrize("mbps", [1, 60])
+def test_on_any_link_the_mirror_is_the_client(scenario: Scenario, mbps: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = Compared(monkeypatch)
+    simulate(replace(scenario, trace=f"generated:steady-{mbps}"))
+    assert len(compared.frames) >= FRAMES / 3
+
+
+def test_a_client_that_came_back_is_mirrored_again(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = Compared(monkeypatch)
+    result = simulate(replace(scenario, cuts=(Cut(500_000, 600_000),)))
+    assert result.summary["reconnects"] == 1
+    assert max(compared.frames) == FRAMES - 1
+    assert len(compared.frames) >= FRAMES / 3

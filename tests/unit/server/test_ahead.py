@@ -1,0 +1,200 @@
+"""Tiles go out a few frames before the reference that assumes them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from cags_common.geometry import Pose
+from cags_common.raster.base import Footprint
+from cags_protocol import events as ev
+from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_server.reference.job import FrameJob
+from cags_server.settings import PLAIN
+from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, hello, library
+from support.streamer_rig import OFFSET_US, Rig, of
+
+AHEAD = 3
+BEHIND = Pose.looking_at((0, 0, 0), (0, 0, -3), (0, -1, 0))
+FAR = replace(SETTINGS, tiles_ahead=AHEAD)
+
+
+def ends(outgoing: list[ev.Outgoing]) -> list[int]:
+    return [end.frame for end in of(FrameEnd, outgoing)]
+
+
+def first_levels(outgoing: list[ev.Outgoing]) -> list[tuple[int, int]]:
+    return [(tile.frame, tile.tile) for tile in of(TileLayers, outgoing) if tile.from_lod == 0]
+
+
+def test_the_tiles_and_the_end_of_a_later_frame_go_with_a_reference() -> None:
+    rig = Rig(FAR)
+    rig.play()
+    out = rig.step()
+    assert [reference.frame for reference in of(ReferenceFrame, out)] == [0]
+    assert ends(out) == [1, 2, 3]
+    assert {frame for frame, _ in first_levels(out)} == {1, 2, 3}
+    record = rig.streamer.stats.records[-1]
+    assert (record.frame, record.ahead.frame) == (0, AHEAD)
+    period_us = 1e6 / rig.library.manifest.fps
+    assert record.ahead.display_us - record.display_us == pytest.approx(AHEAD * period_us, abs=1)
+    deadline_us = {each.deadline_us for each in out if isinstance(each.message, TileLayers)}
+    assert deadline_us == {OFFSET_US + record.ahead.display_us + round(FAR.tile_deadline_ms * 1000)}
+    assert ends(rig.step()) == [4]
+
+
+@pytest.mark.parametrize("references", ["auto", "difference"])
+@pytest.mark.parametrize("ahead", [1, 3, 30])
+def test_every_frame_of_a_clip_ends_once_and_every_tile_comes(ahead: int, references: str) -> None:
+    rig = Rig(replace(SETTINGS, tiles_ahead=ahead, references=references))
+    rig.play()
+    sent = list(rig.opening)
+    while rig.streamer.next_due_us() is not None:
+        out = rig.step()
+        frame = rig.streamer.stats.records[-1].frame
+        assert rig.streamer.stats.records[-1].ahead.frame == min(frame + ahead, 11)
+        sent += out
+    assert ends(sent) == list(range(12))
+    brought = first_levels(sent)
+    assert len(brought) == len(set(brought))
+    if ahead < 6:  # what is seen of one group of frames at a time
+        assert set(brought) == {(frame, tile.tile) for frame in range(12) for tile in rig.library.entry(frame).tiles}
+
+
+def test_at_the_border_of_a_group_the_next_ones_tiles_come_before_its_first_reference() -> None:
+    rig = Rig(FAR)
+    rig.play()
+    outs = [rig.step() for _ in range(5)]
+    keys = {(6, tile) for tile in range(4)}
+    assert not any(keys & set(first_levels(out)) for out in outs[:3])
+    assert keys <= set(first_levels(outs[3]))
+    assert [ends(out) for out in outs[2:]] == [[5], [6], [7]]
+    rig.step()
+    job = rig.streamer.begin(rig.streamer.next_due_us())
+    assert (job.plan.frame, job.mirror.scene_at(6, job.plan.basis) is not None) == (6, True)
+    assert not any(mark.restart for mark in rig.marks)
+
+
+def test_frames_skipped_across_a_border_are_ended_too() -> None:
+    rig = Rig(FAR)
+    rig.play()
+    rig.step()
+    out = rig.step(late_us=round(4.5e6 / rig.library.manifest.fps))
+    assert [reference.frame for reference in of(ReferenceFrame, out)] == [5]
+    assert ends(out) == [4, 5, 6, 7, 8]
+
+
+def test_ahead_is_counted_in_frames_that_the_client_displays() -> None:
+    rig = Rig(FAR)
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 500), OFFSET_US)
+    outs = [rig.step() for _ in range(4)]
+    assert [record.ahead.frame for record in rig.streamer.stats.records] == [6, 8, 10, 11]
+    assert [ends(out) for out in outs] == [[1, 2, 3, 4, 5, 6], [7, 8], [9, 10], [11]]
+
+
+def test_a_paused_viewer_gets_the_tiles_of_its_own_frame() -> None:
+    rig = Rig(FAR)
+    rig.play()
+    rig.step()
+    rig.control("pause", 2, 330_000, keeps=True)
+    outs = [rig.step() for _ in range(4)]
+    assert [of(ReferenceFrame, out)[0].frame for out in outs] == [2] * 4
+    assert {record.ahead.frame for record in list(rig.streamer.stats.records)[1:]} == {2}
+    assert [ends(out) for out in outs] == [[0, 1, 2], [], [], []], "what it holds is ended again, and once"
+    assert not any(mark.restart for mark in rig.marks)
+    rig.control("play", 2, 900_000, keeps=True)
+    out = rig.step()
+    assert ends(out) == [3, 4, 5]
+    assert {frame for frame, _ in first_levels(out)} == {4, 5}, "those of frame 3 it holds"
+
+
+def test_in_a_loop_the_first_frames_end_before_the_last_ones_are_shown() -> None:
+    rig = Rig(FAR, gof=12)
+    rig.poses(0, 20_000)
+    rig.control("play", loop=True, keeps=True)
+    outs = [rig.step() for _ in range(24)]
+    assert [of(ReferenceFrame, out)[0].frame for out in outs] == [*range(12)] * 2
+    assert [record.ahead.frame for record in rig.streamer.stats.records] == [(n + AHEAD) % 12 for n in range(24)]
+    assert [ends(out) for out in outs[8:11]] == [[11], [0], [1]]
+    assert not any(of(TileLayers, out) for out in outs[9:]), "it holds everything"
+    assert not any(mark.restart for mark in rig.marks)
+
+
+def test_what_comes_into_view_in_the_last_frame_is_sent_though_no_difference_waits_for_it() -> None:
+    """It had to come before the reference of its frame is begun; that was past, and so nothing was sent."""
+    settings = replace(FAR, references="difference", opening_tiles=False, predictor="hold")
+    rig = Rig(settings, joins=hello(BEHIND))
+    rig.poses(0, 20_000, pose=BEHIND)
+    rig.control("play")
+    for _ in range(11):
+        assert of(TileLayers, rig.step()) == []
+    seen_us = rig.now_us - OFFSET_US
+    rig.poses(seen_us, seen_us + 1000)
+    assert {(6, tile) for tile in range(4)} <= set(first_levels(rig.step()))
+    assert rig.streamer.next_due_us() is None
+
+
+def test_what_is_seen_ahead_serves_the_frames_without_a_render() -> None:
+    rig = Rig(FAR, gof=12)
+    rig.play()
+    rig.step()
+    due_us = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due_us)
+    period_us = 1e6 / rig.library.manifest.fps
+    assert rig.streamer.next_due_us() - due_us <= 2 * period_us + 1, "of a group that was seen, it waits two periods"
+    blind = rig.catch_up(rig.streamer.next_due_us())
+    assert ends(blind) == [4]
+    assert (4, 0) in first_levels(blind)
+    late = rig.streamer.finish(job.run(), round(due_us + 2.5 * period_us))
+    assert (ends(late), of(TileLayers, late)) == ([], [])
+
+
+@pytest.mark.parametrize("splats", [40, 400])
+def test_a_frame_of_which_much_is_new_is_drawn_ahead(splats: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One splat changes in a frame: of forty that is much, of four hundred it is not."""
+    rig = Rig(FAR, splats=splats, tile_splats=splats // 4)
+    rig.play()
+    drawn: list[int] = []
+    at = rig.library.scenes.at
+    monkeypatch.setattr(rig.library.scenes, "at", lambda frame: (drawn.append(frame), at(frame))[1])
+    rig.step()
+    assert drawn == ([0, 3] if splats == 40 else [0])
+    for _ in range(3):
+        rig.step()
+    assert drawn[-2:] == [3, 6], "another group's splats are all new"
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+def test_births_in_the_frame_ahead_are_seen_where_it_is_drawn(drawn: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not drawn:
+        monkeypatch.setattr("cags_server.reference.job.MANY_NEW", 1.0)
+    rig = Rig(FAR, served=library(FakeReader(born=10)))
+    rig.play()
+    assert ((BIRTH, 0) in first_levels(rig.step())) == drawn
+
+
+@pytest.mark.parametrize("footprint", [PLAIN, "client"])
+def test_references_and_mirrors_are_drawn_with_the_footprint_that_is_set(
+    footprint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(replace(SETTINGS, references="difference", reference_footprint=footprint))
+    rig.play()
+    used: list[Footprint] = []
+    render = FakeScene.render
+
+    def noted(scene: FakeScene, camera: Any, options: Any) -> Any:
+        used.append(options.footprint)
+        return render(scene, camera, options)
+
+    monkeypatch.setattr(FakeScene, "render", noted)
+    job = rig.streamer.begin(rig.streamer.next_due_us())
+    assert isinstance(job, FrameJob)
+    rendered = job.run(iter(range(100)).__next__)
+    wanted = Footprint.classic() if footprint == PLAIN else Footprint.of(job.client, job.camera.intrinsics)
+    assert used[0] == used[-1] == wanted
+    assert wanted != (Footprint.classic() if footprint != PLAIN else None)
+    assert len(used) == 3, "the truth, what is new ahead, and the client's own view"
+    assert (rendered.render_ns, rendered.mirror_ns, rendered.encode_ns) == (1, 1, 1)
