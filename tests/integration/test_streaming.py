@@ -110,7 +110,7 @@ def test_late_and_rare_references_make_no_picture_worse(tmp_path):
         done = run_module("cags_client", "--url", url, "--truth", str(bundle), "--json", str(report), *SIZE)
         assert done.returncode == 0, done.stderr
     frames, _ = frames_and_summary(report)
-    restored = [f for f in frames if "restoration" in f["effects"]]
+    restored = [f for f in frames if "correction" in f["effects"]]
     assert restored, "no reference came in time to be of use"
     gains = [f["psnr_restored_db"] - f["psnr_distorted_db"] for f in restored]
     worst = restored[gains.index(min(gains))]

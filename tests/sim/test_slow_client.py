@@ -21,7 +21,7 @@ SETTLED = 40
 def scenario(tmp_path_factory) -> Scenario:
     cache = str(tmp_path_factory.mktemp("bundles"))
     bundle = cached_bundle(f"procedural:size=2000,frames={FRAMES}", cache, EncodeSettings(frames=FRAMES))
-    return Scenario(bundle, "generated:steady-1", "synthetic:walking", client=ClientSettings(width=80, height=60))
+    return Scenario(bundle, "generated:steady-0.6", "synthetic:walking", client=ClientSettings(width=80, height=60))
 
 
 @pytest.fixture
