@@ -19,6 +19,9 @@ from cags_common.splats import Splats
 REMEMBERED = 64
 """Commits; what was changed before them counts no more: no reference is that old."""
 
+REMEMBERED_FRAMES, MOST_PLACES_BYTES = 12, 64 << 20
+"""Frames of which it is remembered where splats were, and memory for that."""
+
 SEEN_SIGMAS = 2.0
 """Radius in which a splat is seen, standard deviations."""
 
@@ -34,13 +37,13 @@ class Changes:
 
     def __init__(self) -> None:
         self._commits: deque[tuple[int, NDArray[np.intp]]] = deque(maxlen=REMEMBERED)
-        self._means = np.zeros((0, 3), np.float32)
+        self._places: deque[tuple[int, F32]] = deque(maxlen=REMEMBERED_FRAMES)
         self._mark = 0
 
     def clear(self) -> None:
         """Another group of frames is on display."""
         self._commits.clear()
-        self._means = np.zeros((0, 3), np.float32)
+        self._places.clear()
 
     def committed(self, mark: int, rows: NDArray[np.intp]) -> None:
         """``rows`` changed by showing what came up to ``mark``, or further, where that was shown before."""
@@ -48,30 +51,37 @@ class Changes:
         if len(rows):
             self._commits.append((self._mark, rows))
 
-    def used(self, means: F32, basis: int) -> None:
-        """A reference made from mark ``basis`` is shown with its own frame, when splats are at ``means`` [N, 3]."""
-        self._means = means.copy()
+    def used(self, basis: int) -> None:
+        """A reference made from mark ``basis`` is shown with its own frame."""
         self._commits = deque(((mark, rows) for mark, rows in self._commits if mark > basis), REMEMBERED)
+
+    def shown(self, frame: int, means: F32) -> None:
+        """Media ``frame`` is shown, when splats are at ``means`` [N, 3]."""
+        while self._places and (self._places[-1][0] >= frame or len(self._places) * means.nbytes > MOST_PLACES_BYTES):
+            self._places.pop() if self._places[-1][0] >= frame else self._places.popleft()
+        self._places.append((frame, means.copy()))
 
     def since(self, basis: int) -> bool:
         """Whether splats were changed by what came after mark ``basis``."""
         return any(mark > basis for mark, _ in self._commits)
 
-    def veto(self, basis: int | None, splats: Splats, depth: F32, camera: Camera, focal_px: float) -> F32:
-        """Where a view of ``depth`` [H, W] from ``camera`` shows what was changed since mark ``basis`` (None: that does
-        not matter), or has moved in a reference of ``focal_px``: a veto for correctors
+    def veto(self, since: tuple[int, int | None], splats: Splats, depth: F32, camera: Camera, focal_px: float) -> F32:
+        """Where a view of ``depth`` [H, W] from ``camera`` shows what has moved ``since`` a media frame, as a reference
+        of ``focal_px`` sees it, or was changed since a mark (None: that does not matter): a veto for correctors
         (:func:`~cags_common.correction.changed_cells`).
         """
+        frame, basis = since
         rows = [] if basis is None else [changed for mark, changed in self._commits if mark > basis]
-        changed = np.unique(np.concatenate([*rows, self._moved(splats, camera, focal_px)]))
+        changed = np.unique(np.concatenate([*rows, self._moved(frame, splats, camera, focal_px)]))
         changed = changed[:: -(-len(changed) // MOST_LOOKED_AT) or 1]
         radii = SEEN_SIGMAS * np.exp(splats.log_scales[changed]).max(axis=1, initial=0.0)
         return changed_cells(splats.means[changed], radii, camera, depth)
 
-    def _moved(self, splats: Splats, camera: Camera, focal_px: float) -> NDArray[np.intp]:
-        if len(self._means) != len(splats):
+    def _moved(self, frame: int, splats: Splats, camera: Camera, focal_px: float) -> NDArray[np.intp]:
+        before = [means for shown, means in self._places if shown <= frame] or [m for _, m in self._places][:1]
+        if not before or len(before[-1]) != len(splats):
             return np.zeros(0, np.intp)
-        step = np.linalg.norm(splats.means - self._means, axis=1)
+        step = np.linalg.norm(splats.means - before[-1], axis=1)
         rotation, translation = camera.world_to_camera
         depth = np.maximum(splats.means @ rotation[2] + translation[2], camera.near)
         return np.flatnonzero(step * focal_px > MOVED_PX * depth)

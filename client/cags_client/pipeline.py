@@ -208,7 +208,9 @@ class ClientPipeline:
             scene = self._updated(store, committed)
             if reference is not None and reference.frame == frame and reference.order > self._used:
                 self._used = reference.order
-                self._changes.used(store.splats.means, reference.basis)
+                self._changes.used(reference.basis)
+            if self._restorer_wanted == CORRECT and self.info.motion is not None and not share:
+                self._changes.shown(frame, store.splats.means)
         plan = plan_frame(self._situation(store, committed, (frame + share, camera), reference), self.settings.effects)
         half = self._resolutions.chosen(self.live.resolution) == HALF
         seen_by = halved(camera) if half else camera
@@ -319,8 +321,8 @@ class ClientPipeline:
             if Effect.VETO in plan:
                 assert drawn.view.depth is not None
                 focal_px, splats = reference.camera.intrinsics.fx_px, drawn.store.splats
-                basis = reference.basis if reference.assumes else None
-                veto = self._changes.veto(basis, splats, drawn.view.depth, drawn.camera, focal_px)
+                since = reference.frame, reference.basis if reference.assumes else None
+                veto = self._changes.veto(since, splats, drawn.view.depth, drawn.camera, focal_px)
             freshness = self._freshness(reference, frame) if Effect.FADE in plan else 1.0
             if freshness < 1.0:
                 stale = np.float32(1.0 - freshness)

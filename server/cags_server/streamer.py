@@ -424,7 +424,7 @@ class Streamer:
         record.reference_bytes, record.reference_kind = len(coded.access_unit), coded.kind.value
         record.lacking, record.left = coded.before, coded.after
         travels_us = self.stats.rtt_us / 2 + len(coded.access_unit) * 8e6 / self._estimator.estimate_bps(now_us)
-        self._coder.arrives(late=now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us))
+        self._coder.lateness.observe(late=now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us))
         self._reference_budget.spent(record.reference_bytes)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 

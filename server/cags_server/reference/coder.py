@@ -19,6 +19,7 @@ from cags_common.geometry import F32, Intrinsics
 from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
 from cags_protocol.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
+from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 
 DIFFERENCE, PICTURE, NOTHING = ReferenceKind.DIFFERENCE, ReferenceKind.PICTURE, ReferenceKind.NOTHING
@@ -53,11 +54,6 @@ count.
 
 BETTER = 0.8
 """The other kind takes over where its score is less than this share of that in use."""
-
-LATE_WINDOW, OFTEN_LATE, SELDOM_LATE = 15, 0.4, 0.1
-"""References over which lateness is looked at; shares of late ones from which on, and up to which, differences are left
-aside and taken up again.
-"""
 
 RATE_EXPONENT = 0.5
 """Error times bytes to this power is the score of a kind: twice the bytes must bring 1.5 dB."""
@@ -131,14 +127,15 @@ class ReferenceCoder:
         self._knee = KNEES[-1]
         self._begin_anew = True
         self._mean_bytes, self._counted = 0.0, 0
-        self._late = 0.0  # share of references that come late, of late
+        self.lateness = Lateness()
+        """Whether references come in time."""
         self._picture_left = 0.0  # error of the newest picture that was coded
         self._target_bytes = 0.0  # of a picture that needs others; 0: not known
 
     @property
     def compares(self) -> bool:
-        """Whether the client's own view is needed."""
-        return DIFFERENCE in self.kinds
+        """Whether the client's own view is needed: not of a client whose references often come late."""
+        return DIFFERENCE in self.kinds and not (PICTURE in self.kinds and self.lateness.often)
 
     @property
     def kind(self) -> ReferenceKind | None:
@@ -168,18 +165,21 @@ class ReferenceCoder:
     def code(self, truth: F32, mirror: F32 | None, *, idr: bool) -> Coded:
         """The reference of ``truth`` [h, w, 3], the scene, for a client whose own view is ``mirror`` [h, w, 3].
 
-        Both are RGB of the display's range; None: the client holds nothing, or nobody asks. ``idr``: it must need no
-        other.
+        Both are RGB of the display's range; None: the client holds nothing, or is not compared with. ``idr``: the
+        reference must need no other.
         """
         if not self.kinds:
             return Coded(NOTHING)
         truth = np.clip(truth, 0, 1)
+        if self.lateness.often and self.kinds[0] is DIFFERENCE and PICTURE in self.kinds:
+            self._change_kind()
         lack = truth if mirror is None else truth - np.clip(mirror, 0, 1)
         before = _power(lack)
-        if self.compares and before < INVISIBLE:
-            return Coded(NOTHING, before=before, after=before)
-        if self._wrong_kind(before):
-            self._change_kind()
+        if mirror is not None and self.compares:
+            if before < INVISIBLE:
+                return Coded(NOTHING, before=before, after=before)
+            if self.kinds[0] is PICTURE and before < self._picture_left:
+                self._change_kind()  # the client's own view is better than what a picture would make of it
         kind = self.kinds[0]
         coded = self._coded(kind, truth, lack, idr=idr or self._begin_anew)
         most = KEY_SHARE * self._target_bytes
@@ -192,25 +192,9 @@ class ReferenceCoder:
         if not coded.idr:
             self._mean_bytes += (len(coded.access_unit) - self._mean_bytes) / min(self._counted + 1, RATE_WINDOW)
             self._counted += 1
-        if len(self.kinds) > 1 and self._late <= OFTEN_LATE:
+        if len(self.kinds) > 1 and mirror is not None and self.compares:
             self._try_other(coded, truth, lack)
         return coded
-
-    def arrives(self, *, late: bool) -> None:
-        """Whether the reference that was coded last comes after its frame is displayed, about."""
-        self._late += (late - self._late) / LATE_WINDOW
-
-    def _wrong_kind(self, before: float) -> bool:
-        """Whether the kind in use is out of place, however it codes; ``before`` is the error of the client's own view.
-
-        Where references come late the client's splats have changed by then, which a picture survives. Else a picture
-        must leave less error than the client's own view has.
-        """
-        if len(self.kinds) < 2:
-            return False
-        if self.kinds[0] is DIFFERENCE:
-            return self._late > OFTEN_LATE
-        return self._late < SELDOM_LATE and before < self._picture_left
 
     def _coded(self, kind: ReferenceKind, truth: F32, lack: F32, *, idr: bool) -> Coded:
         video = self._videos.get(kind)

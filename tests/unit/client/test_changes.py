@@ -28,9 +28,9 @@ def line(shift: float = 0.0) -> Splats:
 def test_what_a_reference_assumes_has_not_changed_for_it() -> None:
     changes = Changes()
     changes.committed(3, rows(0, 1))
-    changes.used(line().means, 3)
+    changes.used(3)
     assert not changes.since(3)
-    assert not changes.veto(3, line(), FAR, CAMERA, FOCAL_PX).any()
+    assert not changes.veto((10, 3), line(), FAR, CAMERA, FOCAL_PX).any()
     changes.committed(4, rows(2))
     assert changes.since(3)
     assert not changes.since(4)
@@ -38,29 +38,32 @@ def test_what_a_reference_assumes_has_not_changed_for_it() -> None:
 
 def test_the_veto_lies_where_a_changed_splat_is_seen() -> None:
     changes = Changes()
-    changes.used(line().means, 1)
+    changes.shown(10, line().means)
+    changes.used(1)
     changes.committed(2, rows(4))
-    veto = changes.veto(1, line(), FAR, CAMERA, FOCAL_PX)
+    veto = changes.veto((10, 1), line(), FAR, CAMERA, FOCAL_PX)
     columns = np.flatnonzero(veto.any(axis=0))
     assert len(columns)
     assert columns.min() >= 4, "on the right, of eight cells"
-    hidden = changes.veto(1, line(), np.full((64, 128), 2.0, np.float32), CAMERA, FOCAL_PX)
+    hidden = changes.veto((10, 1), line(), np.full((64, 128), 2.0, np.float32), CAMERA, FOCAL_PX)
     assert not hidden.any(), "behind what the view shows"
 
 
 def test_what_has_moved_by_more_than_a_little_counts_as_changed() -> None:
     changes, little = Changes(), 0.5 * MOVED_PX * 4.0 / FOCAL_PX
-    changes.used(line().means, 1)
-    assert not changes.veto(1, line(little), FAR, CAMERA, FOCAL_PX).any()
-    assert changes.veto(1, line(4 * little), FAR, CAMERA, FOCAL_PX).any()
+    changes.shown(10, line().means)
+    changes.used(1)
+    assert not changes.veto((10, 1), line(little), FAR, CAMERA, FOCAL_PX).any()
+    assert changes.veto((10, 1), line(4 * little), FAR, CAMERA, FOCAL_PX).any()
 
 
 def test_of_a_picture_only_what_has_moved_counts() -> None:
     changes = Changes()
-    changes.used(line().means, 1)
+    changes.shown(10, line().means)
+    changes.used(1)
     changes.committed(2, rows(4))
-    assert not changes.veto(None, line(), FAR, CAMERA, FOCAL_PX).any()
-    assert changes.veto(None, line(1.0), FAR, CAMERA, FOCAL_PX).any()
+    assert not changes.veto((10, None), line(), FAR, CAMERA, FOCAL_PX).any()
+    assert changes.veto((10, None), line(1.0), FAR, CAMERA, FOCAL_PX).any()
 
 
 def test_what_was_shown_before_a_mark_that_is_older_does_not_come_back() -> None:
@@ -72,8 +75,9 @@ def test_what_was_shown_before_a_mark_that_is_older_does_not_come_back() -> None
 
 def test_another_group_of_frames_begins_anew() -> None:
     changes = Changes()
-    changes.used(line().means, 1)
+    changes.shown(10, line().means)
+    changes.used(1)
     changes.committed(2, rows(1))
     changes.clear()
     assert not changes.since(0)
-    assert not changes.veto(0, line(1.0), FAR, CAMERA, FOCAL_PX).any()
+    assert not changes.veto((10, 0), line(1.0), FAR, CAMERA, FOCAL_PX).any()

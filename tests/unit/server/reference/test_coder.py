@@ -180,14 +180,24 @@ def test_a_changed_link_begins_a_new_video_of_whole_pictures() -> None:
     assert begun == [True, False, False, True, False, True]
 
 
-def test_where_references_come_late_pictures_are_sent_until_they_come_in_time() -> None:
+def test_where_references_come_late_pictures_are_sent_without_a_mirror_until_they_come_in_time() -> None:
     """A client has changed its splats by then: what it lacked is no longer what it lacks."""
     auto, truth = coder(), moving(1)[0]
     good = np.clip(truth + 0.02 * np.sin(np.arange(96) / 9)[None, :, None], 0, 1).astype(np.float32)
-    kinds = []
-    for number in range(120):
-        kinds.append(auto.code(truth, good, idr=not number).kind)
-        auto.arrives(late=30 <= number < 60)
+    kinds, compared = [], []
+    for number in range(160):
+        compared.append(auto.compares)
+        kinds.append(auto.code(truth, good if auto.compares else None, idr=not number).kind)
+        auto.lateness.observe(late=30 <= number < 60)
     assert kinds[28] is ReferenceKind.DIFFERENCE
-    assert set(kinds[45:60]) == {ReferenceKind.PICTURE}
+    assert compared.index(False) in range(32, 40)
+    assert {kind for kind, known in zip(kinds, compared, strict=True) if not known} == {ReferenceKind.PICTURE}
     assert kinds[-1] is ReferenceKind.DIFFERENCE
+
+
+def test_a_client_that_takes_differences_alone_is_compared_with_however_late_they_come() -> None:
+    one = coder(replace(SMALL, references="difference"))
+    for _ in range(50):
+        one.lateness.observe(late=True)
+    assert one.compares
+    assert one.code(moving(1)[0], None, idr=True).kind is ReferenceKind.DIFFERENCE
