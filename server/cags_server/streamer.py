@@ -39,6 +39,9 @@ from cags_server.visible import VisibleTile
 MARK_EVERY_US = 30_000
 """While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
 
+OVERLOAD = 1.5
+"""Times the time from one reference to the next that a reference may take to be made; beyond it they become rare."""
+
 GREETING_DEADLINE_US = 2_000_000
 """After so long a first picture is of no use: tiles have come."""
 
@@ -424,7 +427,9 @@ class Streamer:
         record.reference_bytes, record.reference_kind = len(coded.access_unit), coded.kind.value
         record.lacking, record.left = coded.before, coded.after
         travels_us = self.stats.rtt_us / 2 + len(coded.access_unit) * 8e6 / self._estimator.estimate_bps(now_us)
-        self._coder.lateness.observe(late=now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us))
+        late = now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us)
+        rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
+        self._coder.lateness.observe(late=late or rare)
         self._reference_budget.spent(record.reference_bytes)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
