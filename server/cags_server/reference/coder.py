@@ -175,7 +175,7 @@ class ReferenceCoder:
             self._change_kind()
         lack = truth if mirror is None else truth - np.clip(mirror, 0, 1)
         before = _power(lack)
-        if mirror is not None and self.compares:
+        if self.compares:
             if before < INVISIBLE:
                 return Coded(NOTHING, before=before, after=before)
             if self.kinds[0] is PICTURE and before < self._picture_left:
