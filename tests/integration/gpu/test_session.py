@@ -14,7 +14,9 @@ from support.gpu import needs_adapter, software_passes
 
 
 def played(bundle: Path, backend: str) -> SessionResult:
-    server = ServerSettings(rasteriser=backend, reference_width=64, reference_height=48)
+    # without loss: x264 chooses otherwise for pictures that differ in the last bit, which is none of the GPU's
+    coded = {"references": "difference", "reference_crf": 0.0}
+    server = ServerSettings(rasteriser=backend, reference_width=64, reference_height=48, **coded)
     client = ClientSettings(raster=backend, width=96, height=64, exactness="exact")
     return simulate(Scenario(bundle, "generated:steady-30", "synthetic:walking", server, client))
 
@@ -29,6 +31,4 @@ def test_a_session_on_the_gpu_is_one_on_the_cpu(tmp_path: Path) -> None:
     assert ours.summary["frames"] == right.summary["frames"] == 4
     pairs: list[tuple[dict[str, Any], dict[str, Any]]] = list(zip(ours.frames, right.frames, strict=True))
     for frame, same in pairs:
-        assert abs(frame["psnr_distorted_db"] - same["psnr_distorted_db"]) < 0.1, sorted(frame)
-        # x264 chooses otherwise for pictures that differ in the last bit: 46 dB come out as 45.6 to 46.4
-        assert abs(frame["psnr_restored_db"] - same["psnr_restored_db"]) < 0.5, sorted(frame)
+        assert abs(frame["psnr_restored_db"] - same["psnr_restored_db"]) < 0.1, sorted(frame)
