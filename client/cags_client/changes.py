@@ -57,8 +57,10 @@ class Changes:
 
     def shown(self, frame: int, means: F32) -> None:
         """Media ``frame`` is shown, when splats are at ``means`` [N, 3]."""
-        while self._places and (self._places[-1][0] >= frame or len(self._places) * means.nbytes > MOST_PLACES_BYTES):
-            self._places.pop() if self._places[-1][0] >= frame else self._places.popleft()
+        while self._places and self._places[-1][0] >= frame:  # the play went back
+            self._places.pop()
+        if len(self._places) * means.nbytes > MOST_PLACES_BYTES:
+            self._places.popleft()
         self._places.append((frame, means.copy()))
 
     def since(self, basis: int) -> bool:

@@ -308,22 +308,7 @@ class Streamer:
         """Of a frame that is served without a render; the render's own where that is out."""
         if self._render_plan is not None and self._schedule.is_out(tick):
             return self._render_plan
-        self._viewer.ensure_pose(now_us)
-        display_us = self._schedule.timeline.display_us(tick)
-        predicted = self._viewer.predict(display_us)
-        return FramePlan(
-            generation=self._schedule.generation,
-            tick=tick,
-            frame=frame,
-            ahead=self._ahead(tick, frame),
-            ticks_covered=ticks_covered,
-            planned_us=now_us,
-            display_us=display_us,
-            horizon_us=0,
-            predicted=predicted,
-            margins=(0.0, 0.0),
-            idr=False,
-        )
+        return self._plan(tick, frame, ticks_covered, now_us, drawn=False)
 
     def _ahead(self, tick: int, frame: int) -> Ahead:
         """The frame whose tiles go out with the reference of ``tick``; the same again at the clip's end."""
@@ -351,7 +336,8 @@ class Streamer:
             return False
         return self._sight.tells_of(ahead)
 
-    def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
+    def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int, *, drawn: bool = True) -> FramePlan:
+        """Of a frame that gets a reference, or is served without being ``drawn``."""
         display_us = self._schedule.timeline.display_us(tick)
         self._viewer.ensure_pose(now_us)
         predicted = self._viewer.predict(display_us)
@@ -363,11 +349,11 @@ class Streamer:
             ticks_covered=ticks_covered,
             planned_us=now_us,
             display_us=display_us,
-            horizon_us=self._viewer.horizon_us(display_us),
+            horizon_us=self._viewer.horizon_us(display_us) if drawn else 0,
             predicted=predicted,
-            margins=self._viewer.margins(frame, predicted),
-            idr=self._video.needs_idr,
-            basis=self._mark(now_us) if self._coder.kind is not None else 0,
+            margins=self._viewer.margins(frame, predicted) if drawn else (0.0, 0.0),
+            idr=drawn and self._video.needs_idr,
+            basis=self._mark(now_us) if drawn and self._coder.kind is not None else 0,
         )
 
     # ----------------------------------------------------------------------------------------------------- finishing

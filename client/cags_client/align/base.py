@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.correction import Placement
 from cags_common.geometry import F32, F64, Camera
 from cags_common.settings import check_settings, setting
 
@@ -79,22 +80,22 @@ class Reprojection:
     @cached_property
     def matrix(self) -> tuple[F64, F64]:
         """m [3, 3] and b [3]."""
-        k_l, k_r = _matrix(self.camera), _matrix(self.reference)
-        rotation_l, rotation_r = self.camera.pose.rotation_matrix, self.reference.pose.rotation_matrix
-        to_reference = k_r @ rotation_r.T
-        shift = np.asarray(self.camera.pose.position) - np.asarray(self.reference.pose.position)
-        return to_reference @ rotation_l @ np.linalg.inv(k_l), to_reference @ shift
+        whole = self._placement.matrix
+        return whole[:, :3], whole[:, 3]
 
     @property
     def cell_px(self) -> tuple[float, float]:
         """Client pixels a reference pixel, in angle at the images' centres, along x and y."""
-        client, other = self.camera.intrinsics, self.reference.intrinsics
-        return client.fx_px / other.fx_px, client.fy_px / other.fy_px
+        return self._placement.cell_px
 
     @property
     def stride(self) -> int:
         """Every how many pixels and rows the client's view is sampled for what hides what: twice a reference pixel."""
-        return max(1, int(min(self.cell_px) / 2))
+        return self._placement.stride
+
+    @cached_property
+    def _placement(self) -> Placement:
+        return Placement(self.camera, self.reference)
 
     @cached_property
     def projected(self) -> tuple[F32, F32, F32, NDArray[np.bool_]]:
@@ -157,8 +158,3 @@ class Aligner(Protocol):
         Raises ``ValueError`` where ``depth`` does not have the camera's size.
         """
         ...
-
-
-def _matrix(camera: Camera) -> F64:
-    i = camera.intrinsics
-    return np.array([[i.fx_px, 0.0, i.cx_px], [0.0, i.fy_px, i.cy_px], [0.0, 0.0, 1.0]])
