@@ -24,7 +24,8 @@ class BufferPolicy:
         tiles = tuple(replace(tile, passing=False) for tile in observation.tiles)
         plan = Plan(replace(observation, tiles=tiles, budget_bytes=UNBOUNDED_BYTES, timely_bytes=UNBOUNDED_BYTES))
         share = (CUSHION_US - observation.waiting_us) / (CUSHION_US - RESERVOIR_US)
-        for tile in sorted(tiles, key=lambda t: (-t.visible, t.kind, t.frame, t.tile)):
+        # Motion whose looks are to come goes after them, however much of it is seen.
+        for tile in sorted(tiles, key=lambda t: (t.after is not None, -t.visible, t.kind, t.frame, t.tile)):
             target = max(1, round(min(max(share, 0.0), 1.0) * tile.max_depth))
             while plan.depth(tile) < target and plan.raise_once(tile):
                 pass

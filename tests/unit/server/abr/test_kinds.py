@@ -31,6 +31,13 @@ def test_with_room_for_all_everything_goes(policy: str) -> None:
     assert sent == {(0, 0): (1, 4), (18, 1): (0, 2), (19, 2): (0, 4)}
 
 
+@pytest.mark.parametrize("policy", POLICIES)
+def test_motion_of_which_more_is_seen_than_of_its_looks_goes_with_them(policy: str) -> None:
+    """Ghosts count for the one and not for the other."""
+    lacking, looks = replace(CHUNK, after=(0, 0), visible=80), replace(LOOKS, depth=0)
+    assert set(levels(decide(policy, UNBOUNDED_BYTES, lacking, looks))) == {(0, 0), (18, 1)}
+
+
 @pytest.mark.parametrize("policy", ["utility", "paper"])
 def test_what_stands_still_is_moved_before_what_is_there_is_refined(policy: str) -> None:
     assert levels(decide(policy, 115, LOOKS, CHUNK)) == {(18, 1): (0, 1)}
