@@ -140,11 +140,11 @@ class Schedule:
         periods, leads = SEEN_GRACE if unserved is None else RENDER_GRACE
         return due_us + round(min(periods * period_us, leads * lead_us))
 
-    def between_references(self, *, seen: bool) -> bool:
-        """Whether the next frame is one of those that get no reference of their own."""
+    def between_renders(self, every: int, *, seen: bool) -> bool:
+        """Whether the next frame is one of those that are not rendered, where one of ``every`` frames is."""
         if self.rendering or self._rendered_tick is None or self.next_frame is None:
             return False
-        return seen and self.next_tick < self._rendered_tick + self._reference_every
+        return seen and self.next_tick < self._rendered_tick + every
 
     @property
     def begun(self) -> bool:

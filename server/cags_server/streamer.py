@@ -15,6 +15,7 @@ from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers, Welcome
 from cags_server.abr import Decision, Observation, create_rate_policy
+from cags_server.abr.outlook import lacking_bytes
 from cags_server.ahead import Ahead
 from cags_server.bandwidth.base import BandwidthEstimator
 from cags_server.budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
@@ -28,6 +29,7 @@ from cags_server.reference.budget import ReferenceBudget
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.video import ReferenceVideo
+from cags_server.reference.worth import Worth
 from cags_server.schedule import Schedule
 from cags_server.settings import PLAIN, ServerSettings
 from cags_server.sight import Sight
@@ -38,6 +40,9 @@ from cags_server.visible import VisibleTile
 
 MARK_EVERY_US = 30_000
 """While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
+
+LOOK_EVERY = 3
+"""Frames from one render to the next where no reference is made of them: they tell which splats are seen."""
 
 OVERLOAD = 1.5
 """Times the time from one reference to the next that a reference may take to be made; beyond it they become rare."""
@@ -74,6 +79,7 @@ class Streamer:
         self._joining = Joining(library, self._tiles)
         self._video = ReferenceVideo()
         self._reference_budget = ReferenceBudget(settings.reference_most)
+        self._worth = Worth()
         self._sight = Sight(library, settings.visible_px)
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
@@ -249,6 +255,7 @@ class Streamer:
             horizon_us=0,
             predicted=seen,
             margins=self._viewer.margins(frame, seen),
+            speaks=True,
             idr=self._video.needs_idr,
             basis=self._mark(now_us),
             greets=True,
@@ -256,14 +263,15 @@ class Streamer:
         return self._job(plan, now_us)
 
     def _job(self, plan: FramePlan, now_us: int) -> FrameJob:
-        self._video.needs_idr = False
-        self._coder.follow(self._estimator.estimate_bps(now_us), self._schedule.reference_period_us)
+        if plan.speaks:
+            self._video.needs_idr = False
+            self._coder.follow(self._estimator.estimate_bps(now_us), self._schedule.reference_period_us)
         size = self._coder.width_px, self._coder.height_px
         intrinsics = widened(self._hello.intrinsics, plan.margins, *size)
         return FrameJob(
             plan=plan,
             library=self._library,
-            mirror=self._mirror if self._coder.compares else None,
+            mirror=self._mirror if plan.speaks and self._coder.compares else None,
             camera=Camera(intrinsics, plan.predicted.pose, self._hello.near),
             client=self._hello.intrinsics,
             coder=self._coder,
@@ -327,7 +335,14 @@ class Streamer:
         affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), spare_us)
         if seen and not self._schedule.rendering and not (affordable and self._may_render(now_us)):
             return True
-        return not self._video.needs_idr and self._schedule.between_references(seen=seen)
+        if not self._pays:
+            return self._schedule.between_renders(LOOK_EVERY, seen=seen)
+        return not self._video.needs_idr and self._schedule.between_renders(self._settings.reference_every, seen=seen)
+
+    @property
+    def _pays(self) -> bool:
+        """Whether frames get references now."""
+        return self._coder.kind is not None and (self._settings.references != "auto" or self._worth.pays)
 
     def _next_is_seen(self) -> bool:
         """Whether what was seen last says what the next tiles will show: not in another group of frames."""
@@ -341,6 +356,7 @@ class Streamer:
         display_us = self._schedule.timeline.display_us(tick)
         self._viewer.ensure_pose(now_us)
         predicted = self._viewer.predict(display_us)
+        speaks = drawn and self._pays
         return FramePlan(
             generation=self._schedule.generation,
             tick=tick,
@@ -352,8 +368,9 @@ class Streamer:
             horizon_us=self._viewer.horizon_us(display_us) if drawn else 0,
             predicted=predicted,
             margins=self._viewer.margins(frame, predicted) if drawn else (0.0, 0.0),
-            idr=drawn and self._video.needs_idr,
-            basis=self._mark(now_us) if drawn and self._coder.kind is not None else 0,
+            speaks=speaks,
+            idr=speaks and self._video.needs_idr,
+            basis=self._mark(now_us) if speaks else 0,
         )
 
     # ----------------------------------------------------------------------------------------------------- finishing
@@ -369,7 +386,7 @@ class Streamer:
         self._schedule.rendering = False
         work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
         self._schedule.pace.observe(work_us, len(render.coded.access_unit), rate_bps)
-        self.stats.references += 1
+        self.stats.references += plan.speaks
         self.stats.render_ns += render.render_ns
         self.stats.mirror_ns += render.mirror_ns
         self.stats.mirror_bytes = self._mirror.memory_bytes
@@ -404,7 +421,7 @@ class Streamer:
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""
-        if self._coder.kind is None:
+        if not render.plan.speaks:
             return []
         if now_us >= self._reference_deadline_us(render.plan.display_us):
             self._video.broken()
@@ -464,18 +481,19 @@ class Streamer:
         timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
         room_bytes = max(self._budget.room(record.estimate_bps, period_us), timely_bytes)
         record.budget_bytes = min(earned_bytes, room_bytes)
-        decision = self._policy.decide(
-            Observation(
-                frame=frame,
-                budget_bytes=record.budget_bytes,
-                tiles=tiles,
-                lod_gains_db=self._library.manifest.lod_gains_db,
-                message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
-                layered=self._tiles.layered,
-                waiting_us=self._budget.waiting_us(now_us),
-                timely_bytes=timely_bytes,
-            )
+        observation = Observation(
+            frame=frame,
+            budget_bytes=record.budget_bytes,
+            tiles=tiles,
+            lod_gains_db=self._library.manifest.lod_gains_db,
+            message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
+            layered=self._tiles.layered,
+            waiting_us=self._budget.waiting_us(now_us),
+            timely_bytes=timely_bytes,
         )
+        decision = self._policy.decide(observation)
+        coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
+        self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
         record.tile_bytes = decision.bytes
         self._budget.close(earned_bytes - decision.bytes, allowed_bps)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
