@@ -13,11 +13,11 @@ from cags_common.splats import MAX_SPLATS
 from cags_protocol.messages import CHROMAS
 
 FULL, HALF, AUTO = RESOLUTIONS = "full", "half", "auto"
-"""Pixels that a frame is worked out at (:mod:`cags_client.resolution`)."""
+"""Pixels that a frame is worked out at (:mod:`cags_client.frame.resolution`)."""
 
 OFF, ON = "off", "on"
 INTERPOLATIONS = OFF, ON, AUTO
-"""When pictures are drawn between media frames (:mod:`cags_client.between`)."""
+"""When pictures are drawn between media frames (:mod:`cags_client.playback.interpolation`)."""
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from aiohttp import web
 
 from cags_common.transport import accepting
 from cags_common.transport.accepting import listen_on
-from cags_server import door as door_module
-from cags_server.admission import tls_context
-from cags_server.door import Door
+from cags_server.http import acceptor as door_module
+from cags_server.http.acceptor import Door
+from cags_server.http.admission import tls_context
 from integration.server.test_app import self_signed
 from support.siege import assert_others_are_well, keep
 

@@ -7,9 +7,9 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from cags_common.poses.walks import read_walks, split_people
 from cags_common.settings import add_settings, check_settings, load_settings, setting
 from cags_server.predict.pooled import PooledWeights
-from cags_server.predict.walks import read_walks, split_people
 from cags_training.fov_data import sequence_of
 
 EXAMPLES = "  cags-train fov --poses poses/ --held-out 09,10,11,12 --out lstm.npz --seed 1"

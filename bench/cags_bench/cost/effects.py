@@ -11,8 +11,8 @@ from cags_bench.cost.engine import Measured, Outcome, Point, Stage
 from cags_bench.cost.moments import JUDGED_LOD, Workbench
 from cags_bench.cost.serving import DIFFERENCES
 from cags_bench.jsonl import check
-from cags_client.pipeline import ClientPipeline
-from cags_client.presented import PresentedFrame
+from cags_client.frame.pipeline import ClientPipeline
+from cags_client.frame.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer

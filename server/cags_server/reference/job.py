@@ -10,12 +10,12 @@ import numpy as np
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderOptions
 from cags_server.ahead import Ahead
-from cags_server.library import SceneLibrary
-from cags_server.lingering import Lingering
-from cags_server.mirror import Mirror
 from cags_server.predict.base import PoseDistribution
 from cags_server.reference.coder import Coded, ReferenceCoder
-from cags_server.visible import VisibleTile
+from cags_server.reference.mirror import Mirror
+from cags_server.scene.library import SceneLibrary
+from cags_server.scene.visible_tiles import VisibleTile
+from cags_server.visibility.lingering import Lingering
 
 MANY_NEW = 0.02
 """Share of a frame's splats that are new in it from which on it is drawn to see which of them are visible."""

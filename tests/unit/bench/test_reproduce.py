@@ -100,11 +100,11 @@ def test_page_and_data_hold_the_section(tmp_path):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_methods_are_configurations_that_the_program_accepts(name):
-    from cags_client import align, restore
+    from cags_client.frame import align, restore
     from cags_client.settings import ClientSettings
     from cags_encoder import EncodeSettings
-    from cags_server.abr import create_rate_policy
     from cags_server.fov import create_fov_policy
+    from cags_server.ratecontrol import create_rate_policy
     from cags_server.settings import ServerSettings
 
     method = METHODS[name]

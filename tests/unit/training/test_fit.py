@@ -9,9 +9,9 @@ import pytest
 from cags_common.errors import ConfigError, TraceError
 from cags_common.geometry import F64
 from cags_common.poses import PoseTrace, write_poses
+from cags_common.poses.walks import read_walks, split_people
 from cags_server.fov.lstm import LstmFov, LstmWeights
 from cags_server.predict.pooled import HORIZON_STEPS, ORDERS, PooledWeights
-from cags_server.predict.walks import read_walks, split_people
 from cags_training.cli import main
 from support.motion import swaying_pose
 
