@@ -18,7 +18,7 @@ from typing import Any
 from cags_client.frame.presented import PresentedFrame
 from cags_client.interrupts import interrupts
 from cags_client.net.connection import Line
-from cags_client.net.endpoints import Dial
+from cags_client.net.endpoints import Endpoints
 from cags_client.output.report import frame_stats
 from cags_client.output.sinks import FrameSink, LiveSink
 from cags_client.playback.jobs import Decode, Present
@@ -67,8 +67,8 @@ async def play(
     taken up by the same or the next one.
     """
     settings = looked_at(settings, sinks)
-    dial = Dial(url, settings.token, settings.ca)
-    transport = await dial.first()
+    endpoints = Endpoints(url, settings.token, settings.ca)
+    transport = await endpoints.first()
     player = Player(
         ClientSession(now_us=now_us()),
         settings,
@@ -79,7 +79,7 @@ async def play(
         clock=time.perf_counter,
         rng=random.Random(),  # noqa: S311 - spreads attempts in time
     )
-    shell = Shell(transport, player, sinks, on_frame, dial.again)
+    shell = Shell(transport, player, sinks, on_frame, endpoints.again)
     try:
         with interrupts(shell.leave):
             await shell.run()

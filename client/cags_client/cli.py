@@ -166,11 +166,11 @@ def _shown_live(info: Manifest, outputs: _Outputs) -> Iterator[Callable[[dict[st
     if not watched(headless=outputs.headless):
         yield None
         return
-    from cags_client.output.console import Board
+    from cags_client.output.console import PlayConsole
 
-    board = Board(f"{info.name}  {outputs.url}", info.frames)
-    with live_table(board.table):
-        yield board.add
+    console = PlayConsole(f"{info.name}  {outputs.url}", info.frames)
+    with live_table(console.table):
+        yield console.add
 
 
 def _check_view(outputs: _Outputs) -> None:

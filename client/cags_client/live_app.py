@@ -13,7 +13,7 @@ import numpy as np
 from cags_client.app import Playback, Shell, now_us
 from cags_client.frame.restore import switchable
 from cags_client.interrupts import interrupts
-from cags_client.net.endpoints import Dial
+from cags_client.net.endpoints import Endpoints
 from cags_client.output.page.controls import SplatDetail
 from cags_client.output.page.server import LiveView
 from cags_client.output.page.settings import ViewSettings
@@ -169,8 +169,8 @@ async def watch_live(
     view = LiveView(view_settings, walk)
     on_ready(await view.start())
     try:
-        dial = Dial(url, settings.token, settings.ca)
-        transport = await dial.first()
+        endpoints = Endpoints(url, settings.token, settings.ca)
+        transport = await endpoints.first()
         live = LiveSettings(settings)
         live.depth_shown = True  # the page can show it at any time
         player = InteractivePlayer(
@@ -189,7 +189,7 @@ async def watch_live(
             if on_frame is not None:
                 on_frame(record)
 
-        shell = Shell(transport, player, [ViewSink(view), *sinks], kept, dial.again)
+        shell = Shell(transport, player, [ViewSink(view), *sinks], kept, endpoints.again)
         view.attach(scene_info(info), PlayerControls(player, live, truth, shell.wake))
 
         with interrupts(shell.leave):

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cags_common.effects import NEEDED, POLICIES
 from cags_common.geometry import Intrinsics
+from cags_common.passes import NEEDED, POLICIES
 from cags_common.settings import check_settings, setting
 from cags_common.splats import MAX_SPLATS
 from cags_protocol.messages import CHROMAS

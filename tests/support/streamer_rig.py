@@ -38,7 +38,7 @@ class Rig:
             self.streamer.resume(resumes)
         self.now_us = OFFSET_US
         self.marks: list[Mark] = []
-        self.opening = self.streamer.opening(OFFSET_US)
+        self.opening = self.streamer.startup(OFFSET_US)
         self.greeting = self._greeting()
         self.deliver(self.greeting + self.opening)
 

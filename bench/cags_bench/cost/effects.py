@@ -16,9 +16,9 @@ from cags_client.frame.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
-from cags_common.effects import ALWAYS, NEEDED
 from cags_common.geometry import Camera
 from cags_common.metrics import psnr
+from cags_common.passes import ALWAYS, NEEDED
 from cags_common.raster import create
 from cags_common.raster.base import Footprint, RenderOptions
 from cags_protocol.limits import PROTOCOL_VERSION

@@ -20,20 +20,20 @@ from cags_client.frame.resolution import Resolutions
 from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer
 from cags_client.frame.restore.networks.weights import Weights
 from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
-from cags_client.stopwatch import Stopwatch
+from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
 from cags_common import correction, raster
 from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import tile_codec
 from cags_common.correction import Corrected, CorrectSettings, Reference
-from cags_common.effects import Effect, EffectPlan, Situation, held_sh_degree, plan_frame
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
 from cags_common.held_tile import HeldTile
 from cags_common.packing import decode_ids
+from cags_common.passes import Pass, PassPlan, Situation, held_sh_degree, plan_frame
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.halving import enlarged, halved
-from cags_common.store.gof_store import Committed, GofStore
+from cags_common.store.gof_buffer import Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival, TileOpener
 from cags_common.store.tile_store import TileStore
 from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
@@ -64,7 +64,7 @@ class ClientPipeline:
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
-        self._scene_store: GofStore | None = None
+        self._scene_store: GofBuffer | None = None
         self._sh_degree = 0  # highest band with anything in it since the group's first frame
         self._shown_frame = 0
         self._committed_mark = 0
@@ -143,7 +143,7 @@ class ClientPipeline:
         return self._references.last_decoded
 
     @property
-    def on_display(self) -> GofStore | None:
+    def on_display(self) -> GofBuffer | None:
         """What is held of the group of frames on display; None before any."""
         return self._store.on_display
 
@@ -218,10 +218,10 @@ class ClientPipeline:
             view = scene.render(seen_by, self._drawing(plan, half=half))
         drawn = _Drawn(scene, store, seen_by, view)
         corrected, aligned, shown = None, None, view.rgb
-        if reference is not None and Effect.CORRECTION in plan:
+        if reference is not None and Pass.CORRECTION in plan:
             corrected = self._corrected(plan, drawn, reference, frame, watch)
             shown = corrected.rgb
-        elif reference is not None and Effect.RESTORATION in plan:
+        elif reference is not None and Pass.RESTORATION in plan:
             aligned, shown = self._restored(plan, drawn, reference, frame, watch)
         if half:
             with watch("enlarge"):
@@ -247,7 +247,7 @@ class ClientPipeline:
             tier=self._restorer_wanted,
         )
 
-    def _committed(self, frame: int, share: float, reference: Received | None) -> tuple[GofStore, Committed]:
+    def _committed(self, frame: int, share: float, reference: Received | None) -> tuple[GofBuffer, Committed]:
         """Show what came up to the mark that is right for the frame."""
         moved = self._store.move(frame, share) if share else None
         if moved is not None:
@@ -276,7 +276,7 @@ class ClientPipeline:
         return self._committed_mark or None
 
     def _situation(
-        self, store: GofStore, committed: Committed, view: tuple[float, Camera], reference: Received | None
+        self, store: GofBuffer, committed: Committed, view: tuple[float, Camera], reference: Received | None
     ) -> Situation:
         time, camera = view
         speaks = reference is not None and reference.kind is not ReferenceKind.NOTHING
@@ -308,22 +308,20 @@ class ClientPipeline:
             return None
         return restore.create(self._restorer_wanted, threads=self.settings.threads, weights=self._weights)
 
-    def _corrected(
-        self, plan: EffectPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
-    ) -> Corrected:
+    def _corrected(self, plan: PassPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch) -> Corrected:
         """The picture with what is lacking in it added."""
         own = given = None
-        if Effect.OWN_VIEW in plan:
+        if Pass.OWN_VIEW in plan:
             with watch("own"):
                 given, own = self._compared(plan, drawn, reference)
         with watch("correct"):
             veto = None
-            if Effect.VETO in plan:
+            if Pass.VETO in plan:
                 assert drawn.view.depth is not None
                 focal_px, splats = reference.camera.intrinsics.fx_px, drawn.store.splats
                 since = reference.frame, reference.basis if reference.assumes else None
                 veto = self._changes.veto(since, splats, drawn.view.depth, drawn.camera, focal_px)
-            freshness = self._freshness(reference, frame) if Effect.FADE in plan else 1.0
+            freshness = self._freshness(reference, frame) if Pass.FADE in plan else 1.0
             if freshness < 1.0:
                 stale = np.float32(1.0 - freshness)
                 veto = np.full(correction.veto_shape(drawn.camera), stale) if veto is None else np.maximum(veto, stale)
@@ -331,7 +329,7 @@ class ClientPipeline:
             given = given or reference.difference
             return self._corrector.correct(drawn.view, drawn.camera, given, own, settings, veto=veto)
 
-    def _compared(self, plan: EffectPlan, drawn: _Drawn, reference: Received) -> tuple[Reference, F32]:
+    def _compared(self, plan: PassPlan, drawn: _Drawn, reference: Received) -> tuple[Reference, F32]:
         """A picture compared with the client's splats from its camera, anew when they get better; and these."""
         if self._own is None or self._own[0] is not reference or self._own[1] != self._scene_changes:
             footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
@@ -341,21 +339,21 @@ class ClientPipeline:
         return self._own[2:]
 
     def _restored(
-        self, plan: EffectPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
+        self, plan: PassPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
     ) -> tuple[Aligned | None, F32]:
         """The aligned picture, and what the restorer makes of it."""
         picture, depth = reference.picture, drawn.view.depth
         if picture is None or depth is None or self._restorer is None:
             return None, drawn.view.rgb
         with watch("align"):
-            occlusion, colours = Effect.OCCLUSION in plan, Effect.EROSION in self._restorer.needs
+            occlusion, colours = Pass.OCCLUSION in plan, Pass.EROSION in self._restorer.needs
             aligned = self._aligner.align(picture, depth, drawn.camera, occlusion=occlusion, colours=colours)
-            if Effect.FADE in plan:
+            if Pass.FADE in plan:
                 aligned = _faded(aligned, self._freshness(reference, frame))
         with watch("restore"):
             return aligned, self._restorer.restore(RestoreInput(drawn.view.rgb, aligned))
 
-    def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
+    def _updated(self, store: GofBuffer, committed: Committed) -> RasterScene:
         self._scene_changes += committed.fresh or len(committed.rows) > 0
         if self._scene is None or committed.fresh:
             self._scene, self._scene_store = self._rasteriser.load(store.splats), store
@@ -369,15 +367,15 @@ class ClientPipeline:
             self._sh_degree = max(self._sh_degree, held_sh_degree(changed.sh_rest))
         return self._scene
 
-    def _options(self, plan: EffectPlan) -> RenderOptions:
+    def _options(self, plan: PassPlan) -> RenderOptions:
         return RenderOptions(
             exactness=Exactness(self.live.exactness),
             threads=self.settings.threads,
             max_sh_degree=plan.sh_degree,
-            depth=DepthKind.EXPECTED if Effect.DEPTH in plan else DepthKind.NONE,
+            depth=DepthKind.EXPECTED if Pass.DEPTH in plan else DepthKind.NONE,
         )
 
-    def _drawing(self, plan: EffectPlan, *, half: bool) -> RenderOptions:
+    def _drawing(self, plan: PassPlan, *, half: bool) -> RenderOptions:
         options = replace(self._options(plan), displayed=True)
         return replace(options, footprint=options.footprint.at_half_resolution()) if half else options
 
@@ -392,7 +390,7 @@ class _Drawn:
     """The client's own picture of a frame, and what it was drawn from."""
 
     scene: RasterScene
-    store: GofStore
+    store: GofBuffer
     camera: Camera
     view: RenderedView
 

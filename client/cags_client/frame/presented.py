@@ -9,8 +9,8 @@ import numpy as np
 
 from cags_client.frame.align import Aligned
 from cags_client.store.references import Received
-from cags_common.effects import EffectPlan
 from cags_common.geometry import F32, Camera
+from cags_common.passes import PassPlan
 from cags_common.raster.halving import enlarged
 
 THREADS = 1
@@ -38,7 +38,7 @@ class PresentedFrame:
     missed: bool
     """The frame's own data had not all come: something older is shown."""
     stages_ms: dict[str, float]
-    effects: EffectPlan
+    effects: PassPlan
     """What was done for this frame, and by that what was left out."""
     buffer_ms: float = 0.0
     """Media that has come whole and is not yet due: how long the link may fail unseen."""

@@ -33,7 +33,7 @@ def _is_stream_address(text: str) -> bool:
         return False
 
 
-class Dial:
+class Endpoints:
     """Opens connections to one of several servers of the same scene."""
 
     def __init__(self, url: str, token: str = "", ca: str = "") -> None:

@@ -14,7 +14,7 @@ WINDOW_US = 1_000_000
 """The table tells of the frames of this last time."""
 
 
-class Board:
+class PlayConsole:
     """Collects the records of frames (:func:`cags_client.output.report.frame_stats`) and tells of the last."""
 
     def __init__(self, title: str, frames: int) -> None:

@@ -15,8 +15,8 @@ from cags_client.frame.presented import PresentedFrame
 from cags_client.output.score import averages
 from cags_client.playback.jobs import Present
 from cags_client.stats import PlayStats
-from cags_common.effects import Effect, tally
 from cags_common.geometry import F32, angle_between
+from cags_common.passes import Pass, tally
 
 STAGE = "ms_"
 """Prefix of a record's stage times."""
@@ -81,10 +81,10 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
     }
 
 
-def _effects(record: Mapping[str, Any]) -> tuple[frozenset[Effect], dict[str, float]]:
+def _effects(record: Mapping[str, Any]) -> tuple[frozenset[Pass], dict[str, float]]:
     """What was on in a frame, and its stages' milliseconds."""
     stages = {key.removeprefix(STAGE): float(value) for key, value in record.items() if key.startswith(STAGE)}
-    return frozenset(map(Effect, record["effects"])), stages
+    return frozenset(map(Pass, record["effects"])), stages
 
 
 def json_line(record: Mapping[str, Any]) -> str:

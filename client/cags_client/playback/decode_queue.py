@@ -16,7 +16,7 @@ MAX_UNDECODED_BYTES = 32 << 20
 """Media that may wait for its decoder; beyond it a client stops reading, and acknowledging, until it has caught up."""
 
 
-class Arrivals:
+class DecodeQueue:
     """The line of what waits for its decoder. One batch is out at a time."""
 
     def __init__(self) -> None:

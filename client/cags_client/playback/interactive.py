@@ -100,14 +100,14 @@ class InteractivePlayer(Player):
     def next_action(self, now_us: int) -> Decode | Present | None:
         """See :meth:`Player.next_action`."""
         if self._wanted_frame is not None and self.pipeline is not None:
-            if self._arrivals.decoding or self._presenting:
+            if self._decode_queue.decoding or self._presenting:
                 return None
             self._seek_now(self._wanted_frame, now_us)
         if self._awaited is not None and now_us >= self._awaited[1]:
             self._go_on(now_us)
         if self._awaited is None:
             return super().next_action(now_us)
-        if self.pipeline is not None and (batch := self._arrivals.take()):
+        if self.pipeline is not None and (batch := self._decode_queue.take()):
             return Decode(batch, self.pipeline)
         return None
 
@@ -158,7 +158,7 @@ class InteractivePlayer(Player):
             return
         self._anchor, self._next_frame, self._due_us = (frame, at_us), frame, at_us
         self._cadence.restart(frame)
-        self._between.cancel()
+        self._interpolation.cancel()
         keeps = self.pipeline is not None and self.pipeline.keeps(frame)
         self._loop_told = self.loop and keeps and self.info is not None and len(self.info.gof_starts) == 1
         control = Control(action, frame, at_us, self.rate, loop=self._loop_told, keeps=keeps)
@@ -169,7 +169,7 @@ class InteractivePlayer(Player):
         self._wanted_frame = None
         keeps = self.pipeline.keeps(frame)
         if not keeps:
-            self._arrivals.clear()
+            self._decode_queue.clear()
             self.pipeline.reset(frame)
             self._restarts_due += not self.away
         else:
@@ -216,9 +216,9 @@ class InteractivePlayer(Player):
         assert self.info is not None
         assert self.pipeline is not None
         self._due_us = now_us + round(1e6 / self.info.fps)
-        self._between.cancel()
+        self._interpolation.cancel()
         pose = self._viewpoint.pose_at(now_us)
-        if pose == self._shown_pose and self._arrivals.quiet:
+        if pose == self._shown_pose and self._decode_queue.quiet:
             return None
         self._shown_pose, self._presenting = pose, True
-        return Present(self.frame, now_us, pose, self.pipeline, self._arrivals.traffic())
+        return Present(self.frame, now_us, pose, self.pipeline, self._decode_queue.traffic())

@@ -28,7 +28,7 @@ class Moment:
     share: float
 
 
-class Between:
+class Interpolation:
     """Of one play."""
 
     def __init__(self, mode: str, display_rate: float) -> None:

@@ -23,9 +23,9 @@ from cags_client.frame.presented import PresentedFrame
 from cags_client.frame.restore import references_wanted
 from cags_client.net.reconnect import Reconnect
 from cags_client.playback.cadence import Cadence
-from cags_client.playback.decode_queue import MAX_UNDECODED_BYTES, Arrivals
+from cags_client.playback.decode_queue import MAX_UNDECODED_BYTES, DecodeQueue
 from cags_client.playback.endings import FATAL_ENDS, FATAL_REFUSALS, affordable, refused
-from cags_client.playback.interpolation import Between, Moment
+from cags_client.playback.interpolation import Interpolation, Moment
 from cags_client.playback.jobs import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
 from cags_client.playback.viewpoint import PoseSource, Viewpoint
 from cags_client.settings import ClientSettings, LiveSettings
@@ -82,12 +82,12 @@ class Player:
         self._resume_at: Control | None = None
         self._codebooks: bytes | None = None
         self._weights: bytes | None = None
-        self._arrivals = Arrivals()
+        self._decode_queue = DecodeQueue()
         self._restarts_due = 0  # jumps by which everything was forgotten, and of which the server has not heard
         self._presenting, self._next_frame = False, settings.start_frame
         self._preview_due = False  # a reference is there, and no picture was shown yet
         self._cadence = Cadence(settings.start_frame)
-        self._between = Between(settings.interpolate, settings.display_rate)
+        self._interpolation = Interpolation(settings.interpolate, settings.display_rate)
         self._due_us: int | None = None
         self._end_frame = settings.start_frame + 1
         self._asked_idr_us: int | None = None
@@ -108,11 +108,11 @@ class Player:
     @property
     def backed_up(self) -> bool:
         """Whether so much waits for its decoder that nothing more should be read from the connection."""
-        return self._arrivals.undecoded_bytes > MAX_UNDECODED_BYTES
+        return self._decode_queue.undecoded_bytes > MAX_UNDECODED_BYTES
 
     def data_to_send(self, now_us: int) -> list[bytes]:
         """Messages to write now."""
-        self._session.buffered_bytes = self._arrivals.undecoded_bytes
+        self._session.buffered_bytes = self._decode_queue.undecoded_bytes
         return self._session.data_to_send(now_us)
 
     def next_timer_us(self) -> int | None:
@@ -121,7 +121,7 @@ class Player:
             return None
         times = [self._session.next_timer_us(), self._viewpoint.next_us, self._reconnect.next_timer_us()]
         if not self._presenting:
-            times += [self._due_us, self._between.next_us()]
+            times += [self._due_us, self._interpolation.next_us()]
         return min((t for t in times if t is not None), default=None)
 
     def handle_timer(self, now_us: int) -> None:
@@ -164,7 +164,7 @@ class Player:
         self._resume_at = self._state_of_play(now_us)
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
         hello = self._hello(frame, self._viewpoint.pose_at(now_us))
-        self._arrivals.add(Restarted(unpack_inventory(hello.inventory)))
+        self._decode_queue.add(Restarted(unpack_inventory(hello.inventory)))
         self._session.hello(hello, now_us=now_us)
 
     def leave(self, now_us: int) -> None:
@@ -178,13 +178,13 @@ class Player:
         """Work to do now, or None. At most one Decode and one Present are out at a time."""
         if self.finished or self.pipeline is None:
             return None
-        if batch := self._arrivals.take(tiles=self._codebooks is not None):
+        if batch := self._decode_queue.take(tiles=self._codebooks is not None):
             return Decode(batch, self.pipeline)
         if self._preview_due and not self._presenting:
             return self._present_first(now_us)
         if self._due_us is not None and now_us >= self._due_us and not self._presenting:
             return self._present(now_us)
-        if not self._presenting and (moment := self._between.take(now_us)) is not None:
+        if not self._presenting and (moment := self._interpolation.take(now_us)) is not None:
             return self._present_between(moment, now_us)
         return None
 
@@ -197,7 +197,7 @@ class Player:
                 self._finish(now_us)
             return
         assert isinstance(result, DecodeResult)
-        self._arrivals.decoded()
+        self._decode_queue.decoded()
         self.stats.decode_errors += len(result.errors)
         self._preview_due |= result.references and self.stats.first_picture_us is None
         self._session.report_evictions(result.dropped)
@@ -215,7 +215,7 @@ class Player:
             self.stats.first_picture_us = now_us
         if action.first:
             return
-        self._between.drawn(now_us)
+        self._interpolation.drawn(now_us)
         if action.share:
             self.stats.interpolated += 1
             return
@@ -261,7 +261,7 @@ class Player:
     def _take(self, event: DataEvent) -> None:
         """Media, unless it was sent before the server heard of a jump by which everything was forgotten."""
         if not self._restarts_due:
-            self._arrivals.add(event)
+            self._decode_queue.add(event)
 
     def _on_closed(self, code: str, reason: str, now_us: int) -> None:
         if self.finished:
@@ -285,7 +285,7 @@ class Player:
         if self._reconnect.away:
             self._reconnect.restored()
             if not welcome.resumed:  # everything comes again
-                self._arrivals.add(Restarted())
+                self._decode_queue.add(Restarted())
             self.stats.reconnects += 1
             self.stats.away_us += now_us - self._lost_us
         self._welcome = welcome
@@ -316,7 +316,7 @@ class Player:
         """With what is held, once there is a decoder for it."""
         resume, held = "", b""
         if self.pipeline is not None and self._welcome is not None and self._codebooks is not None:
-            resume, held = self._welcome.session, pack_inventory(self._arrivals.held(self.pipeline.held()))
+            resume, held = self._welcome.session, pack_inventory(self._decode_queue.held(self.pipeline.held()))
         token, agent = self.settings.token, "cags-client"
         wanted, chroma, view = references_wanted(self.settings.restore), self.settings.chroma, self.settings.intrinsics
         return Hello(PROTOCOL_VERSION, view, pose, self._near, frame, token, agent, resume, wanted, chroma, held)
@@ -377,12 +377,12 @@ class Player:
         due_us = self._frame_due_us(frame)
         following = self._cadence.next(frame + 1, self._end_frame)
         self._due_us = self._frame_due_us(following) if following > frame else None
-        self._between.cancel()
+        self._interpolation.cancel()
         assert self.info is not None and self.pipeline is not None
         if self.info.motion is not None and following > frame:
-            self._between.begin(due_us, self._frame_due_us(following), following - frame)
-        self._between.drawing(now_us)
-        return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._arrivals.traffic())
+            self._interpolation.begin(due_us, self._frame_due_us(following), following - frame)
+        self._interpolation.drawing(now_us)
+        return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._decode_queue.traffic())
 
     def _present_first(self, now_us: int) -> Present:
         """The first picture, before the first frame has come whole: of a reference, and of what there is besides."""
@@ -395,7 +395,7 @@ class Player:
         """A picture of what moves, before the next media frame is due."""
         assert self.pipeline is not None
         self._presenting = True
-        self._between.drawing(now_us)
+        self._interpolation.drawing(now_us)
         frame, pose = self._next_frame - 1, self._viewpoint.pose_at(moment.due_us)
         return Present(frame, moment.due_us, pose, self.pipeline, Traffic(), moment.share)
 

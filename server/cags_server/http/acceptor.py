@@ -24,7 +24,7 @@ from aiohttp.web_protocol import RequestHandler
 from cags_common.rare_log import RareLog
 from cags_common.tasks import watched
 from cags_common.transport.accepting import accept_all
-from cags_server.http.waiting_list import Waiting
+from cags_server.http.waiting_list import WaitingList
 
 HEADER_S = 5.0
 """Time for a TLS handshake and a whole request header, and between two requests of a connection."""
@@ -64,7 +64,7 @@ class Visitor:
 
 
 class _Handler(RequestHandler):
-    """aiohttp's protocol of one connection, which tells the door of its end."""
+    """aiohttp's protocol of one connection, which tells the acceptor of its end."""
 
     def __init__(
         self,
@@ -89,13 +89,13 @@ class _Handler(RequestHandler):
         self._on_lost()
 
 
-class Door:
+class Acceptor:
     """Accepts connections and gives them to aiohttp."""
 
     def __init__(self, max_connections: int, max_waiting: int = MAX_WAITING) -> None:
         self._max_connections, self._max_waiting = max_connections, min(max_waiting, max_connections)
         self._visitors: dict[Visitor, None] = {}
-        self._waiting, self._answered = Waiting[Visitor](), Waiting[Visitor]()
+        self._waiting, self._answered = WaitingList[Visitor](), WaitingList[Visitor]()
         self._by_handler: dict[Any, Visitor] = {}
         self._told = RareLog(log)
         self._tasks: list[asyncio.Task[None]] = []
@@ -251,7 +251,7 @@ class Door:
 
 
 def max_connections(max_clients: int) -> int:
-    """How many connections may be open: as many as clients and those at the door, where descriptors allow it.
+    """How many connections may be open: as many as clients and connections that wait, where descriptors allow it.
 
     The soft limit on descriptors is raised as far as the hard one where that is needed.
     """

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import base64
 import hmac
-import math
 import ssl
 
 from cags_common.errors import ConfigError
-from cags_common.geometry import MAX_FOV_RAD, Intrinsics
 from cags_common.transport.hosts import host_allowed, is_loopback, named, same_host
-from cags_common.video.h264 import MAX_PIXELS
 from cags_protocol.messages import Hello
-from cags_server.fov.base import client_halves
 from cags_server.settings import ServeSettings
-
-MIN_FOV_RAD = math.radians(0.5)
-"""Narrowest view that is drawn: focal lengths of references of up to 4,096 pixels then fit the wire's bounds."""
 
 MAX_HANDSHAKES = 64
 """WebSockets that may have shown neither a Hello nor the token: one more ends the oldest of them."""
@@ -88,24 +81,6 @@ def _same(shown: str, expected: str) -> bool:
     """
     data, known = shown.encode(errors="surrogateescape"), expected.split(",")
     return sum([hmac.compare_digest(data, each.strip().encode()) for each in known]) > 0
-
-
-def undrawable(view: Intrinsics, *, full_size: bool) -> str | None:
-    """Why no reference can be drawn for a client's ``view``, in a line; None where one can.
-
-    With ``full_size`` references are as large as the client's pictures.
-    """
-    narrowest_rad, widest_rad = (2 * half for half in sorted(client_halves(view)))
-    if narrowest_rad < MIN_FOV_RAD:
-        narrowest, least = math.degrees(narrowest_rad), math.degrees(MIN_FOV_RAD)
-        return f"the view spans {narrowest:.2g} degrees; at least {least:g} are drawn"
-    if widest_rad > MAX_FOV_RAD:
-        widest, most = math.degrees(widest_rad), math.degrees(MAX_FOV_RAD)
-        return f"the view spans {widest:.2f} degrees; a pinhole camera draws {most:.0f} at most"
-    width, height = view.width_px // 2 * 2, view.height_px // 2 * 2
-    if full_size and not (width and height and width * height <= MAX_PIXELS):
-        return f"pictures of {view.width_px}x{view.height_px} cannot be coded; at most {MAX_PIXELS} pixels are"
-    return None
 
 
 def tls_context(certificate: str, key: str) -> ssl.SSLContext | None:

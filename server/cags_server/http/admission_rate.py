@@ -12,7 +12,7 @@ MAX_WAITING = 512
 """Beyond it the oldest is turned away."""
 
 
-class Turns:
+class AdmissionRate:
     """Lets ``rate`` a second through, and ``burst`` of them at once."""
 
     def __init__(self, rate: float = 30.0, burst: float = 40.0) -> None:

@@ -23,7 +23,7 @@ from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from cags_protocol.messages import Hello, RefusalCode
-from cags_server.http.acceptor import BACKLOG, Door, max_connections
+from cags_server.http.acceptor import BACKLOG, Acceptor, max_connections
 from cags_server.http.admission import (
     MAX_HANDSHAKES,
     header_allowed,
@@ -33,21 +33,20 @@ from cags_server.http.admission import (
     tls_context,
     token_allowed,
 )
-from cags_server.http.admission_rate import Turns
+from cags_server.http.admission_rate import AdmissionRate
 from cags_server.http.capacity import Capacity, capacity
 from cags_server.http.client_task import ClientTask, now_us
 from cags_server.http.event_file import EventFile
 from cags_server.http.memory import FreedMemory
 from cags_server.http.metrics import Totals, exposition
 from cags_server.http.status import SessionBook, page
-from cags_server.http.waiting_list import Waiting
-from cags_server.records import StreamStats
+from cags_server.http.waiting_list import WaitingList
+from cags_server.records import StreamStats, write_session
 from cags_server.reference.render_pool import RenderPool
 from cags_server.reference.render_slots import RenderSlots
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.connection import Connection
 from cags_server.session.quota import Quotas
-from cags_server.session_log import write_session
 from cags_server.settings import ServeSettings
 
 log = logging.getLogger(__name__)
@@ -62,12 +61,12 @@ LINES_AT_ONCE = 16
 class App:
     """One served scene and its clients."""
 
-    def __init__(self, library: SceneLibrary, settings: ServeSettings, door: Door | None = None) -> None:
-        """``door``: where its connections come from, if there is one that wants to know what they are at."""
-        self._library, self._settings, self._door = library, settings, door
+    def __init__(self, library: SceneLibrary, settings: ServeSettings, acceptor: Acceptor | None = None) -> None:
+        """``acceptor``: where its connections come from, if there is one that wants to know what they are at."""
+        self._library, self._settings, self._acceptor = library, settings, acceptor
         self._told, self._turned_away = RareLog(log, burst=LINES_AT_ONCE), RareLog(log)
-        self._turns = Turns()
-        self._unvouched = Waiting[str]()  # names of those who have shown neither a Hello nor the token yet
+        self._turns = AdmissionRate()
+        self._unvouched = WaitingList[str]()  # names of those who have shown neither a Hello nor the token yet
         self._render_slots = RenderSlots(settings.workers)
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
@@ -81,7 +80,9 @@ class App:
 
     def web_app(self) -> web.Application:
         """Routes: health, readiness, metrics, the operator's page, the bundle's public manifest, and the stream."""
-        app = web.Application(middlewares=([] if self._door is None else [self._door.middleware()]) + [self._guard()])
+        app = web.Application(
+            middlewares=([] if self._acceptor is None else [self._acceptor.middleware()]) + [self._guard()]
+        )
         app.router.add_get("/healthz", self._health)
         app.router.add_get("/readyz", self._ready)
         app.router.add_get("/metrics", self._metrics)
@@ -188,8 +189,8 @@ class App:
         transport = await ServerWebSocket.accept(
             request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
         )
-        if self._door is not None:
-            self._door.streams(request)
+        if self._acceptor is not None:
+            self._acceptor.streams(request)
         name = f"s{next(self._names)}"
         events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
         connection = self._connection(name, transport.peer, header, events)
@@ -291,8 +292,8 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
         raise NetworkError(
             f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); {_way_out(error)}"
         ) from error
-    door = Door(max_connections(settings.max_clients or MOST_BY_MEASURE))
-    app = App(library, settings, door)
+    acceptor = Acceptor(max_connections(settings.max_clients or MOST_BY_MEASURE))
+    app = App(library, settings, acceptor)
     runner = web.AppRunner(app.web_app(), access_log=None, shutdown_timeout=settings.drain_s)
     await runner.setup()
     assert runner.server is not None
@@ -305,12 +306,12 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
 
     try:
         gc.freeze()  # modules and the scene live as long as the server: collections need not look at them
-        door.open(listeners, runner.server, tls, fault)
+        acceptor.open(listeners, runner.server, tls, fault)
         on_ready(settings.host, int(listeners[0].getsockname()[1]), app)
         await stop.wait()
         await app.drain()
     finally:
-        await door.close()
+        await acceptor.close()
         await runner.cleanup()
         app.close()
     if failed:

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T", bound=Hashable)
 
 
-class Waiting(Generic[T]):
+class WaitingList(Generic[T]):
     """Things that wait, each from an address, oldest first."""
 
     def __init__(self) -> None:

@@ -10,8 +10,8 @@ from math import ceil
 
 from cags_protocol import events as ev
 from cags_protocol.messages import ReferenceFrame, TileLayers
+from cags_server.ratecontrol.priorities import BASE_PRIORITY
 from cags_server.records import FrameRecord
-from cags_server.session.tile_sender import BASE_PRIORITY
 
 MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
 """Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""

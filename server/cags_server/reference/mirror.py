@@ -18,7 +18,7 @@ from cags_common.held_tile import HeldTile
 from cags_common.packing import decode_ids
 from cags_common.raster.base import RasterScene
 from cags_common.splats import Splats
-from cags_common.store.gof_store import Committed, GofStore
+from cags_common.store.gof_buffer import Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 from cags_protocol.messages import Buffer, FrameEnd, TileLayers
@@ -180,7 +180,7 @@ class Mirror:
         for error in self._store.add_all(arrivals):
             raise error
 
-    def _updated(self, store: GofStore, committed: Committed) -> RasterScene:
+    def _updated(self, store: GofBuffer, committed: Committed) -> RasterScene:
         scene = self._scene
         if scene is None or committed.fresh:
             return self._library.rasteriser.load(store.splats)

@@ -17,7 +17,7 @@ from cags_protocol.inventory import unpack_inventory
 from cags_protocol.messages import Buffer, Hello, RefusalCode
 from cags_protocol.server import ServerSessionSettings
 from cags_protocol.tracing import EventTrace
-from cags_server.http.admission import undrawable
+from cags_server.fov.limits import undrawable
 from cags_server.ratecontrol.bandwidth import BandwidthEstimator, MeasuredEstimator
 from cags_server.records import StreamStats
 from cags_server.reference.job import FrameJob, FrameRender
@@ -94,7 +94,7 @@ class Connection:
         """When ``handle_timer`` (and then ``next_job``) should be called next."""
         times = [self.session.next_timer_us()]
         if self.streamer is not None and self._needed() is None:
-            times += [self.streamer.next_due_us(), self.streamer.opening_due_us()]
+            times += [self.streamer.next_due_us(), self.streamer.startup_due_us()]
         known = [t for t in times if t is not None]
         return min(known) if known and not self.closed else None
 
@@ -103,7 +103,7 @@ class Connection:
         self.session.handle_timer(now_us=now_us)
         if self.streamer is not None and not self.closed and self._needed() is None:
             self._recall(self.streamer, now_us)
-            outgoing = self.streamer.end_opening(now_us) + self.streamer.catch_up(now_us)
+            outgoing = self.streamer.end_startup(now_us) + self.streamer.catch_up(now_us)
             self._queue_marks(self.streamer, now_us)
             self._queue(outgoing, now_us)
         self._settle(now_us)
@@ -259,7 +259,7 @@ class Connection:
         self._unopened = True
         if self._needed() is None:
             self._unopened = False
-            self._queue(streamer.opening(now_us), now_us)
+            self._queue(streamer.startup(now_us), now_us)
 
     def _recall(self, streamer: Streamer, now_us: int) -> None:
         """Take back tiles that waited past the frame that they were chosen for, before the next ones are chosen."""

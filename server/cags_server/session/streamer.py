@@ -14,12 +14,11 @@ from cags_common.held_tile import HeldTile
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers, Welcome
-from cags_server.ahead import Ahead
 from cags_server.fov import widened
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.bandwidth.base import BandwidthEstimator
 from cags_server.ratecontrol.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
-from cags_server.records import FrameRecord, StreamStats
+from cags_server.records import Ahead, FrameRecord, StreamStats
 from cags_server.reference.budget import ReferenceBudget
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
@@ -29,12 +28,12 @@ from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.session.pace import MARGIN_US
 from cags_server.session.schedule import Schedule
-from cags_server.session.startup import Joining
+from cags_server.session.startup import Startup
 from cags_server.session.tile_sender import TileSender
 from cags_server.session.timeline import Timeline
 from cags_server.session.viewer import Viewer
 from cags_server.settings import PLAIN, ServerSettings
-from cags_server.visibility.visibility import Sight
+from cags_server.visibility.visibility import Visibility
 
 MARK_EVERY_US = 30_000
 """While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
@@ -71,10 +70,10 @@ class Streamer:
         timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
         self._schedule = Schedule(settings, timeline, self._viewer.clock)
         self._budget = ByteBudget(settings.queue_ms)
-        self._joining = Joining(library, self._tiles)
+        self._startup = Startup(library, self._tiles)
         self._video = ReferenceVideo()
         self._reference_budget = ReferenceBudget(settings.reference_most)
-        self._sight = Sight(library, settings.visible_px)
+        self._visibility = Visibility(library, settings.visible_px)
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
         self._marks: list[ev.Outgoing] = []
@@ -82,22 +81,22 @@ class Streamer:
         self._greets = False  # a first picture is due, before the viewer says when to play
         self._damaged = False  # something that was sent did not arrive whole
 
-    # ------------------------------------------------------------------------------------------------------- joining
+    # ------------------------------------------------------------------------------------------------------- startup
 
     def welcome(self, session: str, *, resumed: bool = False) -> Welcome:
         """The answer to the client's Hello."""
         manifest = self._library.manifest
         return Welcome(session, manifest.fps, manifest.frames, resumed, manifest.public_json())
 
-    def opening(self, now_us: int) -> list[ev.Outgoing]:
-        """What a client gets first (:class:`~cags_server.session.startup.Joining`): enough to begin to play."""
+    def startup(self, now_us: int) -> list[ev.Outgoing]:
+        """What a client gets first (:class:`~cags_server.session.startup.Startup`): enough to begin to play."""
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
-        self._greets, self._joined_us = not self._joining.resumed, now_us
-        return self._counted(self._joining.messages(self._schedule.timeline.frame, camera, now_us), now_us)
+        self._greets, self._joined_us = not self._startup.resumed, now_us
+        return self._counted(self._startup.messages(self._schedule.timeline.frame, camera, now_us), now_us)
 
     @property
     def first_frame(self) -> int:
-        """The media frame that :meth:`opening` begins with."""
+        """The media frame that :meth:`startup` begins with."""
         return self._schedule.timeline.frame
 
     @property
@@ -111,18 +110,18 @@ class Streamer:
         tick, frame = self._schedule.serves, self._schedule.next_frame
         return None if frame is None else self._ahead(tick, frame).frame
 
-    def opening_due_us(self) -> int | None:
-        """When :meth:`end_opening` has something to say."""
-        return self._joining.due_us()
+    def startup_due_us(self) -> int | None:
+        """When :meth:`end_startup` has something to say."""
+        return self._startup.due_us()
 
-    def end_opening(self, now_us: int) -> list[ev.Outgoing]:
+    def end_startup(self, now_us: int) -> list[ev.Outgoing]:
         """The end of the first frame while the link is still busy with it, so that the play can begin."""
-        return self._counted(self._joining.end(now_us), now_us)
+        return self._counted(self._startup.end(now_us), now_us)
 
     def resume(self, inventory: Iterable[HeldTile]) -> None:
         """The client still holds these tiles, and the codebooks, from an earlier session: they are not sent again."""
         held = tuple(inventory)
-        self._joining.resumed = True
+        self._startup.resumed = True
         self._tiles.resume(held)
         self._mirror.resume(held)
 
@@ -200,7 +199,7 @@ class Streamer:
         message = outgoing.message
         if isinstance(message, TileLayers):
             self._tiles.settled(message, delivered=delivered)
-            self._joining.settled(message)
+            self._startup.settled(message)
         elif isinstance(message, ReferenceFrame) and not delivered:
             self._video.dropped(message)
 
@@ -269,7 +268,7 @@ class Streamer:
             coder=self._coder,
             visible_px=self._settings.visible_px,
             threads=self._settings.render_threads,
-            lingering=self._sight.lingering,
+            stale=self._visibility.stale,
             plain_footprint=self._settings.reference_footprint == PLAIN,
         )
 
@@ -296,8 +295,8 @@ class Streamer:
             self.stats.references_late += record.reference_late
         ahead = plan.ahead.frame
         self._enter(ahead, now_us)
-        told = seen and self._sight.tells_of(ahead)
-        visible = self._sight.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
+        told = seen and self._visibility.tells_of(ahead)
+        visible = self._visibility.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
         return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
 
     def _enter(self, frame: int, now_us: int) -> None:
@@ -318,7 +317,7 @@ class Streamer:
 
     def _tiles_in_view(self, frame: int, pose: Pose) -> tuple[VisibleTile, ...]:
         camera = Camera(self._hello.intrinsics, pose, self._hello.near)
-        return self._sight.guessed_tiles(frame, camera, self._coder.width_px * self._coder.height_px)
+        return self._visibility.guessed_tiles(frame, camera, self._coder.width_px * self._coder.height_px)
 
     def _between_references(self, now_us: int) -> bool:
         """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
@@ -334,7 +333,7 @@ class Streamer:
         ahead = self.frame_ahead
         if ahead is None or self._tiles.ended is None or ahead < self._tiles.ended:
             return False
-        return self._sight.tells_of(ahead)
+        return self._visibility.tells_of(ahead)
 
     def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int, *, drawn: bool = True) -> FramePlan:
         """Of a frame that gets a reference, or is served without being ``drawn``."""
@@ -380,7 +379,7 @@ class Streamer:
         if plan.greets:
             self._reference_budget.spent(len(render.coded.access_unit))
             return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
-        self._sight.rendered(plan.ahead.frame, render.contribution)
+        self._visibility.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
         if not overtaken:
             self._enter(plan.ahead.frame, now_us)
@@ -392,7 +391,7 @@ class Streamer:
         if overtaken:  # its tiles, and later ones, have gone ahead
             return out
         out += self._from_nothing(plan, now_us) + self._upgrades(render.visible, record, now_us)
-        self._sight.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
+        self._visibility.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
         return out
 
     def _from_nothing(self, plan: FramePlan, now_us: int) -> list[ev.Outgoing]:
@@ -423,7 +422,7 @@ class Streamer:
         """The tiles that the rate policy chooses for a frame, and the frame's end."""
         camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
         ahead = record.ahead
-        visible = self._sight.with_ghosts(visible, ahead.frame, camera, self._tiles)
+        visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
         decision = self._decide(visible, record, now_us)
         deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
         return self._counted(self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us), now_us)

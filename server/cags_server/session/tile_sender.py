@@ -16,15 +16,18 @@ from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.messages import FrameEnd, TileLayers
 from cags_server.ratecontrol import TileView, Upgrade
+from cags_server.ratecontrol.priorities import (
+    BASE_PRIORITY,
+    ENHANCEMENT_PRIORITY,
+    HIDDEN_PRIORITY,
+    URGENT_PRIORITY,
+)
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.tile_map import TileMap
 from cags_server.scene.visible_tiles import VisibleTile
-from cags_server.visibility.age import Staleness
+from cags_server.visibility.age import VersionAge
 from cags_server.visibility.bounds import opening_tiles
 from cags_server.visibility.inventory import ClientInventory
-
-BASE_PRIORITY, URGENT_PRIORITY, ENHANCEMENT_PRIORITY, HIDDEN_PRIORITY = 1, 2, 3, 4
-"""Base layers and ends of frames, detail, what is out of view; references go before, in the session's own order."""
 
 Parts: TypeAlias = "tuple[list[ev.Outgoing], list[ev.Outgoing]]"
 """What comes new, and what makes better what is there."""
@@ -37,7 +40,7 @@ class TileSender:
         self._library, self._opening = library, opening
         self.layered = library.manifest.codec != WHOLE_TILES_CODEC
         self.inventory = ClientInventory(layered=self.layered)
-        self._staleness = Staleness(library)
+        self.age = VersionAge(library)
         self.ended: int | None = None
         """Newest media frame whose end was queued."""
         self.from_nothing = False
@@ -54,17 +57,13 @@ class TileSender:
         tiles = [held for held in inventory if held.lods]
         for held in tiles:
             self.inventory.hold(held.frame, held.tile, held.lods)
-        self._staleness.held((held.frame, held.tile) for held in tiles)
+        self.age.held((held.frame, held.tile) for held in tiles)
 
     def evicted(self, held: HeldTile) -> None:
         """The client keeps so many LoDs of a tile, for want of memory."""
         self.inventory.reduced(held.frame, held.tile, held.lods)
         if not held.lods:
-            self._staleness.lost(held.frame, held.tile)
-
-    def shown_with(self, frame: int, more: Iterable[tuple[int, int]]) -> NDArray[np.int32]:
-        """See :meth:`Staleness.shown_with`."""
-        return self._staleness.shown_with(frame, more)
+            self.age.lost(held.frame, held.tile)
 
     def upgrades(self, frame: int, upgrades: tuple[Upgrade, ...], deadline_us: int) -> list[ev.Outgoing]:
         """Messages of a frame: new tiles, the frame's end, tiles that begin later, detail."""
@@ -126,7 +125,7 @@ class TileSender:
     def start_anew(self) -> None:
         """The client holds nothing any more."""
         self.inventory.clear()
-        self._staleness.clear()
+        self.age.clear()
         self.ended = self._group = None
         self.from_nothing = self.forgotten = True
 
@@ -149,7 +148,7 @@ class TileSender:
             weight=tile.weight,
             frames_left=tile.frames_left,
             passing=tile.frames_left <= lead_frames,
-            replaces=0.0 if entry.keyframe or depth else self._staleness.share_shown(tile.frame, tile.tile),
+            replaces=0.0 if entry.keyframe or depth else self.age.share_shown(tile.frame, tile.tile),
             stale_frames=1.0 if depth else self._stale_frames(tile, frame, keyframe=entry.keyframe),
             kind=tile.kind,
             after=tile.looks if tile.looks and not self.inventory.depth(*tile.looks) else None,
@@ -158,16 +157,16 @@ class TileSender:
     def _stale_frames(self, tile: VisibleTile, frame: int, *, keyframe: bool) -> float:
         """For how long what ``tile`` changes will have been out of date at ``frame``; 1 at least."""
         if tile.kind == TileKind.MOTION:
-            return self._staleness.motion_frames(frame, tile.frame, tile.tile, self.inventory)
+            return self.age.motion_frames(frame, tile.frame, tile.tile, self.inventory)
         if tile.kind == TileKind.UPDATE:
             return float(max(frame - tile.frame, 1))
-        return 1.0 if keyframe else self._staleness.frames(frame, tile.frame, tile.tile)
+        return 1.0 if keyframe else self.age.frames(frame, tile.frame, tile.tile)
 
     def settled(self, message: TileLayers, *, delivered: bool) -> None:
         """Layers have arrived, or will not."""
         (self.inventory.delivered if delivered else self.inventory.dropped)(message)
         if self._brings_version(message):
-            self._staleness.settled(message.frame, message.tile, delivered=delivered)
+            self.age.settled(message.frame, message.tile, delivered=delivered)
 
     def _brings_version(self, message: TileLayers) -> bool:
         """Whether the splats of its frame come with ``message``; further layers refine what is there."""
@@ -195,7 +194,7 @@ class TileSender:
         message = TileLayers(*key, first, end, entry.lod_bytes[first:end], entry.crcs[first:end])
         self.inventory.queued(message)
         if self._brings_version(message):
-            self._staleness.sent(message.frame, message.tile)
+            self.age.sent(message.frame, message.tile)
             self._late += [key] if entry.kind == TileKind.LOOKS else []
         return ev.Outgoing(message, payload, priority, deadline_us)
 
@@ -213,7 +212,7 @@ class TileSender:
         if library.manifest.motion is None:
             return library.removed_payload(frame)
         ids, tiles = library.reader.removed_ids(frame), library.tile_map(frame)
-        shown = self._staleness.shown_with(frame, [])[ids]
+        shown = self.age.shown_with(frame, [])[ids]
         older = np.flatnonzero((shown >= 0) & (tiles.frames[shown] < frame)) if len(ids) else np.zeros(0, np.intp)
         looks = np.unique(shown[older])
         told = [n for n in looks.tolist() if self._follows(tiles, n, frame)]

@@ -16,7 +16,7 @@ from cags_server.scene.library import SceneLibrary
 from cags_server.visibility.inventory import ClientInventory
 
 
-class Staleness:
+class VersionAge:
     """For one client and one group of frames: the looks of each splat that it holds, or is being sent."""
 
     def __init__(self, library: SceneLibrary) -> None:

@@ -1,55 +1,17 @@
-"""What a client gets before anything was rendered for it: tiles chosen by their bounds alone."""
+"""What a client may see before anything was rendered for it: tiles chosen by their bounds alone."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
 
 import numpy as np
 
 from cags_common.geometry import F32, F64, Camera
-from cags_protocol.messages import FrameEnd, TileLayers
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.tile_map import Key, Numbers, TileMap
 
 VIEW_SLACK = 1.2
 """How far outside the picture, in half widths, a tile still counts as in view: the viewer moves, splats have extent."""
-
-
-PATIENCE_US = 700_000
-"""Time after which a first picture of which enough has come is shown as it is."""
-
-ENOUGH = 0.25
-"""Share of the tiles in view, nearest first, that make a first picture."""
-
-
-class Opening:
-    """Lets the play begin on a slow link: the first frame is ended once enough of it has come and time is up.
-
-    What is still on its way then fills in while the play goes on.
-    """
-
-    def __init__(self, frame: int, in_view: Iterable[Key], now_us: int) -> None:
-        """``in_view``: the (media frame, tile) whose base layers are on their way to the first picture of ``frame``."""
-        self._frame, self._due_us = frame, now_us + PATIENCE_US
-        self._waiting = set(in_view)
-        self._enough = len(self._waiting) * (1 - ENOUGH)  # may be missing
-
-    def settled(self, message: TileLayers) -> None:
-        """Layers were delivered, or will never be."""
-        self._waiting.discard((message.frame, message.tile))
-
-    def due_us(self) -> int | None:
-        """When :meth:`end` has something to say; None: not before more has come, or never again."""
-        return self._due_us if 0 < len(self._waiting) <= self._enough else None
-
-    def end(self, now_us: int) -> list[FrameEnd]:
-        """The end of the first frame, ahead of what is still on its way; once, when it is due."""
-        due_us = self.due_us()
-        if due_us is None or now_us < due_us:
-            return []
-        self._waiting.clear()
-        return [FrameEnd(self._frame)]
 
 
 def opening_tiles(library: SceneLibrary, frame: int, camera: Camera) -> tuple[list[Key], list[Key]]:

@@ -3,7 +3,7 @@
 What is out of view is not sent. When the viewer turns there, the true scene may have nothing to see where the client
 still shows something, and nothing that is seen would ask for the tile that mends it. Tiles that the client shows, that
 are out of date and whose bounds, as the client shows them, are in view therefore count as visible with a small weight:
-bounds say nothing of what hides them, and :mod:`cags_server.visibility.lingering` knows what was really seen.
+bounds say nothing of what hides them, and :class:`StaleSplats` knows what was really seen.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.geometry import F64, Camera
+from cags_common.geometry import F32, F64, Camera
 from cags_common.tile_kinds import TileKind
 from cags_server.scene.library import LOOK_AHEAD, SceneLibrary
 from cags_server.scene.tile_map import Numbers, TileMap
@@ -109,3 +109,43 @@ def _newer(tiles: TileMap, replaced: list[tuple[int, int]], inventory: ClientInv
         for number, key in keys.items()
         if not inventory.depth(*key)
     ]
+
+
+class StaleSplats:
+    """The splats of one client that were seen in a version which has been replaced since.
+
+    Tiles are chosen by what is visible in the true scene. A splat that leaves the picture between two frames is no
+    longer visible, so its change would never be sent and the client would keep drawing it at its old place: a ghost.
+    Until the newest version of a splat and the motion that it follows are on their way, the splat counts for as much as
+    when it was last visible.
+    """
+
+    def __init__(self, library: SceneLibrary, visible_px: float) -> None:
+        self._library, self._visible_px = library, visible_px
+        self._gof = -1
+        self._ids: NDArray[np.intp] = np.zeros(0, np.intp)
+        self._values: F32 = np.zeros(0, np.float32)
+
+    def __len__(self) -> int:
+        return len(self._ids)
+
+    def added_to(self, contribution: F32, frame: int) -> F32:
+        """``contribution`` [capacity] at ``frame``, and for stale ones at least what they had."""
+        if not len(self._ids) or self._library.manifest.gof_of(frame) != self._gof:
+            return contribution
+        out = contribution.copy()
+        out[self._ids] = np.maximum(out[self._ids], self._values)
+        return out
+
+    def update(self, contribution: F32, frame: int, inventory: ClientInventory) -> None:
+        """After ``frame`` was planned: what was or had been seen, and is neither held nor on its way, is stale."""
+        seen = self.added_to(contribution, frame)
+        ids = np.flatnonzero(seen > self._visible_px)
+        numbers, where = np.unique(self._library.owners(frame)[ids], return_inverse=True)
+        tiles = self._library.tile_map(frame)
+        chunks = tiles.chunk_at(numbers, frame)
+        lacks = [n >= 0 and not inventory.depth(*tiles.key(n)) for n in numbers.tolist()]
+        stands = [n >= 0 and not inventory.depth(*tiles.key(n)) for n in chunks.tolist()]
+        stale = (np.array(lacks, bool) | np.array(stands, bool)) & (numbers >= 0)
+        ids = ids[stale[where]] if len(ids) else ids
+        self._gof, self._ids, self._values = self._library.manifest.gof_of(frame), ids, seen[ids]

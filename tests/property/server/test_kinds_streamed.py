@@ -55,7 +55,7 @@ class Viewer:
             self.streamer.resume(inventory_of(held))
         self.planned: list[int] = []
         self.now_us = OFFSET_US
-        self.take(self.streamer.opening(self.now_us))
+        self.take(self.streamer.startup(self.now_us))
         greeting = self.streamer.begin(self.now_us)
         self.take([] if greeting is None else self.streamer.finish(greeting.run(), self.now_us))
         self.play(start)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from cags_client.frame.align.base import Aligned, Aligner, AlignSettings, ReferencePicture
 from cags_client.frame.align.fast import FastAligner
-from cags_client.frame.align.oracle import ReferenceAligner
+from cags_client.frame.align.oracle import OracleAligner
 from cags_client.frame.align.rotation import RotationAligner
 from cags_client.frame.align.unaligned import UnalignedAligner
 from cags_common.errors import ConfigError
@@ -14,7 +14,7 @@ from cags_common.errors import ConfigError
 __all__ = ["AlignSettings", "Aligned", "Aligner", "ReferencePicture", "create"]
 
 ALIGNERS: dict[str, Callable[[AlignSettings], Aligner]] = {
-    "reference": ReferenceAligner,
+    "reference": OracleAligner,
     "fast": FastAligner,
     "unaligned": UnalignedAligner,
     "rotation": RotationAligner,

@@ -25,7 +25,7 @@ from cags_common.geometry import F32, F64, Camera
 Mask = NDArray[np.bool_]
 
 
-class ReferenceAligner:
+class OracleAligner:
     """Float64, one idea a line, slow."""
 
     name = "reference"

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from cags_client.frame.align.base import Aligned
-from cags_common.effects import Effect
 from cags_common.geometry import F32
+from cags_common.passes import Pass
 
-ALIGNED = frozenset({Effect.ALIGNMENT, Effect.EROSION})
+ALIGNED = frozenset({Pass.ALIGNMENT, Pass.EROSION})
 """What restorers need: the aligned colours, filled where the reference does not see."""
 
 
@@ -30,7 +30,7 @@ class Restorer(Protocol):
         ...
 
     @property
-    def needs(self) -> frozenset[Effect]:
+    def needs(self) -> frozenset[Pass]:
         """What it looks at: alignment, erosion (of aligned colours)."""
         ...
 

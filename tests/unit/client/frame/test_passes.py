@@ -11,9 +11,9 @@ from cags_client.frame import align, pipeline
 from cags_client.frame.align import Aligned, ReferencePicture
 from cags_client.frame.presented import PresentedFrame
 from cags_common.bundle import BundleReader
-from cags_common.effects import ALWAYS, Effect, EffectPlan, Situation, plan_frame
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.metrics import psnr
+from cags_common.passes import ALWAYS, Pass, PassPlan, Situation, plan_frame
 from cags_common.splats import SH_REST_OF_DEGREE
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
@@ -117,33 +117,33 @@ def test_leaving_out_what_is_not_needed_changes_nothing(
 
 
 def test_what_is_on_follows_the_moment(reader: BundleReader, degree: int) -> None:
-    usual = {Effect.DELTAS, *([Effect.VIEW_COLOUR] if degree else [])}
-    correcting = usual | {Effect.CORRECTION, Effect.DEPTH}
+    usual = {Pass.DELTAS, *([Pass.VIEW_COLOUR] if degree else [])}
+    correcting = usual | {Pass.CORRECTION, Pass.DEPTH}
     first, second = (set(f.effects.on) for f in of_the_moment(Stage(reader)))
     assert first == second == correcting
     first, second = (set(f.effects.on) for f in of_a_picture(Stage(reader)))
-    assert first == correcting | {Effect.OWN_VIEW}
-    assert second == correcting | {Effect.OWN_VIEW, Effect.VETO, Effect.FADE}
+    assert first == correcting | {Pass.OWN_VIEW}
+    assert second == correcting | {Pass.OWN_VIEW, Pass.VETO, Pass.FADE}
     assert set(nothing_to_look_at(Stage(reader))[0].effects.on) == usual
     assert nothing_to_look_at(Stage(reader))[0].depth is None
 
 
 def test_what_is_on_for_restorers_follows_the_moment(reader: BundleReader, degree: int) -> None:
-    usual = {Effect.DELTAS, *([Effect.VIEW_COLOUR] if degree else [])}
-    restoring = usual | {Effect.RESTORATION, Effect.ALIGNMENT, Effect.DEPTH}
-    hidden = {Effect.OCCLUSION, Effect.EROSION}
+    usual = {Pass.DELTAS, *([Pass.VIEW_COLOUR] if degree else [])}
+    restoring = usual | {Pass.RESTORATION, Pass.ALIGNMENT, Pass.DEPTH}
+    hidden = {Pass.OCCLUSION, Pass.EROSION}
     first, second = (set(f.effects.on) for f in of_a_picture(Stage(reader, restore="reference")))
     assert first == restoring | hidden
-    assert second == restoring | hidden | {Effect.FADE}
+    assert second == restoring | hidden | {Pass.FADE}
     assert set(turning_on_the_spot(Stage(reader, restore="reference"))[0].effects.on) == restoring
     pytest.importorskip("torch")
     first, second = all_there(Stage(reader, restore="srresnet"))
     assert set(first.effects.on) == usual, "it puts colours right, and they are"
-    assert set(second.effects.on) == usual - {Effect.DELTAS}
+    assert set(second.effects.on) == usual - {Pass.DELTAS}
     np.testing.assert_array_equal(first.rgb, first.distorted)
 
 
-Planner = Callable[[Situation, str], EffectPlan]
+Planner = Callable[[Situation, str], PassPlan]
 
 
 def quality(stage: Stage, script: Callable[[Stage], list[PresentedFrame]]) -> float:
@@ -154,17 +154,17 @@ def quality(stage: Stage, script: Callable[[Stage], list[PresentedFrame]]) -> fl
 @pytest.mark.parametrize(
     ("effect", "script", "settings", "loss_db"),
     [
-        (Effect.CORRECTION, of_the_moment, {}, 1.0),
-        (Effect.CORRECTION, of_a_picture, {}, 1.0),
-        (Effect.VETO, refined_since, {}, 3.0),
-        (Effect.RESTORATION, of_a_picture, {"restore": "reference"}, 1.0),
-        (Effect.DEPTH, of_a_picture, {"restore": "reference"}, 1.0),
+        (Pass.CORRECTION, of_the_moment, {}, 1.0),
+        (Pass.CORRECTION, of_a_picture, {}, 1.0),
+        (Pass.VETO, refined_since, {}, 3.0),
+        (Pass.RESTORATION, of_a_picture, {"restore": "reference"}, 1.0),
+        (Pass.DEPTH, of_a_picture, {"restore": "reference"}, 1.0),
     ],
 )
 def test_a_scene_that_needs_an_effect_shows_its_absence(
     reader: BundleReader,
     monkeypatch: pytest.MonkeyPatch,
-    effect: Effect,
+    effect: Pass,
     script: Callable[[Stage], list[PresentedFrame]],
     settings: dict[str, object],
     loss_db: float,
@@ -178,7 +178,7 @@ def test_glossy_splats_need_view_dependent_colour(
     reader: BundleReader, degree: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = quality(Stage(reader, restore="none"), all_there)
-    monkeypatch.setattr(pipeline, "plan_frame", lambda s, policy: plan_frame(s, policy).without(Effect.VIEW_COLOUR))
+    monkeypatch.setattr(pipeline, "plan_frame", lambda s, policy: plan_frame(s, policy).without(Pass.VIEW_COLOUR))
     flat = quality(Stage(reader, restore="none"), all_there)
     assert flat < whole - 1 if degree else flat == whole
 

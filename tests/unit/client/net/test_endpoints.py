@@ -28,7 +28,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 async def test_the_first_server_that_answers_is_used_and_asked_first_after_a_loss(asked: list[str]) -> None:
-    servers = endpoints.Dial(f"{A}, {B}")
+    servers = endpoints.Endpoints(f"{A}, {B}")
     assert await servers.first() == B
     assert asked == [A, B]
     assert await servers.again(1) == B
@@ -39,7 +39,7 @@ async def test_the_first_server_that_answers_is_used_and_asked_first_after_a_los
 
 async def test_if_none_answers_the_last_ones_reason_is_given(asked: list[str]) -> None:
     with pytest.raises(NetworkError, match="//a2"):
-        await endpoints.Dial("ws://a1/stream,ws://a2/stream").first()
+        await endpoints.Endpoints("ws://a1/stream,ws://a2/stream").first()
     assert asked == ["ws://a1/stream", "ws://a2/stream"]
 
 

@@ -7,7 +7,7 @@ import math
 
 from rich.console import Console
 
-from cags_client.output.console import Board
+from cags_client.output.console import PlayConsole
 from cags_common.terminal import live_table, watched
 
 
@@ -23,11 +23,11 @@ def record(frame: int, **more: object) -> dict[str, object]:
 
 
 def test_rows_are_means_over_the_last_second() -> None:
-    board = Board("clip", 90)
-    assert board.rows() == [("waiting for", "the first frame")]
+    console = PlayConsole("clip", 90)
+    assert console.rows() == [("waiting for", "the first frame")]
     for frame in range(40):
-        board.add(record(frame, latency_ms=1e6 if frame < 20 else 30.0, **({"ms_align": 2.0} if frame == 39 else {})))
-    rows = dict(board.rows())
+        console.add(record(frame, latency_ms=1e6 if frame < 20 else 30.0, **({"ms_align": 2.0} if frame == 39 else {})))
+    rows = dict(console.rows())
     assert rows["frame"] == "40 of 90"
     assert rows["displayed"] == "20.0 frames/s"
     assert rows["shown, missed"] == "40, 1"
@@ -39,17 +39,17 @@ def test_rows_are_means_over_the_last_second() -> None:
 
 
 def test_a_loop_s_jump_in_time_does_not_mix_two_passes() -> None:
-    board = Board("clip", 30)
-    board.add(record(500, latency_ms=1.0))
-    board.add(record(0))
-    assert dict(board.rows())["latency"] == "20.0 ms"
+    console = PlayConsole("clip", 30)
+    console.add(record(500, latency_ms=1.0))
+    console.add(record(0))
+    assert dict(console.rows())["latency"] == "20.0 ms"
 
 
 def test_the_table_is_drawn_while_the_context_lasts() -> None:
     out = Console(file=io.StringIO(), force_terminal=True, width=80)
-    board = Board("a clip", 3)
-    with live_table(board.table, out):
-        board.add(record(2))
+    console = PlayConsole("a clip", 3)
+    with live_table(console.table, out):
+        console.add(record(2))
     assert "a clip" in out.file.getvalue()  # type: ignore[attr-defined]
     assert "3 of 3" in out.file.getvalue()  # type: ignore[attr-defined]
 
@@ -60,7 +60,7 @@ def test_without_a_terminal_nobody_watches() -> None:
 
 
 def test_a_clip_may_have_any_name() -> None:
-    board = Board("walk[/1] \x1b[31m", 3)
+    console = PlayConsole("walk[/1] \x1b[31m", 3)
     out = io.StringIO()
-    Console(file=out, width=80).print(board.table())
+    Console(file=out, width=80).print(console.table())
     assert "walk[/1] ?[31m" in out.getvalue()

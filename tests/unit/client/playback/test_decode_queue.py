@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cags_client.playback.decode_queue import DECODE_BATCH, Arrivals
+from cags_client.playback.decode_queue import DECODE_BATCH, DecodeQueue
 from cags_client.playback.jobs import Restarted, Traffic
 from cags_common.geometry import Intrinsics, Pose
 from cags_common.held_tile import HeldTile
@@ -22,7 +22,7 @@ def reference(size: int) -> ev.ReferenceReceived:
 
 
 def test_batches_come_in_order_one_at_a_time() -> None:
-    arrivals = Arrivals()
+    arrivals = DecodeQueue()
     events = [tile(number) for number in range(DECODE_BATCH + 1)]
     for event in events:
         arrivals.add(event)
@@ -36,7 +36,7 @@ def test_batches_come_in_order_one_at_a_time() -> None:
 
 
 def test_before_tiles_can_be_decoded_what_comes_before_them_is() -> None:
-    arrivals = Arrivals()
+    arrivals = DecodeQueue()
     first, later = reference(7), reference(8)
     for event in (first, tile(0), later):
         arrivals.add(event)
@@ -48,7 +48,7 @@ def test_before_tiles_can_be_decoded_what_comes_before_them_is() -> None:
 
 
 def test_traffic_is_counted_once_and_survives_decoding() -> None:
-    arrivals = Arrivals()
+    arrivals = DecodeQueue()
     assert arrivals.quiet
     arrivals.add(tile(0, size=30))
     arrivals.add(reference(7))
@@ -60,7 +60,7 @@ def test_traffic_is_counted_once_and_survives_decoding() -> None:
 
 
 def test_what_waits_and_what_is_being_decoded_counts_as_held() -> None:
-    arrivals = Arrivals()
+    arrivals = DecodeQueue()
     arrivals.add(tile(1, 0, 1))
     arrivals.take()
     arrivals.add(tile(1, 1, 3, size=20))
@@ -72,7 +72,7 @@ def test_what_waits_and_what_is_being_decoded_counts_as_held() -> None:
 
 
 def test_what_waits_and_what_is_being_decoded_is_undecoded() -> None:
-    arrivals = Arrivals()
+    arrivals = DecodeQueue()
     for event in (tile(0, size=30), Restarted(), reference(12)):
         arrivals.add(event)
     assert arrivals.undecoded_bytes == 42

@@ -14,8 +14,8 @@ from cags_client.output.page.poses import LivePoses
 from cags_client.playback.interactive import SEEK_PATIENCE_US, InteractivePlayer
 from cags_client.playback.jobs import Decode, DecodeResult, Present
 from cags_client.settings import ClientSettings
-from cags_common.effects import EffectPlan
 from cags_common.geometry import Pose
+from cags_common.passes import PassPlan
 from cags_protocol import events as ev
 from cags_protocol.messages import Control, FrameEnd, TileLayers
 from support.live_page import StillWalk
@@ -105,7 +105,7 @@ class Stage:
             return None
         blank = np.zeros((2, 2, 3), np.float32)
         shown = PresentedFrame(
-            action.frame, None, blank, blank, None, None, blank, blank, None, 0.0, False, {}, EffectPlan(frozenset())
+            action.frame, None, blank, blank, None, None, blank, blank, None, 0.0, False, {}, PassPlan(frozenset())
         )  # type: ignore[arg-type]
         self.now_us += self.draw_us
         self.player.done(action, shown, self.now_us)
@@ -163,7 +163,7 @@ def test_a_paused_frame_is_drawn_again_only_when_there_is_something_new(stage: S
     assert stage.run(500_000) == []
     stage.poses.hold(Pose((1, 2, 3), (1, 0, 0, 0)), 1)
     assert stage.run(100_000) == [held]
-    stage.player._arrivals.add(TILE)
+    stage.player._decode_queue.add(TILE)
     assert stage.run(100_000) == [held]
     stage.player.play(stage.now_us)
     assert stage.session.controls[-1] == Control("play", held, stage.now_us + DELAY_US, 1.0)
@@ -172,12 +172,12 @@ def test_a_paused_frame_is_drawn_again_only_when_there_is_something_new(stage: S
 
 def test_a_seek_waits_for_work_under_way_and_then_for_its_frame(stage: Stage) -> None:
     stage.run(DELAY_US + 5 * FRAME_US)
-    stage.player._arrivals.add(TILE)
+    stage.player._decode_queue.add(TILE)
     assert isinstance(stage.player.next_action(stage.now_us), Decode)
     stage.player.seek(20)
     assert stage.player.next_action(stage.now_us) is None
     assert stage.pipeline.resets == []
-    stage.player._arrivals.decoded()
+    stage.player._decode_queue.decoded()
     stage.turn()
     assert stage.pipeline.resets == [20]
     assert stage.session.controls[-1].frame == 20

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import pytest
 
-from cags_client.playback.interpolation import Between, Moment
+from cags_client.playback.interpolation import Interpolation, Moment
 
 FRAME_US = 40_000
 """Of a clip of 25 frames a second."""
 
 
-def begun(mode: str = "on", rate: float = 100.0, frames: int = 1) -> Between:
-    between = Between(mode, rate)
+def begun(mode: str = "on", rate: float = 100.0, frames: int = 1) -> Interpolation:
+    between = Interpolation(mode, rate)
     between.begin(1_000_000, 1_000_000 + frames * FRAME_US, frames)
     return between
 
 
-def taken(between: Between, step_us: int = 1_000, until_us: int = FRAME_US) -> list[Moment]:
+def taken(between: Interpolation, step_us: int = 1_000, until_us: int = FRAME_US) -> list[Moment]:
     out = []
     for now_us in range(1_000_000, 1_000_000 + until_us, step_us):
         if (moment := between.take(now_us)) is not None:
@@ -41,7 +41,7 @@ def test_a_picture_that_was_due_long_ago_gives_way_to_the_newest() -> None:
 
 def test_only_with_time_for_it_unless_it_is_wanted_anyway() -> None:
     for mode, count in (("auto", 1), ("on", 3), ("off", 0)):
-        between = Between(mode, 100.0)
+        between = Interpolation(mode, 100.0)
         between.drawing(900_000)
         between.drawn(920_000)  # 20 ms a picture
         between.begin(1_000_000, 1_000_000 + FRAME_US, 1)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol.events import AckSample, Outgoing
 from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
-from cags_server.ahead import Ahead
 from cags_server.ratecontrol.byte_budget import (
     MAX_BUDGET_TICKS,
     MAX_SAVED_S,
@@ -17,8 +16,8 @@ from cags_server.ratecontrol.byte_budget import (
     MIN_SAVED_BYTES,
     ByteBudget,
 )
-from cags_server.records import FrameRecord
-from cags_server.session.tile_sender import BASE_PRIORITY, ENHANCEMENT_PRIORITY
+from cags_server.ratecontrol.priorities import BASE_PRIORITY, ENHANCEMENT_PRIORITY
+from cags_server.records import Ahead, FrameRecord
 
 PERIOD_US = 100_000.0
 

@@ -21,7 +21,7 @@ ASIDE = Pose.looking_at((0, 0, 0), (-3, 0, 3))
 def joined(**options: object) -> Streamer:
     """A client that has been sent what opens the stream, and no more."""
     streamer = Streamer(library(), SETTINGS, hello(), estimator=MeasuredEstimator(), **options)
-    streamer.opening(OFFSET_US)
+    streamer.startup(OFFSET_US)
     return streamer
 
 

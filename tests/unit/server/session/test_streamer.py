@@ -30,7 +30,7 @@ def test_the_opening_is_codebooks_then_base_layers_then_the_first_frames_end() -
 def test_what_is_out_of_view_comes_after_the_first_frames_end() -> None:
     scene = library()
     away = hello(Pose.looking_at((0, 0, 0), (-3, 0, 3)))
-    opening = Streamer(scene, SETTINGS, away, estimator=MeasuredEstimator()).opening(0)
+    opening = Streamer(scene, SETTINGS, away, estimator=MeasuredEstimator()).startup(0)
     ranked = sorted(range(len(opening)), key=lambda i: (opening[i].priority, i))
     kinds = [type(opening[i].message).__name__ for i in ranked]
     after_end = kinds[kinds.index("FrameEnd") + 1 :]
@@ -40,7 +40,7 @@ def test_what_is_out_of_view_comes_after_the_first_frames_end() -> None:
 
 def test_joining_within_a_group_brings_the_changes_so_far() -> None:
     streamer = Streamer(library(), SETTINGS, hello(start_frame=9), estimator=MeasuredEstimator())
-    opening = streamer.opening(0)
+    opening = streamer.startup(0)
     assert [e.frame for e in of(FrameEnd, opening)] == [6, 7, 8, 9]
     assert {t.frame for t in of(TileLayers, opening)} == {6, 7, 8, 9}
 

@@ -10,11 +10,11 @@ import pytest
 from cags_client.frame.presented import PresentedFrame
 from cags_client.output.page import LiveView, ShownFrame, ViewSettings
 from cags_client.output.page.sink import ViewSink
-from cags_common.effects import EffectPlan
 from cags_common.geometry import Camera
+from cags_common.passes import PassPlan
 from support.live_page import INTRINSICS, StillWalk
 
-NOTHING = EffectPlan(frozenset())
+NOTHING = PassPlan(frozenset())
 
 
 class Watched(LiveView):

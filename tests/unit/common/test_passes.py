@@ -1,4 +1,4 @@
-"""Effect plans: on whenever needed, left out else, and their account."""
+"""Pass plans: on whenever needed, left out else, and their account."""
 
 from dataclasses import replace
 
@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cags_common.effects import ALWAYS, Effect, Situation, held_sh_degree, plan_frame, tally
+from cags_common.passes import ALWAYS, Pass, Situation, held_sh_degree, plan_frame, tally
 from cags_common.splats import SH_REST_OF_DEGREE
 
-PAINTING = frozenset({Effect.ALIGNMENT, Effect.EROSION})
-CORRECTING = frozenset({Effect.CORRECTION, Effect.OWN_VIEW, Effect.VETO})
-RESTORING = frozenset({Effect.RESTORATION, Effect.ALIGNMENT, Effect.OCCLUSION, Effect.EROSION})
+PAINTING = frozenset({Pass.ALIGNMENT, Pass.EROSION})
+CORRECTING = frozenset({Pass.CORRECTION, Pass.OWN_VIEW, Pass.VETO})
+RESTORING = frozenset({Pass.RESTORATION, Pass.ALIGNMENT, Pass.OCCLUSION, Pass.EROSION})
 BUSY = Situation(
     sh_degree=2,
     scene_sh_degree=3,
@@ -49,47 +49,45 @@ situations = st.builds(
 
 def test_a_busy_moment_needs_everything_of_its_way() -> None:
     plan = plan_frame(BUSY)
-    assert plan.on == frozenset(Effect) - RESTORING
+    assert plan.on == frozenset(Pass) - RESTORING
     assert plan.sh_degree == 2
-    assert plan_frame(RESTORED).on == frozenset(Effect) - CORRECTING
+    assert plan_frame(RESTORED).on == frozenset(Pass) - CORRECTING
 
 
 @pytest.mark.parametrize(
     ("change", "gone"),
     [
-        ({"sh_degree": 0}, {Effect.VIEW_COLOUR}),
-        ({"changed": False}, {Effect.DELTAS}),
-        ({"same_frame": True}, {Effect.FADE}),
-        ({"picture": False}, {Effect.OWN_VIEW}),
-        ({"stale": False}, {Effect.VETO}),
+        ({"sh_degree": 0}, {Pass.VIEW_COLOUR}),
+        ({"changed": False}, {Pass.DELTAS}),
+        ({"same_frame": True}, {Pass.FADE}),
+        ({"picture": False}, {Pass.OWN_VIEW}),
+        ({"stale": False}, {Pass.VETO}),
         ({"same_place": True}, set()),  # what hides something is looked for within the correction
         ({"whole": True}, set()),  # the server says so, if there is nothing lacking
         ({"depth_shown": False}, set()),  # the correction needs it
-        ({"reference": False}, {*CORRECTING, Effect.FADE}),
-        ({"reference": False, "depth_shown": False}, {*CORRECTING, Effect.FADE, Effect.DEPTH}),
+        ({"reference": False}, {*CORRECTING, Pass.FADE}),
+        ({"reference": False, "depth_shown": False}, {*CORRECTING, Pass.FADE, Pass.DEPTH}),
     ],
 )
-def test_each_condition_takes_its_own_effects_of_a_correction_away(
-    change: dict[str, object], gone: set[Effect]
-) -> None:
+def test_each_condition_takes_its_own_effects_of_a_correction_away(change: dict[str, object], gone: set[Pass]) -> None:
     assert plan_frame(BUSY).on - plan_frame(replace(BUSY, **change)).on == gone  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("change", "gone"),
     [
-        ({"same_place": True}, {Effect.OCCLUSION, Effect.EROSION}),
-        ({"same_frame": True}, {Effect.FADE}),
+        ({"same_place": True}, {Pass.OCCLUSION, Pass.EROSION}),
+        ({"same_frame": True}, {Pass.FADE}),
         ({"stale": False}, set()),
-        ({"restorer": frozenset({Effect.ALIGNMENT})}, {Effect.EROSION}),
+        ({"restorer": frozenset({Pass.ALIGNMENT})}, {Pass.EROSION}),
         ({"depth_shown": False}, set()),  # alignment needs it
-        ({"picture": False, "depth_shown": False}, {*RESTORING, Effect.FADE, Effect.DEPTH}),
-        ({"restorer": frozenset(), "depth_shown": False}, {*RESTORING, Effect.FADE, Effect.DEPTH}),
-        ({"whole": True, "depth_shown": False}, {*RESTORING, Effect.FADE, Effect.DEPTH}),
+        ({"picture": False, "depth_shown": False}, {*RESTORING, Pass.FADE, Pass.DEPTH}),
+        ({"restorer": frozenset(), "depth_shown": False}, {*RESTORING, Pass.FADE, Pass.DEPTH}),
+        ({"whole": True, "depth_shown": False}, {*RESTORING, Pass.FADE, Pass.DEPTH}),
         ({"whole": True, "replaces": True}, set()),
     ],
 )
-def test_each_condition_takes_its_own_effects_of_a_restorer_away(change: dict[str, object], gone: set[Effect]) -> None:
+def test_each_condition_takes_its_own_effects_of_a_restorer_away(change: dict[str, object], gone: set[Pass]) -> None:
     assert plan_frame(RESTORED).on - plan_frame(replace(RESTORED, **change)).on == gone  # type: ignore[arg-type]
 
 
@@ -103,18 +101,18 @@ def test_what_is_needed_is_a_part_of_always(situation: Situation) -> None:
 @given(situations)
 def test_plans_are_consistent(situation: Situation) -> None:
     plan = plan_frame(situation)
-    assert (Effect.VIEW_COLOUR in plan) == (plan.sh_degree > 0)
-    assert Effect.DEPTH in plan or not plan.on & {Effect.ALIGNMENT, Effect.CORRECTION}
-    assert Effect.CORRECTION in plan or not plan.on & {Effect.OWN_VIEW, Effect.VETO}
-    assert Effect.ALIGNMENT in plan or not plan.on & {Effect.OCCLUSION, Effect.EROSION}
-    assert plan.on & {Effect.RESTORATION, Effect.CORRECTION} or Effect.FADE not in plan
-    assert not plan.on >= {Effect.RESTORATION, Effect.CORRECTION}
-    assert situation.reference or not plan.on & {Effect.RESTORATION, Effect.CORRECTION}
+    assert (Pass.VIEW_COLOUR in plan) == (plan.sh_degree > 0)
+    assert Pass.DEPTH in plan or not plan.on & {Pass.ALIGNMENT, Pass.CORRECTION}
+    assert Pass.CORRECTION in plan or not plan.on & {Pass.OWN_VIEW, Pass.VETO}
+    assert Pass.ALIGNMENT in plan or not plan.on & {Pass.OCCLUSION, Pass.EROSION}
+    assert plan.on & {Pass.RESTORATION, Pass.CORRECTION} or Pass.FADE not in plan
+    assert not plan.on >= {Pass.RESTORATION, Pass.CORRECTION}
+    assert situation.reference or not plan.on & {Pass.RESTORATION, Pass.CORRECTION}
 
 
 def test_without_takes_the_degree_along() -> None:
-    assert plan_frame(BUSY).without(Effect.VIEW_COLOUR).sh_degree == 0
-    assert plan_frame(BUSY).without(Effect.FADE).sh_degree == 2
+    assert plan_frame(BUSY).without(Pass.VIEW_COLOUR).sh_degree == 0
+    assert plan_frame(BUSY).without(Pass.FADE).sh_degree == 2
 
 
 @pytest.mark.parametrize("degree", range(4))
@@ -128,7 +126,7 @@ def test_the_highest_band_with_anything_in_it_counts(degree: int) -> None:
 
 
 def test_the_account_counts_shares_and_what_leaving_out_saved() -> None:
-    on, off = frozenset({Effect.ALIGNMENT, Effect.DEPTH}), frozenset[Effect]()
+    on, off = frozenset({Pass.ALIGNMENT, Pass.DEPTH}), frozenset[Pass]()
     account = tally([(on, {"raster": 10, "align": 4}), (off, {"raster": 9}), (off, {"raster": 9})])
     assert account["alignment"] == {"share": pytest.approx(1 / 3), "saved_ms": 8}
     assert account["depth"]["saved_ms"] == pytest.approx(2)

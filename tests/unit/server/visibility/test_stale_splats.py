@@ -7,8 +7,8 @@ import uuid
 import numpy as np
 
 from cags_protocol.messages import TileLayers
+from cags_server.visibility.ghosts import StaleSplats
 from cags_server.visibility.inventory import ClientInventory
-from cags_server.visibility.lingering import Lingering
 from support.moving_bundle import moving_library
 from support.server_scene import library
 
@@ -33,7 +33,7 @@ KEY_TILES = tuple((0, tile) for tile in range(4))
 
 
 def test_what_left_the_picture_while_it_changed_counts_until_its_change_is_on_its_way() -> None:
-    lingering = Lingering(library(), LEAST)
+    lingering = StaleSplats(library(), LEAST)
     inventory = holding(*KEY_TILES)
     lingering.update(seen(3, 8), 0, inventory)
     assert not len(lingering), "what is seen is held"
@@ -46,7 +46,7 @@ def test_what_left_the_picture_while_it_changed_counts_until_its_change_is_on_it
 
 
 def test_another_group_of_frames_has_other_ids() -> None:
-    lingering = Lingering(library(), LEAST)
+    lingering = StaleSplats(library(), LEAST)
     lingering.update(seen(3), 3, holding(*KEY_TILES))
     assert len(lingering) == 1
     assert np.array_equal(lingering.added_to(seen(8), 6), seen(8))
@@ -55,7 +55,7 @@ def test_another_group_of_frames_has_other_ids() -> None:
 
 
 def test_what_was_never_seen_does_not_linger() -> None:
-    lingering = Lingering(library(), LEAST)
+    lingering = StaleSplats(library(), LEAST)
     lingering.update(seen(8), 3, holding(*KEY_TILES))
     assert not len(lingering)
 
@@ -68,7 +68,7 @@ def test_what_left_the_picture_while_it_moved_counts_until_its_motion_is_on_its_
     looks, splat = tiles.key(moving[0]), int(np.flatnonzero(owners == moving[0])[0])
     contribution = np.zeros(scene.manifest.capacity[0], np.float32)
     contribution[splat] = 1.0
-    lingering = Lingering(scene, LEAST)
+    lingering = StaleSplats(scene, LEAST)
     lingering.update(contribution, frame, holding(looks))
     assert lingering.added_to(0 * contribution, frame)[splat] == 1.0, "its looks alone show it where it was"
     lingering.update(0 * contribution, frame, holding(looks, tiles.key(tiles.chunks_until(moving[0], frame)[0])))

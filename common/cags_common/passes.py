@@ -34,7 +34,7 @@ from cags_common.geometry import F32
 from cags_common.splats import SH_REST_OF_DEGREE
 
 
-class Effect(StrEnum):
+class Pass(StrEnum):
     """Work of a client's frame that is done only where it is needed."""
 
     VIEW_COLOUR = "view-colour"
@@ -62,16 +62,16 @@ class LinkEffect(StrEnum):
 
 
 STAGE_OF = {
-    Effect.VIEW_COLOUR: "raster",
-    Effect.DELTAS: "update",
-    Effect.DEPTH: "raster",
-    Effect.ALIGNMENT: "align",
-    Effect.OCCLUSION: "align",
-    Effect.EROSION: "restore",
-    Effect.OWN_VIEW: "own",
-    Effect.VETO: "correct",
-    Effect.CORRECTION: "correct",
-    Effect.RESTORATION: "restore",
+    Pass.VIEW_COLOUR: "raster",
+    Pass.DELTAS: "update",
+    Pass.DEPTH: "raster",
+    Pass.ALIGNMENT: "align",
+    Pass.OCCLUSION: "align",
+    Pass.EROSION: "restore",
+    Pass.OWN_VIEW: "own",
+    Pass.VETO: "correct",
+    Pass.CORRECTION: "correct",
+    Pass.RESTORATION: "restore",
 }
 """The timed stage of a frame that an effect is a part of (or the whole); ``fade`` is in none of its own."""
 
@@ -104,7 +104,7 @@ class Situation:
     """What is lacking is added."""
     stale: bool
     """Splats have changed since the reference was made, other than it assumes."""
-    restorer: frozenset[Effect]
+    restorer: frozenset[Pass]
     """What the restorer of aligned pictures looks at; nothing where there is none."""
     replaces: bool
     """That restorer stands in the picture's place instead of correcting it."""
@@ -113,58 +113,58 @@ class Situation:
 
 
 @dataclass(frozen=True, slots=True)
-class EffectPlan:
+class PassPlan:
     """The effects of one frame."""
 
-    on: frozenset[Effect]
+    on: frozenset[Pass]
     sh_degree: int = 0
 
-    def __contains__(self, effect: Effect) -> bool:
+    def __contains__(self, effect: Pass) -> bool:
         return effect in self.on
 
-    def without(self, *effects: Effect) -> EffectPlan:
+    def without(self, *effects: Pass) -> PassPlan:
         """The plan less these effects: what a frame would lose."""
         left = self.on.difference(effects)
-        return EffectPlan(left, self.sh_degree if Effect.VIEW_COLOUR in left else 0)
+        return PassPlan(left, self.sh_degree if Pass.VIEW_COLOUR in left else 0)
 
 
-def plan_frame(s: Situation, policy: str = NEEDED) -> EffectPlan:
+def plan_frame(s: Situation, policy: str = NEEDED) -> PassPlan:
     """The effects that situation ``s`` calls for; with ``ALWAYS`` every one that can run at all."""
     always = policy == ALWAYS
-    on: set[Effect] = set()
+    on: set[Pass] = set()
     degree = s.scene_sh_degree if always else s.sh_degree
     if degree:
-        on.add(Effect.VIEW_COLOUR)
+        on.add(Pass.VIEW_COLOUR)
     if s.changed or always:
-        on.add(Effect.DELTAS)
+        on.add(Pass.DELTAS)
     if s.reference and s.corrects:
         on |= _correcting(s, always=always)
     elif s.reference and s.picture and s.restorer and (always or s.replaces or not s.whole):
         on |= _restoring(s, always=always)
-    if always or s.depth_shown or on & {Effect.ALIGNMENT, Effect.CORRECTION}:
-        on.add(Effect.DEPTH)
-    return EffectPlan(frozenset(on), degree)
+    if always or s.depth_shown or on & {Pass.ALIGNMENT, Pass.CORRECTION}:
+        on.add(Pass.DEPTH)
+    return PassPlan(frozenset(on), degree)
 
 
-def _correcting(s: Situation, *, always: bool) -> set[Effect]:
+def _correcting(s: Situation, *, always: bool) -> set[Pass]:
     """Effects around a reference that says what is lacking."""
-    on = {Effect.CORRECTION}
+    on = {Pass.CORRECTION}
     if s.picture:
-        on.add(Effect.OWN_VIEW)
+        on.add(Pass.OWN_VIEW)
     if s.stale:
-        on.add(Effect.VETO)
+        on.add(Pass.VETO)
     if always or not s.same_frame:
-        on.add(Effect.FADE)
+        on.add(Pass.FADE)
     return on
 
 
-def _restoring(s: Situation, *, always: bool) -> set[Effect]:
+def _restoring(s: Situation, *, always: bool) -> set[Pass]:
     """Effects around a picture for a restorer."""
-    on = {Effect.RESTORATION, *(s.restorer - {Effect.EROSION})}
+    on = {Pass.RESTORATION, *(s.restorer - {Pass.EROSION})}
     if always or not s.same_place:
-        on |= {Effect.OCCLUSION, *(s.restorer & {Effect.EROSION})}
+        on |= {Pass.OCCLUSION, *(s.restorer & {Pass.EROSION})}
     if always or not s.same_frame:
-        on.add(Effect.FADE)
+        on.add(Pass.FADE)
     return on
 
 
@@ -175,17 +175,17 @@ def held_sh_degree(sh_rest: F32) -> int:
     return max((d for d, band in own.items() if band.any()), default=0)
 
 
-def tally(records: Iterable[tuple[frozenset[Effect], Mapping[str, float]]]) -> dict[str, dict[str, Any]]:
+def tally(records: Iterable[tuple[frozenset[Pass], Mapping[str, float]]]) -> dict[str, dict[str, Any]]:
     """Over frames (effects that were on, milliseconds by stage): each effect's share of frames and the time saved.
 
     ``saved_ms`` is the sum over the frames without the effect of what its stage takes less there than in the frames
     with it. It is None where the effect never ran, was never left out, or no times were taken.
     """
     frames = list(records)
-    return {effect.value: _tallied(effect, frames) for effect in Effect} if frames else {}
+    return {effect.value: _tallied(effect, frames) for effect in Pass} if frames else {}
 
 
-def _tallied(effect: Effect, frames: list[tuple[frozenset[Effect], Mapping[str, float]]]) -> dict[str, Any]:
+def _tallied(effect: Pass, frames: list[tuple[frozenset[Pass], Mapping[str, float]]]) -> dict[str, Any]:
     stage = STAGE_OF.get(effect)
     with_it = [ms.get(stage, 0.0) for on, ms in frames if effect in on] if stage else []
     without = [ms.get(stage, 0.0) for on, ms in frames if effect not in on] if stage else []

@@ -10,40 +10,41 @@ import pytest
 from cags_common.geometry import Camera, Pose
 from cags_common.tile_kinds import TileKind
 from cags_protocol.messages import FrameEnd, TileLayers
-from cags_server.visibility.bounds import PATIENCE_US, Opening, guessed_contribution, opening_tiles
+from cags_server.session.startup import PATIENCE_US, FirstFrame
+from cags_server.visibility.bounds import guessed_contribution, opening_tiles
 from support.moving_bundle import FRAMES, moving_library
 from support.server_scene import hello, library
 
 KEYS = [(0, tile) for tile in range(8)]
 
 
-def arrived(opening: Opening, *tiles: int) -> None:
+def arrived(first: FirstFrame, *tiles: int) -> None:
     for tile in tiles:
-        opening.settled(TileLayers(0, tile, 0, 1, (1,), (0,)))
+        first.settled(TileLayers(0, tile, 0, 1, (1,), (0,)))
 
 
 def test_on_a_slow_link_the_play_begins_with_what_is_nearest() -> None:
-    opening = Opening(5, KEYS, 1000)
-    assert opening.due_us() is None, "nothing to show yet"
-    arrived(opening, 0)
-    assert opening.end(1000 + 10 * PATIENCE_US) == []
-    arrived(opening, 1)
-    assert opening.due_us() == 1000 + PATIENCE_US
-    assert opening.end(1000 + PATIENCE_US - 1) == []
-    assert opening.end(1000 + PATIENCE_US) == [FrameEnd(5)]
-    assert opening.end(1000 + 2 * PATIENCE_US) == [], "once"
-    assert opening.due_us() is None
+    first = FirstFrame(5, KEYS, 1000)
+    assert first.due_us() is None, "nothing to show yet"
+    arrived(first, 0)
+    assert first.end(1000 + 10 * PATIENCE_US) == []
+    arrived(first, 1)
+    assert first.due_us() == 1000 + PATIENCE_US
+    assert first.end(1000 + PATIENCE_US - 1) == []
+    assert first.end(1000 + PATIENCE_US) == [FrameEnd(5)]
+    assert first.end(1000 + 2 * PATIENCE_US) == [], "once"
+    assert first.due_us() is None
 
 
 def test_on_a_fast_link_there_is_nothing_to_do() -> None:
-    opening = Opening(0, KEYS, 0)
-    arrived(opening, *range(8))
-    assert opening.due_us() is None
-    assert opening.end(PATIENCE_US) == []
+    first = FirstFrame(0, KEYS, 0)
+    arrived(first, *range(8))
+    assert first.due_us() is None
+    assert first.end(PATIENCE_US) == []
 
 
 def test_nothing_in_view_waits_for_nothing() -> None:
-    assert Opening(0, [], 0).due_us() is None
+    assert FirstFrame(0, [], 0).due_us() is None
 
 
 def test_without_a_render_splats_in_view_share_the_picture_and_near_ones_take_more() -> None:

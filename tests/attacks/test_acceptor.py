@@ -1,4 +1,4 @@
-"""Attacks on the front door: connections that have shown nothing keep nobody out and fill no log."""
+"""Attacks on the accepting of connections: connections that have shown nothing keep nobody out and fill no log."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from aiohttp import web
 
 from cags_common.transport import accepting
 from cags_common.transport.accepting import listen_on
-from cags_server.http import acceptor as door_module
-from cags_server.http.acceptor import Door
+from cags_server.http import acceptor as acceptor_module
+from cags_server.http.acceptor import Acceptor
 from cags_server.http.admission import tls_context
 from integration.server.test_app import self_signed
 from support.siege import assert_others_are_well, keep
@@ -29,22 +29,22 @@ async def ok(request: web.Request) -> web.Response:
 
 
 @asynccontextmanager
-async def opened(door: Door, tls: ssl.SSLContext | None = None) -> AsyncIterator[int]:
-    """A door before a server of one page; yields its port."""
-    app = web.Application(middlewares=[door.middleware()])
+async def opened(acceptor: Acceptor, tls: ssl.SSLContext | None = None) -> AsyncIterator[int]:
+    """An acceptor before a server of one page; yields its port."""
+    app = web.Application(middlewares=[acceptor.middleware()])
     app.router.add_get("/", ok)
     runner = web.AppRunner(app)
     await runner.setup()
     assert runner.server is not None
     listeners = listen_on("127.0.0.1", 0, 16)
     faults: list[BaseException] = []
-    door.open(listeners, runner.server, tls, faults.append)
+    acceptor.open(listeners, runner.server, tls, faults.append)
     yield listeners[0].getsockname()[1]
-    await door.close()
+    await acceptor.close()
     await runner.cleanup()
     await asyncio.sleep(0)
     assert not faults
-    assert len(door) == 0
+    assert len(acceptor) == 0
 
 
 async def asked(port: int) -> str:
@@ -65,8 +65,8 @@ async def ended(reader: asyncio.StreamReader) -> bool:
 
 
 async def test_a_header_that_does_not_come_ends_the_connection(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(door_module, "HEADER_S", 0.3)
-    async with opened(Door(64)) as port:
+    monkeypatch.setattr(acceptor_module, "HEADER_S", 0.3)
+    async with opened(Acceptor(64)) as port:
         _, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(b"GET / HTTP/1.1\r\n")
         async with asyncio.timeout(5):
@@ -79,13 +79,13 @@ async def test_a_header_that_does_not_come_ends_the_connection(monkeypatch: pyte
 
 
 async def test_one_too_many_ends_the_oldest_of_the_address_that_has_most() -> None:
-    door = Door(64, max_waiting=4)
-    async with opened(door) as port:
+    acceptor = Acceptor(64, max_waiting=4)
+    async with opened(acceptor) as port:
         held = []
         for _ in range(12):
             held.append(await asyncio.open_connection("127.0.0.1", port))
             await asyncio.sleep(0.01)
-        assert door.waiting <= 4
+        assert acceptor.waiting <= 4
         assert "ok" in await asked(port)
         assert await ended(held[0][0])
         for _, writer in held:
@@ -93,11 +93,11 @@ async def test_one_too_many_ends_the_oldest_of_the_address_that_has_most() -> No
 
 
 async def test_where_all_connections_are_in_use_one_more_is_ended_at_once() -> None:
-    door = Door(2)
-    async with opened(door) as port:
+    acceptor = Acceptor(2)
+    async with opened(acceptor) as port:
         held = [await asyncio.open_connection("127.0.0.1", port) for _ in range(6)]
         await asyncio.sleep(0.1)
-        assert len(door) <= 2
+        assert len(acceptor) <= 2
         for _, writer in held:
             writer.transport.abort()
 
@@ -105,14 +105,14 @@ async def test_where_all_connections_are_in_use_one_more_is_ended_at_once() -> N
 async def test_a_tls_handshake_that_does_not_come_ends_the_connection(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(door_module, "HEADER_S", 0.3)
-    door = Door(64)
-    async with opened(door, tls_context(*self_signed(tmp_path))) as port:
+    monkeypatch.setattr(acceptor_module, "HEADER_S", 0.3)
+    acceptor = Acceptor(64)
+    async with opened(acceptor, tls_context(*self_signed(tmp_path))) as port:
         silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(5)]
         plain = await asyncio.open_connection("127.0.0.1", port)
         plain[1].write(b"GET / HTTP/1.1\r\n\r\n")
         async with asyncio.timeout(5):
-            while len(door):  # noqa: ASYNC110
+            while len(acceptor):  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
         for _, writer in [*silent, plain]:
             writer.transport.abort()

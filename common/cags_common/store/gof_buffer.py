@@ -1,7 +1,7 @@
 """What is held of one group of frames: tiles at any depth, in any order of arrival.
 
-Tiles are decoded when they arrive (:mod:`cags_common.store.gof_tiles`); :meth:`GofStore.commit` makes them visible, all
-of a frame's at once, when that frame is shown (:mod:`cags_common.splat_buffer` has the rules by which looks, updates
+Tiles are decoded when they arrive (:mod:`cags_common.store.gof_tiles`); :meth:`GofBuffer.commit` makes them visible,
+all of a frame at once, when that frame is shown (:mod:`cags_common.splat_buffer` has the rules by which looks, updates
 and motion become one array of splats). What is shown depends on what came up to a mark and on the frame alone: not on
 how arrivals were batched, nor on what was committed before. Each group of frames has ids, and a store, of its own.
 Showing an earlier frame of the group replays what is held, so a loop or a jump back asks the network for nothing.
@@ -70,7 +70,7 @@ class _End:
     removed: Ids
 
 
-class GofStore:
+class GofBuffer:
     """One group of frames. One thread may add and flush while another commits, which never waits for a decoder."""
 
     def __init__(self, manifest: Manifest, gof: int, opener: Opener, mark: int = 0) -> None:
@@ -96,9 +96,9 @@ class GofStore:
         self._ended: dict[int, _End] = {}
         self._lock = threading.Lock()
 
-    def resumed(self, inventory: Mapping[Key, int] | None) -> GofStore:
+    def resumed(self, inventory: Mapping[Key, int] | None) -> GofBuffer:
         """Another store, of so many LoDs of each tile (None: of what :meth:`held` says), without ends of frames."""
-        other = GofStore(self._manifest, self._gof, self._opener, self._tiles.mark)
+        other = GofBuffer(self._manifest, self._gof, self._opener, self._tiles.mark)
         other._tiles = self._tiles.resumed(inventory)
         return other
 
@@ -291,7 +291,7 @@ class GofStore:
         return looks is not None and looks.on_display and self._buffer.moves(held.looks) == held.key[0]
 
 
-def _tell_replaced(store: weakref.ref[GofStore], slot: Slot) -> None:
+def _tell_replaced(store: weakref.ref[GofBuffer], slot: Slot) -> None:
     told = store()
     if told is not None:
         told._replaced(slot)

@@ -43,17 +43,17 @@ class Footstep:
     alpha: F64  # [h, w]
 
 
-class ReferenceRasteriser:
+class OracleRasteriser:
     """The backend called ``reference``."""
 
     name = "reference"
 
     def load(self, splats: Splats) -> RasterScene:
         """Take a copy of ``splats``. Raises :class:`cags_common.errors.SceneError` for values that cannot be drawn."""
-        return ReferenceScene(drawable(splats))
+        return OracleScene(drawable(splats))
 
 
-class ReferenceScene:
+class OracleScene:
     """Splats held by the reference backend."""
 
     def __init__(self, splats: Splats) -> None:
