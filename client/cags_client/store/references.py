@@ -9,7 +9,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from cags_client.frame.align import ReferencePicture
+from cags_client.store.picture import ReferencePicture
 from cags_common.correction import Reference
 from cags_common.errors import DecodeError
 from cags_common.geometry import DEFAULT_NEAR, F32, Camera

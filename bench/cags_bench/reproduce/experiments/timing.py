@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cags_bench.align.command import AlignBenchSettings
+from cags_bench.align.settings import AlignBenchSettings
 from cags_bench.align.views import KNEE, View, fresh, view_of
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Section

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cags_client.frame.align.base import Aligned, Aligner, AlignSettings, ReferencePicture
+from cags_client.frame.align.base import Aligned, Aligner, AlignSettings
 from cags_client.frame.align.fast import FastAligner
 from cags_client.frame.align.oracle import OracleAligner
 from cags_client.frame.align.rotation import RotationAligner
 from cags_client.frame.align.unaligned import UnalignedAligner
+from cags_client.store.picture import ReferencePicture
 from cags_common.errors import ConfigError
 
 __all__ = ["AlignSettings", "Aligned", "Aligner", "ReferencePicture", "create"]

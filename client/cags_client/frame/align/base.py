@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_client.store.picture import ReferencePicture
 from cags_common.correction import Placement
 from cags_common.geometry import F32, F64, Camera
 from cags_common.settings import check_settings, setting
@@ -41,22 +42,6 @@ class AlignSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
-
-
-@dataclass(frozen=True, eq=False)
-class ReferencePicture:
-    """A decoded reference: what the server saw from ``camera`` at source frame ``frame``."""
-
-    rgb: F32  # [h, w, 3] in [0, 1]
-    camera: Camera
-    frame: int
-    seq: int = 0
-
-    def __post_init__(self) -> None:
-        if self.rgb.shape != (self.camera.height_px, self.camera.width_px, 3):
-            raise ValueError(
-                f"reference of shape {self.rgb.shape} under a camera of {self.camera.width_px}x{self.camera.height_px}"
-            )
 
 
 @dataclass(frozen=True, eq=False)

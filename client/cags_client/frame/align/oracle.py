@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.frame.align.base import Aligned, AlignSettings, ReferencePicture, Reprojection
+from cags_client.frame.align.base import Aligned, AlignSettings, Reprojection
+from cags_client.store.picture import ReferencePicture
 from cags_common.geometry import F32, F64, Camera
 
 Mask = NDArray[np.bool_]

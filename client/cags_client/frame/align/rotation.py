@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cags_client.frame.align.base import Aligned, AlignSettings, ReferencePicture
+from cags_client.frame.align.base import Aligned, AlignSettings
 from cags_client.frame.align.fast import FastAligner
+from cags_client.store.picture import ReferencePicture
 from cags_common.geometry import F32, Camera, Pose
 
 

@@ -38,7 +38,7 @@ Factory = Callable[["Weights", int | None], Runtime]
 
 
 def _network(weights: Weights) -> nn.Module:
-    from cags_client.frame.restore.networks import network_of
+    from cags_client.frame.restore.networks.network import network_of
 
     return network_of(weights)
 
