@@ -122,11 +122,6 @@ class PassPlan:
     def __contains__(self, effect: Pass) -> bool:
         return effect in self.on
 
-    def without(self, *effects: Pass) -> PassPlan:
-        """The plan less these effects: what a frame would lose."""
-        left = self.on.difference(effects)
-        return PassPlan(left, self.sh_degree if Pass.VIEW_COLOUR in left else 0)
-
 
 def plan_frame(s: Situation, policy: str = NEEDED) -> PassPlan:
     """The effects that situation ``s`` calls for; with ``ALWAYS`` every one that can run at all."""

@@ -110,11 +110,6 @@ def test_plans_are_consistent(situation: Situation) -> None:
     assert situation.reference or not plan.on & {Pass.RESTORATION, Pass.CORRECTION}
 
 
-def test_without_takes_the_degree_along() -> None:
-    assert plan_frame(BUSY).without(Pass.VIEW_COLOUR).sh_degree == 0
-    assert plan_frame(BUSY).without(Pass.FADE).sh_degree == 2
-
-
 @pytest.mark.parametrize("degree", range(4))
 def test_the_highest_band_with_anything_in_it_counts(degree: int) -> None:
     rest = np.zeros((5, SH_REST_OF_DEGREE[3], 3), np.float32)
