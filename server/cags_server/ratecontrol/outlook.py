@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cags_server.abr.base import Observation, TileView
-from cags_server.abr.utility import AHEAD_FRAMES, errors_of, left_by
+from cags_server.ratecontrol.base import Observation, TileView
+from cags_server.ratecontrol.utility import AHEAD_FRAMES, errors_of, left_by
 
 NEAR = 2.0
 """A tile is good from the level on that leaves at most so many times the squared error of its last one."""

@@ -99,6 +99,7 @@ class Errors:
 
 
 def errors_of(observation: Observation) -> Errors:
+    """What the bundle's measured gains say of each LoD, and of what the client holds now."""
     lods = _distortions(observation)
     looks = [tile for tile in observation.tiles if tile.kind == TileKind.LOOKS and tile.depth]
     weight = sum(tile.weight for tile in looks)

@@ -16,9 +16,9 @@ from cags_protocol import events as ev
 from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers, Welcome
 from cags_server.fov import widened
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
-from cags_server.ratecontrol.abr.outlook import lacking_bytes
 from cags_server.ratecontrol.bandwidth.base import BandwidthEstimator
 from cags_server.ratecontrol.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
+from cags_server.ratecontrol.outlook import lacking_bytes
 from cags_server.records import Ahead, FrameRecord, StreamStats
 from cags_server.reference.budget import ReferenceBudget
 from cags_server.reference.coder import ReferenceCoder
@@ -44,7 +44,7 @@ LOOK_EVERY = 3
 """Frames from one render to the next where no reference is made of them: they tell which splats are seen."""
 
 REFERENCE_WORK = 3
-"""Times what a render without a reference takes that one with it does: the mirror is drawn too, and the outcome coded."""
+"""A reference takes so many times what a render without one does: the mirror is drawn too, and the outcome coded."""
 
 OVERLOAD = 1.5
 """Times the time from one reference to the next that a reference may take to be made; beyond it they become rare."""
