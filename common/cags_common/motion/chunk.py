@@ -224,6 +224,7 @@ class ChunkDecoder:
         """Decode level 0; ``native`` None takes the kernel where there is one. Raises :class:`DecodeError`."""
         head, rigid, who, escapes, symbols = _sections(payload)
         self._native, self._movers = native, _read_movers(head, who)
+        self._trees: tuple[I32 | None, ...] = ()  # [span + 1, movers, c] of positions and of rotations, as far as told
         self._told = _Told.of(head, head.splats if self._movers is None else len(self._movers))
         reader = SymbolReader(escapes, symbols, native=native)
         self.chunk, self.levels = self._opened(head, rigid, reader), 1
@@ -235,10 +236,7 @@ class ChunkDecoder:
 
     def fork(self) -> ChunkDecoder:
         """Another decoder of what has come; what is added to one of the two does not change the other."""
-        other = copy(self)
-        moves, turns = (None if part is None else part.copy() for part in (self.chunk.moves, self.chunk.turns))
-        other.chunk = replace(self.chunk, moves=moves, turns=turns)
-        return other
+        return copy(self)
 
     def add_level(self, payload: bytes | memoryview) -> None:
         """Take the next level. Raises :class:`DecodeError`, and then nothing is changed."""
@@ -250,16 +248,14 @@ class ChunkDecoder:
             raise DecodeError("motion: a level's escapes are cut short")
         reader = SymbolReader(view[4:escapes], view[escapes:], native=self._native)
         chunk, told = self.chunk, self._told.copy()
-        trees = _read_trees(reader, chunk, self.levels, told)
+        more = _read_trees(reader, chunk, self.levels, told)
         reader.finish()
         self._told = told
-        for have, more in zip((chunk.moves, chunk.turns), trees, strict=True):
-            if have is None or more is None:
-                continue
-            if self._movers is None:
-                np.add(have, more, out=have)
-            else:
-                have[:, self._movers] += more
+        self._trees = tuple(
+            tree if tree is None or finer is None else np.add(tree, finer)
+            for tree, finer in zip(self._trees, more, strict=True)
+        )
+        self.chunk = self._with_trees(chunk)
         self.levels += 1
 
     def _opened(self, head: _Head, rigid: memoryview, reader: SymbolReader) -> Chunk:
@@ -270,9 +266,13 @@ class ChunkDecoder:
         fades = _read_fades(reader, head, lives) if head.has(FADES) else None
         blocks = _read_blocks(head, rigid)
         blank = Chunk(head.looks, head.span, n, lives, fades, blocks, None, None, head.has(STARTS), head.finer)
-        moves, turns = _read_trees(reader, blank, 0, self._told)
+        self._trees = _read_trees(reader, blank, 0, self._told)
         reader.finish()
-        return replace(blank, moves=self._of_all(moves, n), turns=self._of_all(turns, n))
+        return self._with_trees(blank)
+
+    def _with_trees(self, chunk: Chunk) -> Chunk:
+        moves, turns = (self._of_all(tree, chunk.splats) for tree in self._trees)
+        return replace(chunk, moves=moves, turns=turns)
 
     def _of_all(self, tree: I32 | None, splats: int) -> I32 | None:
         """``tree`` [span + 1, movers, c] as of all splats [span + 1, n, c]."""
