@@ -32,9 +32,9 @@ class ClientSettings:
     raster: str = setting("auto", "rasteriser: auto (gpu where there is one, else cpu), reference, cpu or gpu")
     exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
     resolution: str = setting(
-        "full",
-        "pixels that a frame is worked out at: full, half (a side; the shown picture is brought up), or auto: half "
-        "while full takes too long",
+        AUTO,
+        "pixels that a frame is drawn at: full, half (a side; the shown picture is enlarged), or auto: half while full "
+        "takes longer than a frame",
         choices=RESOLUTIONS,
     )
     restore: str = setting(

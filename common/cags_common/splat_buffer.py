@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import numpy.ma
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32

@@ -18,6 +18,7 @@ import cags_kernels
 from cags_common.geometry import F32, F64
 from cags_common.motion.chunk import TURN_UNIT, Chunk
 from cags_common.motion.knots import FRACTION_BITS, I32
+from cags_common.threads import threads_for_rows
 
 ABSENT_LOGIT = np.float32(-30.0)
 """Opacity logit of a splat that is not there: drawn opacity 1e-13, which every rasteriser culls."""
@@ -119,6 +120,7 @@ def _move_natively(tiles: Sequence[MovingTile], looks: Looks, into: Looks, threa
     from cags_kernels import motion
 
     given, out = ((a.means, a.quats, a.logit_opacities) for a in (looks, into))
+    threads = threads_for_rows(sum(tile.chunk.splats for tile in tiles), threads)
     motion.move_rows([_kernel_tile(tile) for tile in tiles], given, out, threads)
     for tile in tiles:
         if tile.chunk.fades is not None:

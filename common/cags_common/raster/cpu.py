@@ -15,6 +15,7 @@ from cags_common.raster.base import BackProjection, DepthKind, Exactness, Raster
 from cags_common.raster.checks import check_camera, check_residual, drawable, movement, recolouring, replacements
 from cags_common.raster.halving import halved
 from cags_common.splats import Splats
+from cags_common.threads import threads_for_rows
 
 if TYPE_CHECKING:
     from cags_kernels.raster import RasterCamera, RasterImage, RasterOptions
@@ -77,7 +78,8 @@ class CpuScene:
         """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene."""
         indices, logits = movement(rows, splats, len(self))
         try:
-            self._native.move(indices, _arrays(replace(splats, logit_opacities=logits)), threads)
+            moved = _arrays(replace(splats, logit_opacities=logits))
+            self._native.move(indices, moved, threads_for_rows(len(indices), threads))
         except cags_kernels.KernelError:
             drawable(splats.take(indices))  # says what is wrong with them
             raise
