@@ -40,6 +40,7 @@ from cags_server.event_file import EventFile
 from cags_server.library import SceneLibrary
 from cags_server.memory import FreedMemory
 from cags_server.metrics import Totals, exposition
+from cags_server.page import add_page
 from cags_server.quota import Quotas
 from cags_server.records import StreamStats
 from cags_server.render_pool import RenderPool
@@ -80,8 +81,9 @@ class App:
         self._empty.set()
 
     def web_app(self) -> web.Application:
-        """Routes: health, readiness, metrics, the operator's page, the bundle's public manifest, and the stream."""
+        """Routes: the viewer, health, readiness, metrics, the operator's page, the bundle's public manifest, and the stream."""
         app = web.Application(middlewares=([] if self._door is None else [self._door.middleware()]) + [self._guard()])
+        add_page(app)
         app.router.add_get("/healthz", self._health)
         app.router.add_get("/readyz", self._ready)
         app.router.add_get("/metrics", self._metrics)

@@ -32,7 +32,7 @@ export class Bar {
   constructor(wishes: BarWishes) {
     this.#wishes = wishes;
     setIcon(this.#play, "pause");
-    for (const name of ["home", "share", "snapshot", "full"] as const) setIcon(the(name), name);
+    for (const name of ["home", "share", "snapshot", "inspect", "full"] as const) setIcon(the(name), name);
     this.#play.addEventListener("click", () => wishes.toggle());
     the("home").addEventListener("click", () => wishes.home());
     the("share").addEventListener("click", () => wishes.share());

@@ -274,13 +274,13 @@ class Viewer {
   }
 
   #listen(): void {
-    addEventListener("keydown", (event) => {
+    window.addEventListener("keydown", (event) => {
       if (event.target instanceof HTMLInputElement && event.target.type !== "checkbox") return;
       if (event.target instanceof HTMLSelectElement) return;
       if (event.target instanceof HTMLButtonElement && (event.code === "Space" || event.code === "Enter")) return;
       if (this.#bar.key(event, this.player) || this.#gestures.key(event, true)) event.preventDefault();
     });
-    addEventListener("keyup", (event) => void this.#gestures.key(event, false));
+    window.addEventListener("keyup", (event) => void this.#gestures.key(event, false));
     document.addEventListener("visibilitychange", () => this.player?.rest(document.hidden));
     addEventListener("resize", () => this.#resized());
     addEventListener("hashchange", () => {
