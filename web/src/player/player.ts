@@ -234,6 +234,7 @@ export class Player {
         this.#events.changed();
         break;
       case "mark":
+        this.#references.marked(event.mark);
         this.#news = true;
         break;
       case "error":
@@ -321,6 +322,7 @@ export class Player {
       ...(basis === undefined ? {} : { basis }),
       ...(speaks ? { changedSince: changedSince(speaks.reference, camera) } : {}),
     });
+    this.#references.marked(update.mark);
     this.#renderer.update(update);
     if (media && update.missed) this.missed++;
     await this.#draw(frame, share, update, begun);
