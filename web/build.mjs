@@ -24,7 +24,7 @@ await build({
   target: "es2022",
   platform: "browser",
   loader: { ".wgsl": "text" },
-  external: ["fs", "path", "node:fs", "node:path"], // named in draco3d's glue, for Node alone
+  external: ["node:fs", "node:path", "fs", "path"], // named in draco3d's glue, for Node alone
   legalComments: "linked",
   logLevel: "warning",
 });

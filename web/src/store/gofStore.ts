@@ -4,7 +4,7 @@
  * and on the frame alone.
  */
 import type { DecodeError } from "../bytes/errors.ts";
-import type { TileCodec } from "../decode/codec.ts";
+import type { Opener } from "./opener.ts";
 import { gofRange, type Manifest } from "../decode/manifest.ts";
 import { LEVELS } from "../motion/chunk.ts";
 import type { Camera } from "../seam.ts";
@@ -36,7 +36,7 @@ export class GofStore {
   readonly buffer: SplatBuffer;
   private readonly manifest: Manifest;
   private readonly gof: number;
-  private readonly codec: TileCodec;
+  private readonly codec: Opener;
   private tiles: GofTiles;
   private readonly shown: HeldLooks[] = [];
   private readonly coarse = new Map<Key, HeldMotion | HeldUpdate>(); // shown below its highest level
@@ -47,7 +47,7 @@ export class GofStore {
   private readonly ended = new Map<number, End>();
 
   /** `mark` is the last that came. */
-  constructor(manifest: Manifest, gof: number, codec: TileCodec, mark: number) {
+  constructor(manifest: Manifest, gof: number, codec: Opener, mark: number) {
     this.manifest = manifest;
     this.gof = gof;
     this.codec = codec;

@@ -6,11 +6,12 @@
  * stays for showing earlier frames again, within bounds.
  */
 import { DecodeError } from "../bytes/errors.ts";
-import type { AnyTile, TileCodec } from "../decode/codec.ts";
+import type { AnyTile } from "../decode/codec.ts";
 import { LEVELS, MOTION_VERSION, MotionTile, readLooks } from "../motion/chunk.ts";
 import type { HeldTile } from "../wire/messages.ts";
 import { type AnyHeld, HeldLooks, HeldMotion, HeldUpdate, Motions, type Sphere, type Staged, toStage } from "./held.ts";
 import { frameOf, type Key, looksKey, named, tileOf } from "./keys.ts";
+import type { Opener } from "./opener.ts";
 import { Versions } from "./versions.ts";
 import { type Layer, WaitingLayers } from "./waiting.ts";
 
@@ -32,7 +33,7 @@ export interface GofTilesOptions {
   /** First media frame of the group, and the first one after it. */
   readonly range: readonly [number, number];
   readonly capacity: number;
-  readonly codec: TileCodec;
+  readonly codec: Opener;
   /** Whether the bundle has motion. */
   readonly inMotion: boolean;
   /** The last mark that came. */

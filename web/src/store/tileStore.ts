@@ -1,6 +1,6 @@
 /** What is held of a scene: a {@link GofStore} a group of frames; as `cags_common.store.tile_store`. */
 import { BundleError, DecodeError } from "../bytes/errors.ts";
-import type { TileCodec } from "../decode/codec.ts";
+import type { Opener } from "./opener.ts";
 import { gofOf, gofRange, type Manifest } from "../decode/manifest.ts";
 import type { HeldTile } from "../wire/messages.ts";
 import { type Changes, GofStore } from "./gofStore.ts";
@@ -21,14 +21,14 @@ const NONE = new Int32Array(0);
 
 export class TileStore {
   private readonly manifest: Manifest;
-  private readonly codec: TileCodec;
+  private readonly codec: Opener;
   private gofs = new Map<number, GofStore>();
   private readonly alive = new Set<GofStore>();
   private shown: GofStore | undefined;
   private oldest = 0;
   private newestMark = 0;
 
-  constructor(manifest: Manifest, codec: TileCodec) {
+  constructor(manifest: Manifest, codec: Opener) {
     this.manifest = manifest;
     this.codec = codec;
   }
