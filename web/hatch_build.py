@@ -32,4 +32,6 @@ class PageHook(BuildHookInterface):  # type: ignore[type-arg]
         try:
             builder.build()
         except builder.BuildError as error:
-            self.app.display_warning(f"the viewer in the browser was not built ({error}); later: python -m cags_web.build")
+            self.app.display_warning(
+                f"the viewer in the browser was not built ({error}); later: python -m cags_web.build"
+            )

@@ -81,7 +81,7 @@ class App:
         self._empty.set()
 
     def web_app(self) -> web.Application:
-        """Routes: the viewer, health, readiness, metrics, the operator's page, the bundle's public manifest, and the stream."""
+        """Routes: the viewer, health, readiness, metrics, the operator's page, the public manifest, and the stream."""
         app = web.Application(middlewares=([] if self._door is None else [self._door.middleware()]) + [self._guard()])
         add_page(app)
         app.router.add_get("/healthz", self._health)

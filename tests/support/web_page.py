@@ -42,7 +42,7 @@ const done = arguments[0];
     frame: shown.frame, share: shown.share, camera: shown.camera, width, height, pixels: text(rgba),
     full: update.full, missed: update.missed, degree: options.maxShDegree, veto: floats(options.veto),
     kind: shown.reference?.kind, unit: shown.reference && text(shown.reference.data), idr: shown.reference?.idr,
-    reference: reference && { camera: reference.camera, picture: reference.picture, knee: reference.knee, coded: floats(reference.coded) },
+    reference: reference && { ...reference, coded: floats(reference.coded) },
   };
 })().then(done, (error) => done({ error: String(error.stack) }));
 """
@@ -86,6 +86,7 @@ class Server:
 
 @contextmanager
 def served(bundle: Path, folder: Path, *arguments: str) -> Iterator[Server]:
+    folder.mkdir(parents=True, exist_ok=True)
     with ProcessGroup(folder) as group:
         server = Server(group, ["--bundle", str(bundle), *arguments])
         server.start()
@@ -155,7 +156,9 @@ class Shown:
         environment = {**os.environ, "VK_ICD_FILENAMES": str(ICD), "CAGS_GPU_SOFTWARE": "1"}
         job = json.dumps({"bundle": str(bundle), **{k: v for k, v in self.values.items() if k != "pixels"}})
         command = [sys.executable, str(Path(__file__).with_name("web_page_drawn.py"))]
-        done = subprocess.run(command, input=job.encode(), env=environment, capture_output=True, timeout=240, check=False)
+        done = subprocess.run(
+            command, input=job.encode(), env=environment, capture_output=True, timeout=240, check=False
+        )
         assert done.returncode == 0, done.stderr.decode()[-3000:]
         return np.frombuffer(done.stdout, np.uint8).reshape(self.pixels.shape)
 

@@ -13,7 +13,7 @@ from cags_common.store.tile_decode import Arrival
 from support.moving_bundle import write_moving
 from support.mutation import mutate
 from support.node import run_tests
-from support.small_motion import Clip, moving, random_frames, written
+from support.small_motion import moving, random_frames, written
 from support.small_store import CAPACITY, books, manifest
 from support.store_scripts import Recorder, Step, text
 
