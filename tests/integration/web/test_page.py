@@ -11,7 +11,7 @@ import pytest
 from support.web_page import Page, Server, encoded, page, require_page, served
 
 ROOM = "procedural:size=1500,frames=20,seed=1,fps=5,degree=1"
-WAVE = "fourd:splats=1200"
+MOVING = "fourd:splats=1200,births=100,frames=12,fps=5,degree=1,seed=2"
 STILL = "player?.shown?.update.full && !player.waiting && player.pictures > 2"
 SMALL = ("--reference-width", "64", "--reference-height", "48")
 
@@ -60,7 +60,7 @@ def test_frames_from_other_places_and_times_are_pythons(viewer: Page, server: Se
 
 @pytest.mark.slow
 def test_a_moving_scene_is_pythons(viewer: Page, tmp_path: Path) -> None:
-    bundle = encoded(WAVE, tmp_path / "moving.cags")
+    bundle = encoded(MOVING, tmp_path / "moving.cags")
     with served(bundle, tmp_path, *SMALL) as server:
         viewer.open(server.url, "paused")
         viewer.until(STILL)
