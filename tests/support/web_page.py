@@ -24,7 +24,7 @@ from support.browser import chromium
 
 ICD = Path("/usr/lib/chromium/vk_swiftshader_icd.json")
 SIZE = 160, 120
-WAIT_S = 90.0
+WAIT_S = 120.0
 """A software adapter on a busy machine draws a picture a second."""
 
 QUIET = ("recommendation",)
@@ -33,8 +33,15 @@ QUIET = ("recommendation",)
 SHOWN = """
 const done = arguments[0];
 (async () => {
-  const player = window.cags.player, shown = player.shown;
-  const { width, height, rgba } = await window.cags.renderer.pixels();
+  const player = window.cags.player;
+  const rested = () => new Promise((resolve) => setTimeout(resolve, 50));
+  let shown, picture;
+  do {
+    while (player.drawing) await rested();
+    shown = player.shown;
+    picture = await window.cags.renderer.pixels();
+  } while (player.drawing || player.shown !== shown);  // the picture is of what is told
+  const { width, height, rgba } = picture;
   const text = (bytes) => { let s = ""; for (const b of bytes) s += String.fromCharCode(b); return btoa(s); };
   const floats = (array) => array && text(new Uint8Array(array.buffer, array.byteOffset, array.byteLength));
   const { options, update } = shown, reference = options.reference;

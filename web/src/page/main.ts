@@ -33,6 +33,7 @@ interface Bundle {
   readonly up: [number, number, number];
   readonly focus_centre: [number, number, number];
   readonly focus_radius: number;
+  readonly bounds: SceneInfo["bounds"];
   readonly fps: number;
 }
 
@@ -131,7 +132,7 @@ class Viewer {
   #join(bundle: Bundle): void {
     const [width, height] = pixelsOf(innerWidth, innerHeight, devicePixelRatio, this.#place.size);
     this.#angles = anglesOf(width, height);
-    const place = { up: bundle.up, focusCentre: bundle.focus_centre, focusRadius: bundle.focus_radius };
+    const place = { up: bundle.up, focusCentre: bundle.focus_centre, focusRadius: bundle.focus_radius, bounds: bundle.bounds };
     this.camera = new ViewCamera(place);
     this.#home();
     if (this.#place.pose) this.camera.place(this.#place.pose);
@@ -237,7 +238,7 @@ class Viewer {
   // --------------------------------------------------------------------------------------------------------- wishes
 
   #home(): void {
-    this.camera?.home(undefined, this.#angles.tanX, this.#angles.tanY);
+    this.camera?.home(this.#angles.tanX, this.#angles.tanY);
   }
 
   #hash(): string {

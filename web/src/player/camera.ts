@@ -11,7 +11,12 @@ const MARGIN = 1.08;
 const MAX_PITCH = 1.5;
 const START_PITCH = -0.12;
 
-type Place = Pick<SceneInfo, "up" | "focusCentre" | "focusRadius">;
+/** Bounds that reach this many radii beyond the scene's centre are of what stands around it: the view begins within. */
+const SURROUNDED = 1.3;
+/** Of the way to the bounds. */
+const WITHIN = 0.85;
+
+type Place = Pick<SceneInfo, "up" | "focusCentre" | "focusRadius" | "bounds">;
 
 export class ViewCamera {
   mode: Mode = "orbit";
@@ -20,11 +25,11 @@ export class ViewCamera {
   readonly #side: Vec3;
   readonly #focus: Vec3;
   readonly #radius: number;
+  readonly #bounds: SceneInfo["bounds"];
   #yaw = 0;
   #pitch = START_PITCH;
   #distance = 1;
   #target: Vec3;
-  #home: Pose | undefined;
 
   constructor(scene: Place) {
     this.#up = unit(scene.up);
@@ -33,23 +38,27 @@ export class ViewCamera {
     this.#side = cross(this.#front, this.#up);
     this.#focus = scene.focusCentre;
     this.#radius = Math.max(scene.focusRadius, 1e-3);
+    this.#bounds = scene.bounds;
     this.#target = this.#focus;
   }
 
-  /** Go where the author begins, or where the whole scene is in a view of these tangents of half its angles. */
-  home(author: Pose | undefined, tanX: number, tanY: number): void {
-    this.#home = author;
-    if (author) return this.place(author);
+  /** Go where the whole scene is in a view of these tangents of half its angles, or as far back as a room's walls let. */
+  home(tanX: number, tanY: number): void {
     const narrow = Math.sin(Math.atan(Math.min(tanX, tanY)));
     this.#yaw = 0;
     this.#pitch = START_PITCH;
     this.#target = this.#focus;
-    this.#distance = (this.#radius * MARGIN) / narrow;
+    const away = scaled(this.#axes()[2], -1);
+    const wall = this.#reach(away);
+    const whole = (this.#radius * MARGIN) / narrow;
+    this.#distance = wall > SURROUNDED * this.#radius ? Math.min(whole, WITHIN * wall) : whole;
   }
 
-  /** Where {@link home} last went by an author's wish. */
-  get author(): Pose | undefined {
-    return this.#home;
+  /** How far it is from the scene's centre to its bounds along a direction. */
+  #reach(direction: Vec3): number {
+    const [low, high] = this.#bounds;
+    const ways = direction.map((part, axis) => ((part > 0 ? high : low)[axis] - this.#focus[axis]) / part);
+    return Math.min(...ways.filter((way) => Number.isFinite(way) && way >= 0));
   }
 
   /** Go to a pose; a roll is left behind. */

@@ -186,6 +186,11 @@ export class Player {
     return this.#wanted !== null || this.#awaited !== null || this.#startedUs === null;
   }
 
+  /** Whether a frame is under way. */
+  get drawing(): boolean {
+    return this.#busy;
+  }
+
   /** Share of the full picture's width that is drawn. */
   get scale(): number {
     return this.adaptResolution ? this.#resolution.scale : 1;
@@ -229,8 +234,8 @@ export class Player {
         this.#events.notice(event.message);
         break;
       case "status":
+        this.#news ||= event.status.bytesTiles !== this.status?.bytesTiles;
         this.status = event.status;
-        this.#news = true;
         this.#events.changed();
         break;
       case "mark":
