@@ -52,7 +52,7 @@ def test_the_first_picture_is_pythons_byte_for_byte(viewer: Page, server: Server
 def test_frames_from_other_places_and_times_are_pythons(viewer: Page, server: Server, room: Path) -> None:
     viewer.open(server.url, "paused")
     viewer.until(STILL)
-    for frame in (3, 7, 12, 19):
+    for frame in (3, 19):
         viewer.do(f"player.seek({frame}); window.cags.camera.turn({0.1 * frame}, 0.03)")
         viewer.until(f"player.shown.frame === {frame} && !player.drawing && {STILL}")
         same_as_python(viewer, room)
@@ -64,7 +64,7 @@ def test_a_moving_scene_is_pythons(tmp_path: Path) -> None:
     with served(bundle, tmp_path, *SMALL) as server, page(tmp_path / "profile") as viewer:
         viewer.open(server.url, "paused")
         viewer.until(STILL)
-        for frame in (0, 2, 5):
+        for frame in (0, 5):
             viewer.do(f"player.seek({frame})")
             viewer.until(f"player.shown.frame === {frame} && {STILL}")
             same_as_python(viewer, bundle)

@@ -234,7 +234,7 @@ export class Player {
         this.#events.notice(event.message);
         break;
       case "status":
-        this.#news ||= event.status.bytesTiles !== this.status?.bytesTiles;
+        this.#news ||= event.status.bytesTiles !== this.status?.bytesTiles || this.shown?.update.full === false;
         this.status = event.status;
         this.#events.changed();
         break;
