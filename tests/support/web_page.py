@@ -34,13 +34,10 @@ SHOWN = """
 const done = arguments[0];
 (async () => {
   const player = window.cags.player;
-  const rested = () => new Promise((resolve) => setTimeout(resolve, 50));
-  let shown, picture;
-  do {
-    while (player.drawing) await rested();
-    shown = player.shown;
-    picture = await window.cags.renderer.pixels();
-  } while (player.drawing || player.shown !== shown);  // the picture is of what is told
+  player.rest(true);  // no further picture, so that this one is what is told
+  while (player.drawing) await new Promise((resolve) => setTimeout(resolve, 20));
+  const shown = player.shown, picture = await window.cags.renderer.pixels();
+  player.rest(false);
   const { width, height, rgba } = picture;
   const text = (bytes) => { let s = ""; for (const b of bytes) s += String.fromCharCode(b); return btoa(s); };
   const floats = (array) => array && text(new Uint8Array(array.buffer, array.byteOffset, array.byteLength));
