@@ -148,7 +148,10 @@ def _busy(rng: random.Random, pair: Pair, number: int) -> None:
     pair.queue(Outgoing(m.FrameEnd(number), b"\7" * rng.randrange(4)))
     if rng.random() < 0.2:
         pair.server.notice("slow", "the link is slow", now_us=pair.now_us)
-    samples = [m.PoseSample(pair.now_us + k, Pose((0.1 * k, 1.0, -2.0), (0.5, 0.5, 0.5, 0.5))) for k in range(rng.choice([1, 2, 70]))]
+    samples = [
+        m.PoseSample(pair.now_us + k, Pose((0.1 * k, 1.0, -2.0), (0.5, 0.5, 0.5, 0.5)))
+        for k in range(rng.choice([1, 2, 70]))
+    ]
     pair.client.send_poses(samples, now_us=pair.now_us, cadence_permille=rng.choice([1000, 600]))
     if rng.random() < 0.3:
         action = rng.choice(["play", "pause", "seek", "rate"])

@@ -65,7 +65,11 @@ def _wrapped(info: bytes, codebooks: bytes, steps: list[Step]) -> Step:
 
 def _removed(rng: np.random.Generator) -> np.ndarray:
     some = rng.random() < 0.3
-    return np.sort(rng.permutation(CAPACITY)[: int(rng.integers(1, 3))]).astype(np.int32) if some else np.zeros(0, np.int32)
+    return (
+        np.sort(rng.permutation(CAPACITY)[: int(rng.integers(1, 3))]).astype(np.int32)
+        if some
+        else np.zeros(0, np.int32)
+    )
 
 
 def _damaged(rng: np.random.Generator, messages: list[Arrival]) -> list[Arrival]:
@@ -81,7 +85,11 @@ def _damaged(rng: np.random.Generator, messages: list[Arrival]) -> list[Arrival]
 
 
 def _play(
-    record: Recorder, rng: np.random.Generator, messages: list[Arrival], ends: Sequence[tuple[int, np.ndarray]], frames: int
+    record: Recorder,
+    rng: np.random.Generator,
+    messages: list[Arrival],
+    ends: Sequence[tuple[int, np.ndarray]],
+    frames: int,
 ) -> None:
     """Everything comes, in any order and mostly in batches, while frames are shown by marks or without."""
     events: list[object] = [*messages, *ends]
