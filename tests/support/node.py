@@ -50,8 +50,9 @@ def why_not() -> str:
     return ""
 
 
-def run_tests(name: str, folder: Path, **vectors: Any) -> None:
+def run_tests(name: str, folder: Path, **vectors: Any) -> str:
     """Run ``web/tests/core/NAME.test.ts`` with ``vectors`` (JSON-able) as files in ``folder``; fails with its output.
+    Returns the lines of results that it printed.
 
     Skips, with one line that says why, where node cannot be had.
     """
@@ -65,3 +66,4 @@ def run_tests(name: str, folder: Path, **vectors: Any) -> None:
     )
     if ran.returncode:
         pytest.fail(f"{name}: {ran.stdout[-6000:]}\n{ran.stderr[-3000:]}", pytrace=False)
+    return "\n".join(line for line in ran.stdout.splitlines() if line.startswith("RESULT"))

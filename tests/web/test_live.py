@@ -1,4 +1,4 @@
-"""The web client's source over a real socket, to a real server: what is shown is the bundle, through seeks and losses."""
+"""The web client's source over a socket, to a real server: what is shown is the bundle, through seeks and losses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ async def test_a_stream_is_the_bundle_through_seeks_and_a_lost_connection(tmp_pa
     expected = [_decoded(player.frame(frame)) for frame in range(FRAMES)]
     (tmp_path / "expected.json").write_text(json.dumps(expected))
     async with serving(library, token=TOKEN) as (_, server):
-        url = stream_url(server).replace("0.0.0.0", "127.0.0.1")  # noqa: S104
+        url = stream_url(server).replace("0.0.0.0", "127.0.0.1")
         await _node("live", tmp_path, CAGS_SERVER=url, CAGS_TOKEN=TOKEN)
 
 

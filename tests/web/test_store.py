@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from cags_common.store.tile_decode import Arrival
 from support.moving_bundle import write_moving
 from support.mutation import mutate
 from support.node import run_tests
-from support.small_motion import Clip, moving, random_frames, written
+from support.small_motion import moving, random_frames, written
 from support.small_store import CAPACITY, books, manifest
 from support.store_scripts import Recorder, Step, text
+
+Ends: TypeAlias = Sequence[tuple[int, np.ndarray]]
 
 CLIPS, ORDERS = 12, 25
 CAMERA = Camera(Intrinsics(400, 300, 300.0, 300.0, 200.0, 150.0), Pose((0.0, 0.0, -20.0), (1.0, 0.0, 0.0, 0.0)), 0.2)
