@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cags_client import align
-from cags_client.align import Aligned, Aligner, ReferencePicture
-from cags_client.restore import RestoreInput, Restorer
+from cags_client.frame import align
+from cags_client.frame.align import Aligned, Aligner, ReferencePicture
+from cags_client.frame.restore import RestoreInput, Restorer
 from cags_common import correction
 from cags_common.correction import Corrected, Corrector, Reference
 from cags_common.geometry import F32, Camera
@@ -59,7 +59,7 @@ def see(scene: RasterScene, camera: Camera, options: RenderOptions | None = None
 
 def available_restorers() -> list[str]:
     """Restorers of aligned pictures that can run here, cheapest first: networks without weights are left out."""
-    from cags_client import restore
+    from cags_client.frame import restore
     from cags_common.errors import ConfigError
 
     names = []

@@ -1,4 +1,4 @@
-"""The client in real time: sockets, a clock and executors around the :class:`~cags_client.player.Player`.
+"""The client in real time: sockets, a clock and executors around the :class:`~cags_client.playback.player.Player`.
 
 The event loop moves bytes and starts work; decoding, drawing and sinks each have a thread of their own, so that neither
 a burst of tiles nor a slow disk holds up the display.
@@ -15,16 +15,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from cags_client.actions import Decode, Present
-from cags_client.dial import Dial
+from cags_client.frame.presented import PresentedFrame
 from cags_client.interrupts import interrupts
-from cags_client.line import Line
-from cags_client.player import Player
-from cags_client.present.base import FrameSink, LiveSink
-from cags_client.presented import PresentedFrame
-from cags_client.report import frame_stats
+from cags_client.net.connection import Line
+from cags_client.net.endpoints import Endpoints
+from cags_client.output.report import frame_stats
+from cags_client.output.sinks import FrameSink, LiveSink
+from cags_client.playback.jobs import Decode, Present
+from cags_client.playback.player import Player
+from cags_client.playback.viewpoint import PoseSource
 from cags_client.settings import AUTO, OFF, ClientSettings, LiveSettings
-from cags_client.viewpoint import PoseSource
 from cags_common.errors import CagsError, NetworkError
 from cags_common.transport import Transport
 from cags_common.wake import woken
@@ -45,7 +45,7 @@ class Playback:
 
     player: Player
     frames: list[dict[str, Any]] = field(default_factory=list)
-    """One record a presented frame (see :func:`cags_client.report.frame_stats`)."""
+    """One record a presented frame (see :func:`cags_client.output.report.frame_stats`)."""
     ended_by: signal.Signals | None = None
     """What ended it before its time; None: nothing did."""
 
@@ -67,8 +67,8 @@ async def play(
     taken up by the same or the next one.
     """
     settings = looked_at(settings, sinks)
-    dial = Dial(url, settings.token, settings.ca)
-    transport = await dial.first()
+    endpoints = Endpoints(url, settings.token, settings.ca)
+    transport = await endpoints.first()
     player = Player(
         ClientSession(now_us=now_us()),
         settings,
@@ -79,7 +79,7 @@ async def play(
         clock=time.perf_counter,
         rng=random.Random(),  # noqa: S311 - spreads attempts in time
     )
-    shell = Shell(transport, player, sinks, on_frame, dial.again)
+    shell = Shell(transport, player, sinks, on_frame, endpoints.again)
     try:
         with interrupts(shell.leave):
             await shell.run()

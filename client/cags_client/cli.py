@@ -15,9 +15,10 @@ from cags_common.errors import CagsError, ConfigError
 from cags_common.settings import add_flags, add_settings, load_settings
 
 if TYPE_CHECKING:
-    from cags_client.present import FrameSink, ScoringSpool
+    from cags_client.output.page.settings import ViewSettings
+    from cags_client.output.sinks import FrameSink
+    from cags_client.output.spool import ScoringSpool
     from cags_client.settings import ClientSettings
-    from cags_client.view.settings import ViewSettings
     from cags_common.bundle.manifest import Manifest
 
 PROG = "cags-client"
@@ -80,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_view(parser: argparse.ArgumentParser) -> None:
-    from cags_client.view.settings import ViewSettings
+    from cags_client.output.page.settings import ViewSettings
 
     page = parser.add_argument_group("live page")
     page.add_argument(
@@ -91,8 +92,8 @@ def _add_view(parser: argparse.ArgumentParser) -> None:
 
 def _body(argv: Sequence[str]) -> int | None:
     arguments = _parser().parse_args(argv)
+    from cags_client.output.page.settings import ViewSettings
     from cags_client.settings import ClientSettings
-    from cags_client.view.settings import ViewSettings
 
     settings = load_settings(ClientSettings, arguments, ViewSettings)
     names = ("url", "poses", "save", "json", "truth", "stages", "stages_every", "view", "headless")
@@ -109,7 +110,7 @@ def _body(argv: Sequence[str]) -> int | None:
 
 def _checked_choices(settings: ClientSettings, outputs: _Outputs) -> str:
     """The rasteriser chosen; what is misspelt is told before any server is asked. Raises :class:`CagsError`."""
-    from cags_client import align, restore
+    from cags_client.frame import align, restore
     from cags_common import raster
     from cags_common.poses import Focus, open_poses
 
@@ -124,9 +125,9 @@ def _checked_choices(settings: ClientSettings, outputs: _Outputs) -> str:
 def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
     """Play to the end; returns the exit code of a play that was interrupted, whose outputs are written all the same."""
     from cags_client.app import close_sinks, run_playback
-    from cags_client.dial import fetch_info
-    from cags_client.report import summary
-    from cags_client.truth import BundleTruth
+    from cags_client.net.endpoints import fetch_info
+    from cags_client.output.report import summary
+    from cags_client.output.truth import BundleTruth
     from cags_common.poses import Focus, open_poses
 
     _check_json(outputs.json)
@@ -165,11 +166,11 @@ def _shown_live(info: Manifest, outputs: _Outputs) -> Iterator[Callable[[dict[st
     if not watched(headless=outputs.headless):
         yield None
         return
-    from cags_client.board import Board
+    from cags_client.output.console import PlayConsole
 
-    board = Board(f"{info.name}  {outputs.url}", info.frames)
-    with live_table(board.table):
-        yield board.add
+    console = PlayConsole(f"{info.name}  {outputs.url}", info.frames)
+    with live_table(console.table):
+        yield console.add
 
 
 def _check_view(outputs: _Outputs) -> None:
@@ -182,10 +183,10 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
     """Serve the live page until interrupted."""
     import asyncio
 
-    from cags_client.dial import fetch_info
-    from cags_client.report import summary
-    from cags_client.truth import BundleTruth
-    from cags_client.view.shell import watch_live
+    from cags_client.live_app import watch_live
+    from cags_client.net.endpoints import fetch_info
+    from cags_client.output.report import summary
+    from cags_client.output.truth import BundleTruth
     from cags_common.poses import Focus, open_poses
 
     _check_json(outputs.json)
@@ -233,7 +234,8 @@ def _seconds(settings: ClientSettings, info: Manifest) -> float:
 
 
 def _open_sinks(outputs: _Outputs, info: Manifest) -> tuple[list[FrameSink], ScoringSpool | None]:
-    from cags_client.present import ScoringSpool, StagesSink, open_save
+    from cags_client.output.files import StagesSink, open_save
+    from cags_client.output.spool import ScoringSpool
 
     sinks: list[FrameSink] = []
     if outputs.stages:
@@ -247,7 +249,7 @@ def _open_sinks(outputs: _Outputs, info: Manifest) -> tuple[list[FrameSink], Sco
 
 
 def _score(records: list[dict[str, Any]], spool: ScoringSpool, truth: Any, outputs: _Outputs) -> None:
-    from cags_client.present.files import stage_path, write_png
+    from cags_client.output.files import stage_path, write_png
 
     progress = _Progress(len(spool))
     by_frame = {record["frame"]: record for record in records}
@@ -266,8 +268,8 @@ def _check_json(path: str | None) -> None:
 
 def _report(path: str | None, records: list[dict[str, Any]], clip_frames: int) -> None:
     """Write the report, or tell people what it comes to."""
-    from cags_client.report import json_text
-    from cags_client.summary_text import summary_rows
+    from cags_client.output.report import json_text
+    from cags_client.output.summary import summary_rows
 
     if path == "-":
         sys.stdout.write(json_text(records))

@@ -6,18 +6,18 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from cags_common.effects import NEEDED, POLICIES
 from cags_common.geometry import Intrinsics
+from cags_common.passes import NEEDED, POLICIES
 from cags_common.settings import check_settings, setting
 from cags_common.splats import MAX_SPLATS
 from cags_protocol.messages import CHROMAS
 
 FULL, HALF, AUTO = RESOLUTIONS = "full", "half", "auto"
-"""Pixels that a frame is worked out at (:mod:`cags_client.resolution`)."""
+"""Pixels that a frame is worked out at (:mod:`cags_client.frame.resolution`)."""
 
 OFF, ON = "off", "on"
 INTERPOLATIONS = OFF, ON, AUTO
-"""When pictures are drawn between media frames (:mod:`cags_client.between`)."""
+"""When pictures are drawn between media frames (:mod:`cags_client.playback.interpolation`)."""
 
 
 @dataclass(frozen=True)

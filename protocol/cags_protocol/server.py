@@ -17,7 +17,6 @@ from cags_protocol.messages import (
     Hello,
     KeyframeRequest,
     Message,
-    Notice,
     PoseBatch,
     Refusal,
     RefusalCode,
@@ -96,11 +95,6 @@ class ServerSession(Session[ev.ServerEvent]):
         """Drop whatever ``match`` names and is not sent to its end; without ``started``, not begun."""
         self._now_us = now_us
         self._queue.cancel(match, started=started)
-
-    def notice(self, code: str, message: str, *, now_us: int) -> None:
-        """Tell the viewer something."""
-        if self._state is State.OPEN:
-            self._say(Notice(code, printable(message)), now_us)
 
     # --------------------------------------------------------------------------------------------------------- sending
 

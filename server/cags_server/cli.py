@@ -45,12 +45,12 @@ def _serve(argv: Sequence[str]) -> None:
     from cags_common.files import writable_folder
     from cags_common.terminal import live_table, watched
     from cags_common.transport.hosts import host_port
-    from cags_server.admission import tls_context
-    from cags_server.app import App, serve
-    from cags_server.board import sessions_table
-    from cags_server.choices import check_choices
-    from cags_server.library import SceneLibrary
-    from cags_server.memory import share_arenas
+    from cags_server.http.admission import tls_context
+    from cags_server.http.app import App, serve
+    from cags_server.http.console import sessions_table
+    from cags_server.http.memory import share_arenas
+    from cags_server.scene.library import SceneLibrary
+    from cags_server.session.policies import check_choices
 
     share_arenas()
     check_choices(settings)

@@ -1,15 +1,28 @@
-"""What is remembered of each planned frame, for reports and metrics. Bounded."""
+"""What is remembered of each planned frame, for reports and metrics, and its file: one a session. Bounded."""
 
 from __future__ import annotations
 
+import json
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
+from cags_common.files import whole_file, writable_folder
 from cags_common.geometry import Pose, angle_between
-from cags_server.ahead import Ahead
+from cags_protocol.events import Closed
+
+FORMAT = "cags-session"
 
 MAX_RECORDS = 8192
 """Frames remembered a client (four and a half minutes at 30 fps)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """The frame whose tiles go out beside a reference: they are there before its own reference is made."""
+
+    frame: int
+    display_us: int  # client clock
 
 
 @dataclass(slots=True)
@@ -69,3 +82,25 @@ class StreamStats:
     encode_ns: int = 0
     bandwidth_bps: float = 0.0
     rtt_us: int = 0
+
+
+def write_session(folder: Path, name: str, stats: StreamStats, ending: Closed | None) -> Path:
+    """Write what is remembered of a session; the first line describes the file, the last the session's end.
+
+    Raises :class:`OutputError` where it cannot be written.
+    """
+    path = writable_folder(folder) / f"{name}.jsonl"
+    with whole_file(path) as writing, writing.open("w", encoding="utf-8") as file:
+        head = {
+            "format": FORMAT,
+            "version": 1,
+            "session": name,
+            "clocks": {"planned_us": "server", "display_us": "client"},
+        }
+        print(json.dumps(head), file=file)
+        for record in stats.records:
+            print(json.dumps(asdict(record)), file=file)
+        end = {name: value for name, value in vars(stats).items() if name != "records"}
+        end["ending"] = None if ending is None else {"code": ending.code, "reason": ending.reason}
+        print(json.dumps(end), file=file)
+    return path

@@ -18,8 +18,8 @@ from collections.abc import Sized
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-from cags_common.effects import LinkEffect
 from cags_common.errors import ConfigError
+from cags_common.passes import LinkEffect
 from cags_shaper.trace import NEVER_US, OPPORTUNITY_BYTES, Trace
 
 T = TypeVar("T")

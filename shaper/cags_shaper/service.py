@@ -18,7 +18,7 @@ from cags_shaper.log import LogWriter, close_log, open_log
 from cags_shaper.proxy import Piece, ShaperProxy
 
 if TYPE_CHECKING:
-    from cags_shaper.cli import ShaperSettings
+    from cags_shaper.settings import ShaperSettings
     from cags_shaper.trace import Trace
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.sim.session import Cut, Scenario, simulate
-from cags_client.pipeline import ClientPipeline
-from cags_client.presented import PresentedFrame
+from cags_client.frame.pipeline import ClientPipeline
+from cags_client.frame.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import RenderOptions

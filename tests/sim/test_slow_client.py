@@ -7,10 +7,10 @@ import pytest
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import dump
 from cags_bench.sim.session import Scenario, simulate
-from cags_client.cadence import Cadence
+from cags_client.playback.cadence import Cadence
 from cags_client.settings import ClientSettings
 from cags_encoder import EncodeSettings
-from cags_server.connection import Connection
+from cags_server.session.connection import Connection
 
 FRAMES = 70
 SETTLED = 40

@@ -15,7 +15,7 @@ from cags_common.codecs import TILE_CODECS
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.packing import decode_ids
 from cags_common.splats import Splats
-from cags_common.store.gof_store import GofStore
+from cags_common.store.gof_buffer import GofBuffer
 from cags_common.store.tile_store import TileStore
 from cags_encoder import EncodeSettings, encode
 from cags_protocol import events as ev
@@ -55,7 +55,7 @@ def take(store: TileStore, sent: ev.Outgoing) -> None:
         store.end(sent.message.frame, ids)
 
 
-def assert_shows(gof: GofStore, wanted: BundlePlayer, frame: int) -> None:
+def assert_shows(gof: GofBuffer, wanted: BundlePlayer, frame: int) -> None:
     decoded = wanted.frame(frame)
     shown = np.flatnonzero(gof.splats.logit_opacities > ABSENT_LOGIT)
     assert shown.tolist() == decoded.ids.tolist()

@@ -8,8 +8,8 @@ import pytest
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import dump
 from cags_bench.sim.session import Scenario, simulate, simulate_together
-from cags_bench.stream.command import StreamSettings
 from cags_bench.stream.experiment import stream
+from cags_bench.stream.settings import StreamSettings
 from cags_client.settings import ClientSettings
 from cags_common.errors import ConfigError
 from cags_encoder import EncodeSettings

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cags_client.pipeline import ClientPipeline
-from cags_client.presented import PresentedFrame
+from cags_client.frame.pipeline import ClientPipeline
+from cags_client.frame.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader

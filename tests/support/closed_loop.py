@@ -21,8 +21,8 @@ from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 from cags_encoder import EncodeSettings, encode
 from cags_protocol.messages import FrameEnd, TileLayers
-from cags_server.library import SceneLibrary
-from cags_server.mirror import Mirror
+from cags_server.reference.mirror import Mirror
+from cags_server.scene.library import SceneLibrary
 from support.codec_scenes import cloud, with_changes
 
 Key = tuple[int, int]

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from cags_client.view import LiveView, SceneInfo, ShownFrame, SplatDetail, ViewSettings
+from cags_client.output.page import LiveView, SceneInfo, ShownFrame, SplatDetail, ViewSettings
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
 
 WIDTH, HEIGHT, FRAMES, FPS = 640, 480, 60, 30.0

@@ -17,8 +17,8 @@ from cags_protocol import SUBPROTOCOL, ClientSession
 from cags_protocol import events as ev
 from cags_protocol.limits import MAX_MESSAGE_BYTES
 from cags_protocol.messages import Control, PoseSample
-from cags_server.app import App
-from cags_server.library import SceneLibrary
+from cags_server.http.app import App
+from cags_server.scene.library import SceneLibrary
 from cags_server.settings import ServeSettings
 from support.server_scene import hello, library
 

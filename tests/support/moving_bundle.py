@@ -26,7 +26,7 @@ from cags_common.splats import Ids, Splats
 from cags_common.tile_kinds import TileKind
 from cags_common.tiles import PositionGrid, encode_base, encode_layer
 from cags_common.updates import encode_update
-from cags_server.library import SceneLibrary
+from cags_server.scene.library import SceneLibrary
 from support.codec_scenes import books
 from support.server_scene import FakeScene
 

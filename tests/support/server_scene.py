@@ -18,7 +18,7 @@ from cags_common.splat_buffer import MOVING_COLUMNS
 from cags_common.splats import Ids, Splats
 from cags_protocol.limits import PROTOCOL_VERSION
 from cags_protocol.messages import Hello
-from cags_server.library import SceneLibrary
+from cags_server.scene.library import SceneLibrary
 from cags_server.settings import ServerSettings
 
 FPS = 30.0

@@ -6,10 +6,10 @@ from cags_common.geometry import Pose
 from cags_common.held_tile import HeldTile
 from cags_protocol import events as ev
 from cags_protocol.messages import Control, Hello, Mark, PoseSample
-from cags_server.bandwidth import MeasuredEstimator
-from cags_server.library import SceneLibrary
+from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.scene.library import SceneLibrary
+from cags_server.session.streamer import Streamer
 from cags_server.settings import ServerSettings
-from cags_server.streamer import Streamer
 from support.server_scene import FPS, SETTINGS, hello, library
 
 M = TypeVar("M")
@@ -38,7 +38,7 @@ class Rig:
             self.streamer.resume(resumes)
         self.now_us = OFFSET_US
         self.marks: list[Mark] = []
-        self.opening = self.streamer.opening(OFFSET_US)
+        self.opening = self.streamer.startup(OFFSET_US)
         self.greeting = self._greeting()
         self.deliver(self.greeting + self.opening)
 

@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 from cags_server.fov.lstm import INPUTS, LstmWeights
-from cags_training.fov_command import FovTraining
 from cags_training.fov_data import FovSequence, chunks
+from cags_training.fov_settings import FovTraining
 
 
 class FovNetwork(nn.Module):

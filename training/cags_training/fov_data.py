@@ -10,7 +10,7 @@ import numpy as np
 from cags_common import so3
 from cags_common.geometry import F32, F64, Intrinsics, Pose
 from cags_common.poses import PoseTrace
-from cags_server.fov.room import Room
+from cags_common.poses.room import Room
 from cags_server.fov.truth import fast_margins, in_reference, margins_for, view_rays
 from cags_server.predict.pooled import PooledWeights, windows
 from cags_server.predict.tangent import STEP_US

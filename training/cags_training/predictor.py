@@ -12,9 +12,9 @@ import numpy as np
 from cags_common.errors import ConfigError
 from cags_common.geometry import F64
 from cags_common.poses import PoseTrace
+from cags_common.poses.walks import read_walks, split_people
 from cags_server.predict.pooled import HORIZON_STEPS, ORDERS, PooledWeights, displacements, windows
 from cags_server.predict.tangent import STEP_US
-from cags_server.predict.walks import read_walks, split_people
 
 EXAMPLES = "  cags-train predictor --poses poses/ --held-out 09,10,11,12 --out autoregressive.npz"
 

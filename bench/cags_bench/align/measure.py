@@ -9,8 +9,8 @@ from statistics import median
 
 import numpy as np
 
-from cags_bench.align.command import AlignBenchSettings
 from cags_bench.align.serving import serving_line
+from cags_bench.align.settings import AlignBenchSettings
 from cags_bench.align.views import View, fresh, view_of
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import JsonObject, check, provenance, summary

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-from cags_bench.align.command import AlignBenchSettings
+from cags_bench.align.settings import AlignBenchSettings
 from cags_bench.jsonl import JsonObject, provenance
 from cags_bench.sim.session import Scenario, simulate_together
 from cags_bench.traces import paper_link

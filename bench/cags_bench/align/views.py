@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cags_bench.align.command import AlignBenchSettings
+from cags_bench.align.settings import AlignBenchSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer

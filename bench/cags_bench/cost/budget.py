@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cags_bench.cost.command import CostSettings
 from cags_bench.cost.engine import Measured
+from cags_bench.cost.settings import CostSettings
 from cags_common.errors import ConfigError
 
 CLIENT_STAGE, SERVER_STAGE = "client frame", "whole reference"

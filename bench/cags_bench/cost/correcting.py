@@ -9,10 +9,10 @@ from itertools import product
 from cags_bench.cost.engine import Outcome, Point, Stage
 from cags_bench.cost.moments import Moment, Workbench
 from cags_bench.cost.serving import DIFFERENCES, Referring
-from cags_client import align, restore
-from cags_client.references import Received
-from cags_client.restore import CORRECT, NONE, RestoreInput
+from cags_client.frame import align, restore
+from cags_client.frame.restore import CORRECT, NONE, RestoreInput
 from cags_client.settings import FULL, HALF, ClientSettings
+from cags_client.store.references import Received
 from cags_common import correction
 from cags_common.correction import Reference
 from cags_common.geometry import F32

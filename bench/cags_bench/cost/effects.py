@@ -11,14 +11,14 @@ from cags_bench.cost.engine import Measured, Outcome, Point, Stage
 from cags_bench.cost.moments import JUDGED_LOD, Workbench
 from cags_bench.cost.serving import DIFFERENCES
 from cags_bench.jsonl import check
-from cags_client.pipeline import ClientPipeline
-from cags_client.presented import PresentedFrame
+from cags_client.frame.pipeline import ClientPipeline
+from cags_client.frame.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer
-from cags_common.effects import ALWAYS, NEEDED
 from cags_common.geometry import Camera
 from cags_common.metrics import psnr
+from cags_common.passes import ALWAYS, NEEDED
 from cags_common.raster import create
 from cags_common.raster.base import Footprint, RenderOptions
 from cags_protocol.limits import PROTOCOL_VERSION

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from cags_bench.sim.session import Scenario, simulate
-from cags_client.presented import PresentedFrame
+from cags_client.frame.presented import PresentedFrame
+from cags_client.output.truth import BundleTruth
 from cags_client.settings import ClientSettings
-from cags_client.truth import BundleTruth
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.player import BundlePlayer

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from cags_bench import html
-from cags_bench.cost.command import CostSettings
 from cags_bench.cost.engine import Measured, marginal_ms_per_db, pareto
+from cags_bench.cost.settings import CostSettings
 from cags_bench.jsonl import dump
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cags_bench.cost.moments import Moment
-from cags_client.references import Received
+from cags_client.store.references import Received
 from cags_common import correction
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions

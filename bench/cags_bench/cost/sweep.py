@@ -11,7 +11,6 @@ from typing import Any
 from cags_bench.bundles import cached_bundle
 from cags_bench.cost.budget import CLIENT_STAGE, SERVER_STAGE, propose, write_config
 from cags_bench.cost.coding import coding_stages
-from cags_bench.cost.command import CostSettings
 from cags_bench.cost.correcting import correcting_stages
 from cags_bench.cost.drawing import drawing_stages
 from cags_bench.cost.effects import EFFECTS, effect_checks, effect_stages
@@ -19,6 +18,7 @@ from cags_bench.cost.engine import Measured, Stage, marginal_ms_per_db, measure,
 from cags_bench.cost.looking import looking_stages
 from cags_bench.cost.moments import capture
 from cags_bench.cost.referring import reference_stages
+from cags_bench.cost.settings import CostSettings
 from cags_bench.cost.shrinking import shrinking_stages
 from cags_bench.jsonl import check, provenance, summary
 from cags_common.errors import ConfigError

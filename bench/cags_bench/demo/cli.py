@@ -65,7 +65,7 @@ def _tell(summary: dict[str, Any], out: str) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from cags_client.summary_text import summary_rows
+    from cags_client.output.summary import summary_rows
 
     table = Table(show_header=False, box=None, pad_edge=False)
     rate = f"{100 * summary['share']:g} % of its rate"

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from cags_bench.jsonl import JsonObject, check, provenance, summary
-from cags_bench.motion.command import DISGUISE, MotionSettings
 from cags_bench.motion.film import write_film
+from cags_bench.motion.settings import DISGUISE, MotionSettings
 from cags_common import raster
 from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.metrics import covered_mask, psnr

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import JsonObject, provenance
 from cags_bench.sim.session import Scenario, simulate
-from cags_client.presented import PresentedFrame
+from cags_client.frame.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_encoder import EncodeSettings
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from cags_bench.network.load import Arrivals, advance, load_world
 from cags_bench.sim.world import World
-from cags_server.bandwidth import MeasuredEstimator
+from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_shaper.link import LinkSettings
 from cags_shaper.trace import open_trace
 

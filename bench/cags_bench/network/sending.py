@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cags_bench.network.load import REFERENCE_BYTES, Arrivals, run_load
-from cags_server.bandwidth import MeasuredEstimator
+from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_shaper.generate import MODELS, STEADY_MBPS
 from cags_shaper.link import LinkSettings
 from cags_shaper.trace import Trace, open_trace, trace_of_rates

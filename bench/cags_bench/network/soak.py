@@ -18,7 +18,7 @@ from cags_protocol import PROTOCOL_VERSION, ClientSession, Outgoing, ServerSessi
 from cags_protocol import events as ev
 from cags_protocol.inventory import pack_inventory, unpack_inventory
 from cags_protocol.messages import Control, FrameEnd, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
-from cags_server.bandwidth import MeasuredEstimator
+from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_shaper.link import Link, LinkSettings, tcp_wire_bytes
 from cags_shaper.trace import Trace
 

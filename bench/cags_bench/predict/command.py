@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cags_server.predict.walks import Walk
+    from cags_common.poses.walks import Walk
 
 SUMMARY = "Precision of pose prediction, and coverage of the reference's field of view, on recorded walks."
 
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """One line a predictor and horizon, a policy, a scene, and the targets last."""
     from cags_bench.jsonl import summary
-    from cags_server.predict.walks import read_walks
+    from cags_common.poses.walks import read_walks
 
     held_out, fitted_on = split(read_walks(args.poses))
     lines: list[dict[str, Any]] = []

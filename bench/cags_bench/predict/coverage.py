@@ -16,13 +16,13 @@ import numpy as np
 
 from cags_bench.predict.precision import WARM_UP_US
 from cags_common.geometry import F64, Intrinsics, Pose
+from cags_common.poses.room import Room
+from cags_common.poses.walks import Walk
 from cags_protocol.messages import PoseSample
 from cags_server.fov import FovObservation, FovPolicy
 from cags_server.fov.base import MAX_REFERENCE_FOV_RAD, client_halves
-from cags_server.fov.room import Room
 from cags_server.fov.truth import NEAREST, exact_margins, fast_margins, in_reference, margins_for, view_rays
 from cags_server.predict import PoseHistory, Predictor
-from cags_server.predict.walks import Walk
 
 CLIENT = Intrinsics.of_fov(1600, 1200, 1.48, 1.20)
 """The paper's client."""

@@ -11,9 +11,9 @@ from typing import Any
 from cags_bench.sim.session import Scenario, simulate
 from cags_client.settings import ClientSettings
 from cags_common.poses import write_poses
+from cags_common.poses.walks import Walk
 from cags_server.fov import FOV_POLICIES
 from cags_server.predict import PREDICTORS
-from cags_server.predict.walks import Walk
 from cags_server.settings import ServerSettings
 
 FIGURES = ("psnr_distorted_db", "psnr_restored_db", "ssim_restored", "prediction_error_deg", "bytes_reference")

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from cags_common.geometry import angle_between
+from cags_common.poses.walks import Walk
 from cags_protocol.messages import PoseSample
 from cags_server.predict import PoseHistory, Predictor
-from cags_server.predict.walks import Walk
 
 WARM_UP_US = 2_000_000
 """Walks are judged from here on, so that every predictor has a history."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.raster.cases import interleaved, size_text, view_of
-from cags_bench.raster.command import RasterSettings
+from cags_bench.raster.settings import RasterSettings
 from cags_common.correction import Reference, compand
 from cags_common.correction.oracle import correct
 from cags_common.geometry import Camera, Intrinsics, Pose

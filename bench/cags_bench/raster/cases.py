@@ -14,9 +14,9 @@ import numpy as np
 
 import cags_kernels
 from cags_bench.jsonl import check, provenance, summary
-from cags_bench.raster.command import RasterSettings
 from cags_bench.raster.contenders import Contender, Frame, backend_contenders, prototype_contender
 from cags_bench.raster.peers import peer_contenders
+from cags_bench.raster.settings import RasterSettings
 from cags_bench.raster.shortcuts import shortcut_lines, walk
 from cags_bench.raster.upkeep import upkeep_checks, upkeep_line
 from cags_common.geometry import Camera, Intrinsics, Pose

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from cags_common.errors import ConfigError
-from cags_common.settings import add_settings, check_settings, load_settings, setting
+from cags_bench.raster.settings import BACKENDS, RasterSettings
+from cags_common.settings import add_settings, load_settings
 
 SUMMARY = (
     "Time the CPU rasteriser in interleaved runs beside the prototype, and measure its error against the reference."
@@ -23,83 +21,6 @@ EXAMPLES = """\
   cags-bench raster --table --sizes 400x300,1600x1200 --json
   cags-bench raster --no-views --no-growth --sizes 1600x1200 --threads 2
 """
-
-
-@dataclass(frozen=True)
-class RasterSettings:
-    """What is measured."""
-
-    shared: str = setting("../shared", "folder with scenes/ and prototypes/; what is not there is left out")
-    scenes: str = setting("", "scenes, separated by ';'; empty: three captures of --shared, or a procedural one")
-    sizes: str = setting("400x300,800x600,1600x1200", "image sizes in pixels, WIDTHxHEIGHT, separated by commas")
-    threads: str = setting("1,2", "numbers of threads, separated by commas")
-    repetitions: int = setting(9, "timed frames of each contender and case", low=1, high=1000)
-    warm_up: int = setting(2, "frames before them that are not timed", low=0, high=100)
-    reference: bool = setting(True, "whether to render the float64 reference and report errors (seconds a view)")
-    growth: bool = setting(True, "whether to time 50,000 to 800,000 splats as well")
-    views: bool = setting(True, "whether to time every scene, size and number of threads at each level")
-    shortcuts: bool = setting(
-        True, "whether to walk around the scene with each shortcut, and to time loads and updates"
-    )
-    peers: bool = setting(True, "whether to time peers that are installed (Open3D: seconds a frame)")
-
-    table: bool = setting(
-        False, "instead: the client table, references a second and growth on this machine's graphics processor"
-    )
-    clients: str = setting("1,8,64", "clients of --table's server, separated by commas")
-    growing: str = setting(
-        "50000,150000,400000,1000000,2000000,4000000", "splats of --table's growth, separated by commas"
-    )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-    @property
-    def size_list(self) -> list[tuple[int, int]]:
-        """Image sizes, pixels."""
-        try:
-            pairs = [text.lower().split("x") for text in self.sizes.split(",")]
-            return [(int(width), int(height)) for width, height in pairs]
-        except ValueError as error:
-            raise ConfigError(f"sizes = {self.sizes!r} must be like 400x300,800x600") from error
-
-    @property
-    def thread_list(self) -> list[int]:
-        """Numbers of threads."""
-        return _numbers("threads", self.threads)
-
-    @property
-    def client_list(self) -> list[int]:
-        """Numbers of clients."""
-        return _numbers("clients", self.clients)
-
-    @property
-    def growth_list(self) -> list[int]:
-        """Numbers of splats."""
-        return _numbers("growing", self.growing)
-
-    @property
-    def scene_list(self) -> list[str]:
-        """Scene names that open_scene reads."""
-        if self.scenes:
-            return self.scenes.split(";")
-        folder = Path(self.shared) / "scenes"
-        captures = ("plant/plant.splat", "statues/st-peter.sog", "playbot/1_0")
-        found = [str(folder / name) for name in captures if (folder / name).exists()]
-        return found or ["procedural:size=150000"]
-
-
-def _numbers(name: str, text: str) -> list[int]:
-    try:
-        counts = [int(part) for part in text.split(",")]
-    except ValueError as error:
-        raise ConfigError(f"{name} = {text!r} must be like 1,2") from error
-    if min(counts) < 1:
-        raise ConfigError(f"{name} = {text!r} must be at least 1 each")
-    return counts
-
-
-BACKENDS = ("cpu", "gpu")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

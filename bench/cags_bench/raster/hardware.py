@@ -13,7 +13,7 @@ import numpy as np
 
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.raster.cases import REFERENCE_SIZE, size_text, view_of
-from cags_bench.raster.command import RasterSettings
+from cags_bench.raster.settings import RasterSettings
 from cags_common.correction import Reference
 from cags_common.correction.compander import ZERO
 from cags_common.raster import Footprint, RenderOptions, create

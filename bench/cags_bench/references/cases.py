@@ -13,7 +13,7 @@ import numpy as np
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import JsonObject
-from cags_bench.references.command import ReferenceBenchSettings
+from cags_bench.references.settings import ReferenceBenchSettings
 from cags_bench.traces import paper_link
 from cags_encoder import EncodeSettings
 

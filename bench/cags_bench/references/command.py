@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from cags_bench.references.methods import METHODS
-from cags_common.errors import ConfigError
-from cags_common.settings import add_settings, check_settings, load_settings, setting
+from cags_bench.references.settings import ReferenceBenchSettings
+from cags_common.settings import add_settings, load_settings
 
 SUMMARY = (
     "Play scenes in virtual time with differences, pictures, the paper's way and no references: quality, flicker, "
@@ -23,98 +20,6 @@ EXAMPLES = """\
   cags-bench references --before ../earlier/.venv/bin/python --methods auto --json
   cags-bench references --baseline earlier.jsonl --methods auto --full --json
 """
-
-QUICK = {"frames": 45, "width": 480, "height": 360}
-FULL = {"frames": 150, "width": 800, "height": 600}
-
-WALKS = ("room_user05.csv", "truck_user03.csv", "playroom_user08.csv")
-"""Recorded walks of ``--shared``; each scene has its own, and with ``--full`` all of them."""
-
-
-@dataclass(frozen=True)
-class ReferenceBenchSettings:
-    """What is played, and what it is compared with."""
-
-    shared: str = setting("../shared", "folder with scenes/, poses/ and lpips/; what is not there is left out")
-    scenes: str = setting("", "scenes, separated by ';'; empty: those of --shared and a generated room")
-    poses: str = setting("", "walks, separated by ';'; empty: recorded ones of --shared, else synthetic:walking")
-    links: str = setting("10,30,60", "rates of the link in Mbps of the paper's scale: as many bits a splat and second")
-    methods: str = setting(",".join(METHODS), f"methods, of {', '.join(METHODS)}")
-    full: bool = setting(
-        False, f"{FULL['frames']} frames of {FULL['width']}x{FULL['height']}, every scene with every walk"
-    )
-    frames: int = setting(0, f"media frames to play; 0: {QUICK['frames']}, or as --full says", low=0, high=100_000)
-    width: int = setting(0, f"client width in pixels; 0: {QUICK['width']}, or as --full says", low=0, high=8192)
-    height: int = setting(0, f"client height in pixels; 0: {QUICK['height']}, or as --full says", low=0, high=8192)
-    baseline: str = setting("", "JSON lines of an earlier run, to compare the same cases with; empty: none")
-    before: str = setting(
-        "", "Python of an earlier installation, which plays the same cases in turns, to be compared with; empty: none"
-    )
-    lpips: str = setting("", "weights of LPIPS (.npz); empty: those of --shared, if they are there")
-    workers: int = setting(1, "sessions played at the same time; more than 1 makes times less sure", low=1, high=256)
-    cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        self.method_list, self.link_list  # noqa: B018 - refuse what does not parse
-        if self.baseline and self.before:
-            raise ConfigError("baseline and before are both given; compare with one earlier state at a time")
-
-    @property
-    def method_list(self) -> list[str]:
-        """Of :data:`METHODS`."""
-        names = [name.strip() for name in self.methods.split(",")]
-        for name in names:
-            if name not in METHODS:
-                raise ConfigError(f"methods: {name!r} is unknown; known: {', '.join(METHODS)}")
-        return names
-
-    @property
-    def link_list(self) -> list[float]:
-        """Mbps of the paper's scale."""
-        try:
-            rates = [float(word) for word in self.links.split(",")]
-        except ValueError:
-            raise ConfigError(f"links = {self.links!r} must be rates in Mbps, such as 10,30,60") from None
-        if not all(0 < rate <= 10_000 for rate in rates):
-            raise ConfigError(f"links = {self.links!r}: rates must lie in (0, 10000] Mbps")
-        return rates
-
-    @property
-    def size(self) -> tuple[int, int, int]:
-        """Frames, width and height."""
-        chosen = FULL if self.full else QUICK
-        return self.frames or chosen["frames"], self.width or chosen["width"], self.height or chosen["height"]
-
-    @property
-    def scene_list(self) -> list[str]:
-        """Scene names that ``open_scene`` reads."""
-        if self.scenes:
-            return self.scenes.split(";")
-        folder = Path(self.shared) / "scenes"
-        known = {
-            "talking_head/params.npz": "{}:up=y",
-            "plant/plant.splat": "motion:{}",
-            "monkey": "{}",
-            "guitar/guitar.compressed.ply": "{}",
-            "statues/angel.sog": "{}",
-        }
-        found = [form.format(folder / name) for name, form in known.items() if (folder / name).exists()]
-        return ["procedural:size=30000", *found]
-
-    @property
-    def walk_list(self) -> list[str]:
-        """Walks as ``open_poses`` reads them."""
-        if self.poses:
-            return self.poses.split(";")
-        folder = Path(self.shared) / "poses" / "eyenavgs_nthu"
-        return [str(folder / name) for name in WALKS if (folder / name).exists()] or ["synthetic:walking"]
-
-    @property
-    def lpips_file(self) -> str:
-        """Weights of LPIPS; empty: it is left out."""
-        there = Path(self.shared) / "lpips" / "lpips_alex.npz"
-        return self.lpips or (str(there) if there.exists() else "")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,8 @@ from cags_bench.parallel import in_parallel
 from cags_bench.references.before import played_before, read_baseline
 from cags_bench.references.cases import Case, cases_of, figures_of
 from cags_bench.references.checks import checks_of
-from cags_bench.references.command import ReferenceBenchSettings
 from cags_bench.references.methods import EARLIER, METHODS
+from cags_bench.references.settings import ReferenceBenchSettings
 from cags_bench.sim.session import Scenario, simulate
 from cags_client.settings import ClientSettings
 from cags_server.settings import ServerSettings

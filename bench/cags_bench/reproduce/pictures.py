@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from cags_bench.sim.session import Scenario
-from cags_client.presented import PresentedFrame
-from cags_client.truth import BundleTruth
+from cags_client.frame.presented import PresentedFrame
+from cags_client.output.truth import BundleTruth
 from cags_common.geometry import F32
 
 QUALITY = 88

@@ -12,11 +12,11 @@ from typing import Any
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner
-from cags_bench.reproduce.command import ReproduceSettings
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Context, Experiment, Plan
 from cags_bench.reproduce.prepare import prepare
+from cags_bench.reproduce.settings import ReproduceSettings
 from cags_common.errors import ConfigError
 
 QUICK_LIMIT_MIN = 25.0

@@ -1,7 +1,7 @@
 """Servers behind a balancer as queues: what a session costs a server is rendering its references, one at a time.
 
 The rules are the product's own. A session plans a frame a period; while its last job is not done, later frames wait and
-only the newest is begun (:meth:`cags_server.streamer.Streamer.begin`). A server has as many renderers as
+only the newest is begun (:meth:`cags_server.session.streamer.Streamer.begin`). A server has as many renderers as
 ``cags-server --workers`` and takes jobs as they come. The balancer sends a new session to the server with the fewest
 (``least_conn`` of ``deploy/nginx/nginx.conf``), where it stays; a session whose server dies joins again after the time
 that clients need for it. Viewers stay for a random time, and for each that leaves another comes.

@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Any
 from cags_bench.sim.spent import Spent
 from cags_bench.sim.usage import Usage
 from cags_bench.sim.world import Direction, World
-from cags_client.actions import Decode, Present
-from cags_client.player import Player
-from cags_client.presented import PresentedFrame
-from cags_client.report import frame_stats, summary
-from cags_client.score import FlickerScore, score
+from cags_client.frame.presented import PresentedFrame
+from cags_client.output.report import frame_stats, summary
+from cags_client.output.score import FlickerScore, score
+from cags_client.output.truth import BundleTruth
+from cags_client.playback.jobs import Decode, Present
+from cags_client.playback.player import Player
 from cags_client.settings import AUTO, OFF, ClientSettings
-from cags_client.truth import BundleTruth
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 from cags_common.poses import Focus, open_poses
 from cags_protocol.client import ClientSession
-from cags_server.bandwidth import BandwidthEstimator, MeasuredEstimator, OracleEstimator
-from cags_server.connection import Connection
-from cags_server.library import SceneLibrary
+from cags_server.ratecontrol.bandwidth import BandwidthEstimator, MeasuredEstimator, OracleEstimator
+from cags_server.scene.library import SceneLibrary
+from cags_server.session.connection import Connection
 from cags_server.settings import ServerSettings
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import Trace, open_trace

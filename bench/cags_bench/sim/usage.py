@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cags_client.actions import DataEvent
-from cags_client.pipeline import ClientPipeline
-from cags_client.presented import PresentedFrame
+from cags_client.frame.pipeline import ClientPipeline
+from cags_client.frame.presented import PresentedFrame
+from cags_client.playback.jobs import DataEvent
 from cags_protocol import events as ev
 
 LayerKey = tuple[int, int, int]

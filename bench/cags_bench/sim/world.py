@@ -1,8 +1,8 @@
 """Two peers and two links under one virtual clock.
 
-The peers are the very cores that the processes run (:class:`cags_server.connection.Connection`,
-:class:`cags_client.player.Player`); only the outermost shell differs. Work takes no virtual time, nothing is dropped
-for being late on a busy machine, and two runs are byte-identical.
+The peers are the very cores that the processes run (:class:`cags_server.session.connection.Connection`,
+:class:`cags_client.playback.player.Player`); only the outermost shell differs. Work takes no virtual time, nothing is
+dropped for being late on a busy machine, and two runs are byte-identical.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ from typing import Any
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import dump, provenance
 from cags_bench.sim.session import Scenario, SessionResult, simulate
-from cags_bench.stream.command import StreamSettings
+from cags_bench.stream.settings import StreamSettings
 from cags_bench.stream_report import STAGES_EVERY
-from cags_client.presented import PresentedFrame
+from cags_client.frame.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_encoder import EncodeSettings
 from cags_server.settings import ServerSettings

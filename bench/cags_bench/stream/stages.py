@@ -8,10 +8,9 @@ from types import TracebackType
 import numpy as np
 
 from cags_bench.sim.session import Scenario
-from cags_client.present import StagesSink
-from cags_client.present.files import bytes_of, stage_path, write_png
-from cags_client.presented import PresentedFrame
-from cags_client.truth import BundleTruth
+from cags_client.frame.presented import PresentedFrame
+from cags_client.output.files import StagesSink, bytes_of, stage_path, write_png
+from cags_client.output.truth import BundleTruth
 
 
 class StageSaver:

@@ -43,9 +43,9 @@ _log = logging.getLogger(__name__)
 
 
 def _reference() -> Rasteriser:
-    from cags_common.raster.reference import ReferenceRasteriser
+    from cags_common.raster.oracle import OracleRasteriser
 
-    return ReferenceRasteriser()
+    return OracleRasteriser()
 
 
 def _cpu() -> Rasteriser:

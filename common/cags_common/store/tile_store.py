@@ -1,4 +1,4 @@
-"""What is held of a scene: a :class:`GofStore` a group of frames.
+"""What is held of a scene: a :class:`GofBuffer` a group of frames.
 
 The old group is dropped when something of the next is shown. *Marks* cut what comes into what a reference knows of and
 what comes after it: server and client number them alike, so that each can show what the other does.
@@ -16,7 +16,7 @@ from cags_common.codecs import TileCodec
 from cags_common.errors import DecodeError
 from cags_common.held_tile import HeldTile
 from cags_common.splats import Ids
-from cags_common.store.gof_store import Changes, Committed, GofStore
+from cags_common.store.gof_buffer import Changes, Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival, Opener, TileOpener
 
 
@@ -33,8 +33,8 @@ class TileStore:
         those of ``codec``.
         """
         self._manifest, self._opener = manifest, opener or TileOpener(codec, threads)
-        self._gofs: dict[int, GofStore] = {}
-        self._shown: GofStore | None = None
+        self._gofs: dict[int, GofBuffer] = {}
+        self._shown: GofBuffer | None = None
         self._oldest = 0
         self._mark = 0
         self._lock = threading.Lock()
@@ -49,7 +49,7 @@ class TileStore:
     def add_all(self, arrivals: Sequence[Arrival]) -> list[DecodeError]:
         """As :meth:`add`, for many at once; what is wrong with those that are left out."""
         errors: list[DecodeError] = []
-        by_gof: dict[int, tuple[GofStore, list[Arrival]]] = {}
+        by_gof: dict[int, tuple[GofBuffer, list[Arrival]]] = {}
         for arrival in arrivals:
             try:
                 store = self._store(arrival.frame)
@@ -114,14 +114,14 @@ class TileStore:
 
     # ----------------------------------------------------------------------------------------- display (display thread)
 
-    def commit(self, frame: int, basis: int | None = None) -> tuple[GofStore, Committed]:
+    def commit(self, frame: int, basis: int | None = None) -> tuple[GofBuffer, Committed]:
         """Make what came up to mark ``basis`` (None: everything) for ``frame`` visible.
 
         While nothing of its group is whole, the group before stays on display as of its last frame (``missed``).
         What an earlier commit showed stays, though it came later, unless the play went back to an earlier frame.
         """
         gof = self._manifest.gof_of(frame)
-        made: dict[GofStore, Changes] = {}
+        made: dict[GofBuffer, Changes] = {}
         wanted = self._store(frame)
         assert wanted is not None, "frames are committed in order within a pass; reset() starts another"
         begun = None
@@ -143,7 +143,7 @@ class TileStore:
             for old in [g for g in self._gofs if g < gof]:
                 del self._gofs[old]
 
-    def move(self, frame: int, share: float) -> tuple[GofStore, Committed] | None:
+    def move(self, frame: int, share: float) -> tuple[GofBuffer, Committed] | None:
         """Show the splats on display where they are ``share`` frames after ``frame``, the last that was committed; None
         where another is.
         """
@@ -156,7 +156,7 @@ class TileStore:
     # ---------------------------------------------------------------------------------------------------------- figures
 
     @property
-    def on_display(self) -> GofStore | None:
+    def on_display(self) -> GofBuffer | None:
         """The group of frames on display; None before any."""
         return self._shown
 
@@ -200,21 +200,21 @@ class TileStore:
         if not 0 <= frame < self._manifest.frames:
             raise DecodeError(f"frame {frame} is outside the clip's {self._manifest.frames} frames")
 
-    def _stores(self) -> list[GofStore]:
+    def _stores(self) -> list[GofBuffer]:
         with self._lock:
             return list(self._gofs.values())
 
-    def _by_number(self, last: int) -> list[tuple[int, GofStore]]:
+    def _by_number(self, last: int) -> list[tuple[int, GofBuffer]]:
         """Groups up to ``last``."""
         with self._lock:
             return [(gof, store) for gof, store in self._gofs.items() if gof <= last]
 
-    def _store(self, frame: int) -> GofStore | None:
+    def _store(self, frame: int) -> GofBuffer | None:
         self._check(frame)
         gof = self._manifest.gof_of(frame)
         with self._lock:
             if gof < self._oldest:
                 return None
             if gof not in self._gofs:
-                self._gofs[gof] = GofStore(self._manifest, gof, self._opener, self._mark)
+                self._gofs[gof] = GofBuffer(self._manifest, gof, self._opener, self._mark)
             return self._gofs[gof]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,6 @@ from cags_common.bundle.tracks import ChangedShares, TrackStatistics
 from cags_common.geometry import F64
 from cags_common.splats import Splats
 from cags_encoder.frames.effect import attribute_effects
-
-if TYPE_CHECKING:
-    from cags_encoder.scenes import FrameSource
 
 VISIBLE = 0.01
 """Share of a pixel's colour that a change must make to count (:class:`ChangedShares` says so)."""
@@ -79,13 +75,3 @@ def _added(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     out[: len(a)] += a
     out[: len(b)] += b
     return out
-
-
-def track_statistics(source: FrameSource, frames: int | None = None) -> TrackStatistics:
-    """Those of ``source``, or of its first ``frames``. Raises :class:`SceneError`."""
-    from cags_encoder.frames.identity import IdentityTracker
-
-    tracker = IdentityTracker()
-    for index in range(len(source) if frames is None else min(frames, len(source))):
-        tracker.identify(source.frame(index), source.ids(index), f"{source.name}, frame {index}")
-    return tracker.statistics()

@@ -9,13 +9,13 @@ import numpy as np
 
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderOptions
-from cags_server.ahead import Ahead
-from cags_server.library import SceneLibrary
-from cags_server.lingering import Lingering
-from cags_server.mirror import Mirror
 from cags_server.predict.base import PoseDistribution
+from cags_server.records import Ahead
 from cags_server.reference.coder import Coded, ReferenceCoder
-from cags_server.visible import VisibleTile
+from cags_server.reference.mirror import Mirror
+from cags_server.scene.library import SceneLibrary
+from cags_server.scene.visible_tiles import VisibleTile
+from cags_server.visibility.ghosts import StaleSplats
 
 MANY_NEW = 0.02
 """Share of a frame's splats that are new in it from which on it is drawn to see which of them are visible."""
@@ -71,7 +71,7 @@ class FrameJob:
     coder: ReferenceCoder
     visible_px: float
     threads: int
-    lingering: Lingering
+    stale: StaleSplats
     plain_footprint: bool = False
     """Whether references are drawn as any picture of their size, as in the paper."""
 
@@ -85,7 +85,7 @@ class FrameJob:
             view = scene.render(self.camera, options)
         assert view.contribution is not None
         contribution = self._contribution_ahead(view.contribution, options)
-        worth = self.lingering.added_to(contribution, self.plan.ahead.frame)
+        worth = self.stale.added_to(contribution, self.plan.ahead.frame)
         visible = self.library.visible_tiles(self.plan.ahead.frame, worth, self.visible_px)
         rendered = clock()
         held = self._held(options)

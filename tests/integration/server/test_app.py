@@ -20,7 +20,7 @@ from cryptography.x509.oid import NameOID
 
 from cags_bench.network.clients import watch_all
 from cags_bench.network.plot import plot_session
-from cags_client.dial import fetch_info
+from cags_client.net.endpoints import fetch_info
 from cags_common.errors import ConfigError, NetworkError
 from cags_common.geometry import Pose
 from cags_common.transport.websocket import connect
@@ -29,8 +29,8 @@ from cags_protocol import events as ev
 from cags_protocol.encoding import encode
 from cags_protocol.limits import MAX_MESSAGE_BYTES
 from cags_protocol.messages import PoseSample
-from cags_server.admission import tls_context
-from cags_server.app import App
+from cags_server.http.admission import tls_context
+from cags_server.http.app import App
 from cags_server.settings import ServeSettings
 from support.live_server import Client, now_us, serving, stream_url
 from support.server_scene import CLIENT, hello, library

@@ -52,7 +52,7 @@ def test_the_ready_line_is_an_address_with_brackets_where_it_must_have_them() ->
 
 async def test_a_port_in_use_is_named() -> None:
     from cags_common.errors import NetworkError
-    from cags_server.app import serve
+    from cags_server.http.app import serve
     from cags_server.settings import ServeSettings
     from support.server_scene import library
 

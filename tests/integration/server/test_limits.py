@@ -19,9 +19,10 @@ from cags_protocol import events as ev
 from cags_protocol.encoding import decode
 from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
 from cags_protocol.messages import Blob, Control, PoseSample, Refusal
-from cags_server import app, cli, client_task
-from cags_server.client_task import ClientTask
-from cags_server.connection import Connection
+from cags_server import cli
+from cags_server.http import app, client_task
+from cags_server.http.client_task import ClientTask
+from cags_server.session.connection import Connection
 from cags_server.settings import ServerSettings, ServeSettings
 from support.live_server import Client, now_us, serving
 from support.server_scene import FakeReader, hello, library

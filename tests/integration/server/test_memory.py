@@ -8,7 +8,7 @@ import gc
 import pytest
 
 from cags_protocol import events as ev
-from cags_server import memory
+from cags_server.http import memory
 from support.live_server import Client, now_us, serving
 
 

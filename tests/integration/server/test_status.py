@@ -9,9 +9,8 @@ import pytest
 
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
-from cags_server.ahead import Ahead
-from cags_server.records import FrameRecord, StreamStats
-from cags_server.status import SessionBook, page, short_of
+from cags_server.http.status import SessionBook, page, short_of
+from cags_server.records import Ahead, FrameRecord, StreamStats
 from support.live_server import Client, now_us, serving
 from support.streamer_rig import PERIOD_US
 

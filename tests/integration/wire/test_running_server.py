@@ -15,7 +15,7 @@ from cags_protocol import ClientSession
 from cags_protocol import events as ev
 from cags_protocol.encoding import encode
 from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
-from cags_server.app import App
+from cags_server.http.app import App
 from cags_server.settings import ServeSettings
 from support.server_scene import hello, library
 from support.wire_fuzz import fuzzed

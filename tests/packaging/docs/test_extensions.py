@@ -11,11 +11,11 @@ import pytest
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.sim.session import Scenario, simulate
-from cags_client.restore import RESTORERS
+from cags_client.frame.restore import RESTORERS
 from cags_client.settings import ClientSettings
 from cags_encoder import EncodeSettings
-from cags_server.abr import RATE_POLICIES
 from cags_server.predict import PREDICTORS
+from cags_server.ratecontrol import RATE_POLICIES
 from cags_server.settings import ServerSettings
 
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "extend.md"

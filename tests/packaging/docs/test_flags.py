@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
-from functools import cache
-from importlib import import_module
-from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+
+from support.command_flags import FLAG, MODULES, every_flag, flags_of, parts
 
 ROOT = Path(__file__).parents[3]
 PAGES = [
@@ -18,10 +15,6 @@ PAGES = [
     *(ROOT / folder / "README.md" for folder in (".", "kernels", "protocol", "server", "shaper", "traces")),
     ROOT / "CHANGELOG.md",
 ]
-MODULES = {
-    e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points if e.group == "console_scripts"
-}
-FLAG = re.compile(r"(?<![\w/-])--[a-z][a-z0-9-]+")
 OF_OTHERS = {
     "pip": {"--extra-index-url", "--force-reinstall"},
     "docker compose": {"--build", "--abort-on-container-exit", "--profile"},
@@ -29,30 +22,6 @@ OF_OTHERS = {
     "curl": {"--cacert"},
 }
 """Flags of other programs that the pages tell people to use."""
-
-
-@cache
-def flags_of(command: str, part: str = "") -> frozenset[str]:
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
-        import_module(MODULES[command]).main([*part.split(), "--help"])
-    found = frozenset(FLAG.findall(said.getvalue()))
-    assert found >= {"--help"}, f"{command} {part}"
-    return found
-
-
-@cache
-def parts() -> dict[str, tuple[str, ...]]:
-    from cags_bench.cli import SUBCOMMANDS as EXPERIMENTS
-    from cags_training.cli import SUBCOMMANDS as TRAININGS
-
-    return {"cags-bench": tuple(EXPERIMENTS), "cags-train": tuple(TRAININGS)}
-
-
-@cache
-def every_flag() -> frozenset[str]:
-    plain = [flags_of(command) for command in MODULES]
-    return frozenset().union(*plain, *(flags_of(c, part) for c, all_of in parts().items() for part in all_of))
 
 
 def told(text: str) -> list[tuple[str, str, set[str]]]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cags_common.bundle import BundlePlayer, DecodedFrame
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import LEVELS
-from cags_common.store.gof_store import GofStore
+from cags_common.store.gof_buffer import GofBuffer
 from cags_common.store.tile_store import TileStore
 from support.small_motion import Clip, moving, random_frames, written
 from support.small_store import manifest
@@ -20,7 +20,7 @@ from support.small_store import manifest
 NONE = np.zeros(0, np.int32)
 
 
-def assert_shows(store: GofStore, wanted: DecodedFrame, what: str) -> None:
+def assert_shows(store: GofBuffer, wanted: DecodedFrame, what: str) -> None:
     ids = np.flatnonzero(store.splats.logit_opacities > ABSENT_LOGIT)
     np.testing.assert_array_equal(ids, wanted.ids, what)
     for (name, have), (_, want) in zip(store.splats.take(ids).arrays(), wanted.splats.arrays(), strict=True):

@@ -12,7 +12,7 @@ from cags_common.held_tile import HeldTile
 from cags_protocol import ClientSession
 from cags_protocol.inventory import pack_inventory
 from cags_protocol.messages import Control, Hello
-from cags_server.connection import Connection
+from cags_server.session.connection import Connection
 from support.server_scene import SETTINGS, hello, library
 
 SIDES = st.sampled_from([1, 2, 160, 16384]) | st.integers(1, 16384)

@@ -20,9 +20,9 @@ from cags_common.splats import Splats
 from cags_common.tile_kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.messages import Control, PoseSample, TileLayers
-from cags_server.bandwidth import MeasuredEstimator
-from cags_server.library import SceneLibrary
-from cags_server.streamer import Streamer
+from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.scene.library import SceneLibrary
+from cags_server.session.streamer import Streamer
 from support.moving_bundle import FRAMES, moving_library
 from support.server_scene import SETTINGS, hello
 from support.shadow_client import ShadowClient
@@ -55,7 +55,7 @@ class Viewer:
             self.streamer.resume(inventory_of(held))
         self.planned: list[int] = []
         self.now_us = OFFSET_US
-        self.take(self.streamer.opening(self.now_us))
+        self.take(self.streamer.startup(self.now_us))
         greeting = self.streamer.begin(self.now_us)
         self.take([] if greeting is None else self.streamer.finish(greeting.run(), self.now_us))
         self.play(start)

@@ -5,10 +5,10 @@ import pytest
 
 pytest.importorskip("torch")
 
-from cags_client import align
-from cags_client.align import ReferencePicture
-from cags_client.restore import RestoreInput
-from cags_client.restore.networks import Weights, from_weights
+from cags_client.frame import align
+from cags_client.frame.align import ReferencePicture
+from cags_client.frame.restore import RestoreInput
+from cags_client.frame.restore.networks import Weights, from_weights
 from cags_common.geometry import Camera, Intrinsics, Pose
 
 

@@ -14,19 +14,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cags_client.align import ALIGNERS, Aligned, ReferencePicture
-from cags_client.align import create as create_aligner
-from cags_client.restore import RestoreInput
-from cags_client.restore import create as create_restorer
+from cags_client.frame.align import ALIGNERS, Aligned, ReferencePicture
+from cags_client.frame.align import create as create_aligner
+from cags_client.frame.restore import RestoreInput
+from cags_client.frame.restore import create as create_restorer
 from cags_common import raster
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.metrics import flicker, psnr, ssim
 from cags_common.raster.base import Exactness, RenderOptions
 from cags_common.raster.cpu import BOUNDS
 from cags_encoder.quantiser.kmeans import NearestCentre, kmeans
-from cags_server.abr import RATE_POLICIES, Observation, TileView, create_rate_policy
 from cags_server.fov.base import MAX_REFERENCE_FOV_RAD, widened
-from cags_server.timeline import Timeline
+from cags_server.ratecontrol import RATE_POLICIES, Observation, TileView, create_rate_policy
+from cags_server.session.timeline import Timeline
 from support.raster_scenes import camera, random_splats
 
 DENORMAL = np.float32(1e-42)

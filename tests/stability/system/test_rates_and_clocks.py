@@ -5,8 +5,8 @@ import math
 import pytest
 
 from cags_protocol.events import AckSample
-from cags_server.bandwidth import MeasuredEstimator, OracleEstimator
-from cags_server.clock import ClientClock
+from cags_server.ratecontrol.bandwidth import MeasuredEstimator, OracleEstimator
+from cags_server.session.clock import ClientClock
 from cags_shaper.link import Link
 from cags_shaper.trace import open_trace
 

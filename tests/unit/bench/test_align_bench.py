@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from cags_bench.align.command import AlignBenchSettings
 from cags_bench.align.measure import CORRECT, DIFFERENCE, PICTURE, RASTER, checks_of, interleaved
+from cags_bench.align.settings import AlignBenchSettings
 from cags_bench.cli import main
 from cags_common.errors import ConfigError
 

@@ -5,9 +5,9 @@ import tomllib
 import pytest
 
 from cags_bench.cost.budget import propose, write_config
-from cags_bench.cost.command import CostSettings
 from cags_bench.cost.engine import Measured, Point, Stage, marginal_ms_per_db, measure, pareto
 from cags_bench.cost.page import write_page
+from cags_bench.cost.settings import CostSettings
 from cags_common.errors import ConfigError
 
 

@@ -9,8 +9,8 @@ import pytest
 import cags_kernels
 from cags_bench.raster.backends import measure_backends
 from cags_bench.raster.cases import _growth_checks, _peer_checks, measure
-from cags_bench.raster.command import RasterSettings
 from cags_bench.raster.hardware import measure_table
+from cags_bench.raster.settings import RasterSettings
 from cags_bench.raster.upkeep import upkeep_checks
 from cags_common.errors import ConfigError
 from support.gpu import needs_adapter, software_passes

@@ -15,8 +15,8 @@ from cags_bench.cli import main
 from cags_bench.references.before import played_before, read_baseline
 from cags_bench.references.cases import Case, cases_of, figures_of
 from cags_bench.references.checks import checks_of, pairs_of
-from cags_bench.references.command import ReferenceBenchSettings
 from cags_bench.references.methods import METHODS
+from cags_bench.references.settings import ReferenceBenchSettings
 from cags_client.settings import ClientSettings
 from cags_common.errors import ConfigError
 from cags_server.settings import ServerSettings

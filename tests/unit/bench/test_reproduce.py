@@ -9,7 +9,6 @@ import pytest
 from cags_bench.jsonl import check, dump
 from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner, StreamCase
-from cags_bench.reproduce.command import ReproduceSettings
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.experiments.streaming import covered_share
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
@@ -18,6 +17,7 @@ from cags_bench.reproduce.plan import Context, Plan
 from cags_bench.reproduce.prepare import prepare
 from cags_bench.reproduce.run import reproduce
 from cags_bench.reproduce.section import Curve, Plot, Section
+from cags_bench.reproduce.settings import ReproduceSettings
 from cags_bench.traces import scaled_trace
 from cags_common.errors import ConfigError
 from cags_shaper.trace import open_trace
@@ -100,11 +100,11 @@ def test_page_and_data_hold_the_section(tmp_path):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_methods_are_configurations_that_the_program_accepts(name):
-    from cags_client import align, restore
+    from cags_client.frame import align, restore
     from cags_client.settings import ClientSettings
     from cags_encoder import EncodeSettings
-    from cags_server.abr import create_rate_policy
     from cags_server.fov import create_fov_policy
+    from cags_server.ratecontrol import create_rate_policy
     from cags_server.settings import ServerSettings
 
     method = METHODS[name]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cags_bench.seeing import available_restorers, see
-from cags_client import restore
-from cags_client.align import ReferencePicture
+from cags_client.frame import restore
+from cags_client.frame.align import ReferencePicture
 from cags_common import raster
 from cags_common.correction import Reference
 from cags_common.geometry import Camera, Intrinsics, Pose

@@ -8,14 +8,15 @@ from dataclasses import replace
 
 import pytest
 
-from cags_client import line, player
-from cags_client.actions import Decode, Present, Traffic
 from cags_client.app import Shell, looked_at, now_us
-from cags_client.pipeline import ClientPipeline
-from cags_client.player import Player
-from cags_client.present.base import FrameStats
-from cags_client.presented import PresentedFrame
-from cags_client.report import summary
+from cags_client.frame.pipeline import ClientPipeline
+from cags_client.frame.presented import PresentedFrame
+from cags_client.net import connection
+from cags_client.output.report import summary
+from cags_client.output.sinks import FrameStats
+from cags_client.playback import player
+from cags_client.playback.jobs import Decode, Present, Traffic
+from cags_client.playback.player import Player
 from cags_client.settings import ClientSettings
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, NetworkError
@@ -194,11 +195,11 @@ async def test_a_link_that_stalls_keeps_nothing_from_being_read(monkeypatch: pyt
 
 
 async def test_a_stalled_link_takes_no_memory_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(line, "MAX_UNSENT_BYTES", 1000)
+    monkeypatch.setattr(connection, "MAX_UNSENT_BYTES", 1000)
     lost: list[str] = []
     link = Stalled(memory_pair()[0])
     link.stalls = True
-    made = line.Line(link, lambda _, reason: lost.append(reason))
+    made = connection.Line(link, lambda _, reason: lost.append(reason))
     for _ in range(100):
         made.send([bytes(100)])
     assert lost == ["the link takes nothing any more"]
@@ -208,7 +209,7 @@ async def test_a_stalled_link_takes_no_memory_without_end(monkeypatch: pytest.Mo
 
 async def test_what_waits_is_written_before_the_end() -> None:
     ours, theirs = memory_pair()
-    made = line.Line(ours, lambda _, reason: None)
+    made = connection.Line(ours, lambda _, reason: None)
     made.send([b"one", b"two"])
     await made.close()
     assert [await theirs.recv(), await theirs.recv()] == [b"one", b"two"]

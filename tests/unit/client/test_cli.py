@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from cags_client import cli
+from cags_client.output.truth import BundleTruth
 from cags_client.settings import ClientSettings
-from cags_client.truth import BundleTruth
 from cags_common.bundle import BundleReader
 from cags_common.errors import ConfigError
 from cags_encoder import EncodeSettings, encode

@@ -26,7 +26,7 @@ def test_what_the_user_has_set_stays(monkeypatch: pytest.MonkeyPatch, name: str,
     assert len(os.environ.keys() & {"GOMP_SPINCOUNT", "OMP_WAIT_POLICY"}) == 1
 
 
-@pytest.mark.parametrize("module", ["cags_client.restore.networks.srresnet", "cags_common.lpips"])
+@pytest.mark.parametrize("module", ["cags_client.frame.restore.networks.srresnet", "cags_common.lpips"])
 def test_it_is_settled_before_torch_comes(module: str) -> None:
     program = f"""
 import os, sys

@@ -9,7 +9,7 @@ import pytest
 
 from cags_common.raster import Exactness, RenderOptions
 from cags_common.raster.definition import ALPHA_CUT
-from cags_common.raster.reference import footsteps, project
+from cags_common.raster.oracle import footsteps, project
 from cags_gpu.timing import frame_counts, frame_times_ms
 from cags_gpu.work import DEVICES, PROTOTYPE, STEPS, Design, FrameCounts, estimated_ms, pass_bytes, visits
 from support.gpu import keeper, needs_adapter, rasteriser

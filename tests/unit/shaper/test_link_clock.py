@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 
-from cags_shaper.cli import ShaperSettings
 from cags_shaper.link import Link
 from cags_shaper.link_clock import LinkClock
 from cags_shaper.log import LogWriter, open_log
 from cags_shaper.proxy import ShaperProxy
+from cags_shaper.settings import ShaperSettings
 
 
 class Wall:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cags_common.effects import LinkEffect
+from cags_common.passes import LinkEffect
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import open_trace
 

@@ -3,9 +3,10 @@ import io
 import pytest
 
 from cags_common.errors import TraceError
-from cags_shaper.cli import ShaperSettings, main
+from cags_shaper.cli import main
 from cags_shaper.link import Link
 from cags_shaper.log import LogWriter
+from cags_shaper.settings import ShaperSettings
 from cags_shaper.trace import open_trace
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from cags_shaper import proxy as proxy_module
-from cags_shaper.cli import ShaperSettings
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.log import LogWriter, close_log, open_log
 from cags_shaper.proxy import ShaperProxy
 from cags_shaper.service import Service
+from cags_shaper.settings import ShaperSettings
 from cags_shaper.trace import open_trace
 from unit.shaper.test_proxy import echo, exchange, shaped
 

@@ -9,9 +9,9 @@ import pytest
 from cags_common.errors import ConfigError, TraceError
 from cags_common.geometry import F64
 from cags_common.poses import PoseTrace, write_poses
+from cags_common.poses.walks import read_walks, split_people
 from cags_server.fov.lstm import LstmFov, LstmWeights
 from cags_server.predict.pooled import HORIZON_STEPS, ORDERS, PooledWeights
-from cags_server.predict.walks import read_walks, split_people
 from cags_training.cli import main
 from support.motion import swaying_pose
 
@@ -67,8 +67,8 @@ def test_the_server_runs_what_torch_trained() -> None:
     from cags_server.fov.base import FovObservation
     from cags_server.predict import PoseDistribution
     from cags_training.fov import FovNetwork, Trainer, rollouts
-    from cags_training.fov_command import FovTraining
     from cags_training.fov_data import CLIENT, chunks, sequence_of
+    from cags_training.fov_settings import FovTraining
 
     sequences = [sequence_of(walk(1), PooledWeights.load(), 6)]
     trainer = Trainer(FovTraining(hidden=5, length=40), sequences)

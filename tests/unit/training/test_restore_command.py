@@ -8,7 +8,7 @@ pytest.importorskip("torch")
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.sim.session import Scenario, simulate
-from cags_client.restore.networks import Weights
+from cags_client.frame.restore.networks import Weights
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_common.bundle.weights import store_weights

@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from cags_client.restore.networks import Weights  # noqa: E402
+from cags_client.frame.restore.networks import Weights  # noqa: E402
 from cags_common.errors import CagsError, ConfigError, SceneError  # noqa: E402
 from cags_training.pairs.crops import Crops  # noqa: E402
 from cags_training.pairs.ladder import draw_lods  # noqa: E402

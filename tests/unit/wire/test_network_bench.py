@@ -20,7 +20,7 @@ from cags_bench.traces import scaled_trace
 from cags_common.errors import ConfigError, TraceError
 from cags_protocol import ServerSession
 from cags_protocol.tracing import EventTrace
-from cags_server.bandwidth import MeasuredEstimator, OracleEstimator
+from cags_server.ratecontrol.bandwidth import MeasuredEstimator, OracleEstimator
 from cags_shaper.link import LinkSettings
 from cags_shaper.trace import open_trace, trace_of_rates
 from cags_shaper.tun import why_unavailable

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cags_client import align
-from cags_client.align import ReferencePicture
-from cags_client.restore import RestoreInput
+from cags_client.frame import align
+from cags_client.frame.align import ReferencePicture
+from cags_client.frame.restore import RestoreInput
 from cags_common import raster
 from cags_common.geometry import F32, Camera
 from cags_common.poses import PoseTrace

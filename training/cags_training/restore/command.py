@@ -16,7 +16,7 @@ from cags_training.pairs.settings import PairSettings
 from cags_training.restore.settings import TrainSettings
 
 if TYPE_CHECKING:
-    from cags_client.restore.networks.weights import Weights
+    from cags_client.frame.restore.networks.weights import Weights
     from cags_training.pairs.crops import Crops
     from cags_training.restore.trainer import Trainer
 
@@ -113,7 +113,7 @@ def _data(arguments: argparse.Namespace, pairs: PairSettings, out: Path) -> tupl
 
 def _prepare(trainer: Trainer, arguments: argparse.Namespace, out: Path) -> None:
     """Start from given weights, or go on from the checkpoint that is there."""
-    from cags_client.restore.networks.weights import Weights
+    from cags_client.frame.restore.networks.weights import Weights
     from cags_training.restore.checkpoint import Checkpoint
 
     if arguments.start:
@@ -139,7 +139,7 @@ def _train(trainer: Trainer, settings: TrainSettings, out: Path, *, as_json: boo
 
 
 def _finish(trainer: Trainer, settings: TrainSettings, arguments: argparse.Namespace, out: Path) -> Weights:
-    from cags_client.restore.networks.weights import Weights
+    from cags_client.frame.restore.networks.weights import Weights
     from cags_training.restore.report import write_report
 
     best = trainer.best_line

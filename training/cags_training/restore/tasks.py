@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor, nn
 
-from cags_client.restore.networks.inputs import filled
-from cags_client.restore.networks.srresnet import Sees, SrResNet
+from cags_client.frame.restore.networks.inputs import filled
+from cags_client.frame.restore.networks.srresnet import Sees, SrResNet
 from cags_training.restore.dataset import Batch
 
 Task = Callable[[nn.Module, Batch, torch.device], Tensor]

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cags_client.restore.networks import Weights, network_of
-from cags_client.restore.networks.runtimes.torch_eager import channels_last
+from cags_client.frame.restore.networks import Weights, network_of
+from cags_client.frame.restore.networks.runtimes.torch_eager import channels_last
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 from cags_training.pairs.crops import Crops

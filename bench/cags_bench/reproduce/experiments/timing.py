@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from cags_bench.align.command import AlignBenchSettings
+from cags_bench.align.settings import AlignBenchSettings
 from cags_bench.align.views import KNEE, View, fresh, view_of
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Section
 from cags_bench.seeing import see
-from cags_client import align, restore
-from cags_client.align import ReferencePicture
-from cags_client.restore import RestoreInput
+from cags_client.frame import align, restore
+from cags_client.frame.align import ReferencePicture
+from cags_client.frame.restore import RestoreInput
 from cags_common import correction
 from cags_common.bundle import BundleReader
 from cags_common.correction import compand

@@ -5,10 +5,20 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from cags_encoder.frames.track_statistics import TrackCounter, track_statistics
+from cags_common.bundle.tracks import TrackStatistics
+from cags_encoder.frames.identity import IdentityTracker
+from cags_encoder.frames.track_statistics import TrackCounter
 from cags_encoder.pipeline import SplatSequence
-from cags_encoder.scenes import open_scene
+from cags_encoder.scenes import FrameSource, open_scene
 from support.codec_scenes import cloud, with_changes
+
+
+def track_statistics(source: FrameSource, frames: int | None = None) -> TrackStatistics:
+    """Statistics of the tracks of ``source``, or of its first ``frames``."""
+    tracker = IdentityTracker()
+    for index in range(len(source) if frames is None else min(frames, len(source))):
+        tracker.identify(source.frame(index), source.ids(index), f"{source.name}, frame {index}")
+    return tracker.statistics()
 
 
 def test_lives_and_links_are_counted() -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cags_common.geometry import Intrinsics, Pose, quaternion_of_rotation_vector
+from cags_common.poses.room import Room
 from cags_server.fov import MAX_REFERENCE_FOV_RAD, widened
-from cags_server.fov.room import Room
 from cags_server.fov.truth import (
     area_ratio,
     covered_share,

@@ -1,0 +1,53 @@
+"""Settings of the experiment on motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from cags_common.settings import check_settings, setting
+
+DISGUISE = "shuffle=1,quantise=sog"
+"""Options that make any scene's frames what a capture's tool chain hands on."""
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """What is measured."""
+
+    shared: str = setting("../shared", "folder with scenes/; what is not there is left out")
+    scenes: str = setting("", "scenes, separated by ';'; empty: those of --shared and generated ones")
+    frames: int = setting(49, "frames of each scene at most", low=3, high=10_000)
+    judged: int = setting(7, "frames whose pictures are compared, spread over the clip", low=1, high=1000)
+    views: int = setting(3, "views of each judged frame", low=1, high=64)
+    workers: int = setting(2, "processes that encode", low=1, high=64)
+    whole: bool = setting(True, "whether to encode with changed splats sent whole, too (the state to compare with)")
+    film: str = setting("", "also play film_scene both ways in virtual time, and write a film strip to this file")
+    film_scene: str = setting("fourd:splats=20000,births=2500", "scene of the film strip")
+    film_trace: str = setting("generated:steady-10", "network trace of the film strip")
+    cache: str = setting("", "folder of the film's bundles; empty: a cache folder of the user's")
+    repetitions: int = setting(15, "timed evaluations of motion", low=1, high=1000)
+    threads: int = setting(2, "threads that evaluate motion", low=1, high=64)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @property
+    def scene_list(self) -> list[str]:
+        """Scene names that open_scene reads."""
+        if self.scenes:
+            return self.scenes.split(";")
+        folder = Path(self.shared) / "scenes"
+        ordered = {
+            "talking_head/params.npz": f"{folder}/talking_head/params.npz:up=y",
+            "plant/plant.splat": f"motion:{folder}/plant/plant.splat",
+        }
+        known = [spec for name, spec in ordered.items() if (folder / name).exists()]
+        known.append("procedural:size=30000")
+        captures = [str(folder / name) for name in ("monkey", "wave") if (folder / name).exists()]
+        return [*known, *(disguised(spec) for spec in known), *captures, "fourd:shuffle=1"]
+
+
+def disguised(spec: str) -> str:
+    """``spec`` with rows shuffled and attributes quantised as SOG does."""
+    return f"{spec}{',' if ':' in spec.rpartition('/')[2] else ':'}{DISGUISE}"

@@ -1,0 +1,31 @@
+"""Settings of the reproduction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cags_common.settings import check_settings, setting
+
+
+@dataclass(frozen=True)
+class ReproduceSettings:
+    """What is made, from what, and how large."""
+
+    all: bool = setting(False, "make every table and figure")
+    table: str = setting("", "make one table, by name")
+    figure: str = setting("", "make one figure, by name")
+    quick: bool = setting(False, "fewer frames, rates and levels: under 25 minutes on two cores")
+    scenes: str = setting("procedural:size=30000", "scenes, separated by spaces")
+    poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
+    trace: str = setting("generated:5g-mmwave", "fluctuating network trace")
+    frames: int = setting(0, "frames a session; 0: 300, or 45 when quick", low=0, high=100_000)
+    width: int = setting(0, "client width in pixels; 0: 1600, or 640 when quick", low=0, high=8192)
+    height: int = setting(0, "client height in pixels; 0: 1200, or 480 when quick", low=0, high=8192)
+    device: str = setting("auto", "renderer: auto, reference, cpu or gpu", choices=("auto", "reference", "cpu", "gpu"))
+    workers: int = setting(0, "sessions simulated at the same time; 0: as many as there are cores", low=0, high=256)
+    lpips: str = setting("", "weights of LPIPS (.npz), to measure it too; empty: leave it out")
+    out: str = setting("reproduction", "folder for index.html, and a .jsonl and .csv file a table")
+    cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
+
+    def __post_init__(self) -> None:
+        check_settings(self)

@@ -1,0 +1,1 @@
+"""One frame: rasterise, add what the reference says is lacking, hand on."""

@@ -1,0 +1,407 @@
+"""From messages to pictures: the client without sockets, threads or clocks.
+
+Shared by real time (``app.py`` calls it from executors) and virtual time (the simulator calls it inline). ``on_*``
+decode and store; :meth:`ClientPipeline.present` draws one frame: commit what its reference assumes, rasterise, add what
+the reference says is lacking. One thread may decode while another presents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cags_client.frame import align, restore
+from cags_client.frame.align import Aligned, AlignSettings
+from cags_client.frame.changes import Changes
+from cags_client.frame.presented import PresentedFrame
+from cags_client.frame.resolution import Resolutions
+from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer
+from cags_client.frame.restore.networks.weights import Weights
+from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
+from cags_client.stats import Stopwatch
+from cags_client.store.references import Received, References
+from cags_common import correction, raster
+from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import tile_codec
+from cags_common.correction import Corrected, CorrectSettings, Reference
+from cags_common.errors import ConfigError, DecodeError
+from cags_common.geometry import F32, Camera, Pose
+from cags_common.held_tile import HeldTile
+from cags_common.packing import decode_ids
+from cags_common.passes import Pass, PassPlan, Situation, held_sh_degree, plan_frame
+from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.halving import enlarged, halved
+from cags_common.store.gof_buffer import Committed, GofBuffer
+from cags_common.store.tile_decode import Arrival, TileOpener
+from cags_common.store.tile_store import TileStore
+from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
+
+PATIENCE_FRAMES = 3
+"""Frames for which a late reference is waited for before more is shown than the one before it assumes."""
+
+
+class ClientPipeline:
+    """Decodes, stores and draws. ``info`` is the manifest's public part."""
+
+    def __init__(
+        self,
+        info: Manifest,
+        settings: ClientSettings,
+        *,
+        live: LiveSettings | None = None,
+        clock: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """Tiles can be decoded once :meth:`on_codebooks` was called; references at once."""
+        self.info = info
+        self.settings = settings
+        self.live = live or LiveSettings(settings)
+        self._clock = clock
+        self._opener = TileOpener(None, settings.threads)
+        self._store = TileStore(info, None, opener=self._opener)
+        self._marked = self._marked_before = 0  # newest mark of the store; that of connections before this one
+        self._references = References(info.near)
+        self._rasteriser = raster.create(settings.raster)
+        self._scene: RasterScene | None = None
+        self._scene_store: GofBuffer | None = None
+        self._sh_degree = 0  # highest band with anything in it since the group's first frame
+        self._shown_frame = 0
+        self._committed_mark = 0
+        self._used = 0  # order of the newest reference that was shown
+        self._changes = Changes()
+        self._scene_changes = 0
+        self._own: tuple[Received, int, Reference, F32] | None = None  # the own view of a picture, of which scene
+        self._corrector = correction.create("auto", settings.threads)
+        self._correct_settings = CorrectSettings()
+        prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
+        self._aligner = align.create(settings.align, prpa)
+        self._resolutions = Resolutions(1e3 / info.fps)
+        self._weights: dict[str, Weights] = {}
+        self._restorer_wanted = self.live.restore
+        self._restorer = self._made_restorer()
+
+    # -------------------------------------------------------------------------------------------------------- decoding
+
+    def on_codebooks(self, data: bytes) -> None:
+        """What tiles need to be decoded. Raises :class:`DecodeError`."""
+        self._opener.codec = tile_codec(self.info, data)
+
+    def on_tiles(self, tiles: Sequence[tuple[TileLayers, memoryview]]) -> list[DecodeError]:
+        """Decode layers of tiles; what is wrong with those that are left out. What was held stays."""
+        return self._store.add_all([Arrival(m.frame, m.tile, m.from_lod, m.split(payload)) for m, payload in tiles])
+
+    def flush(self) -> list[DecodeError]:
+        """After :meth:`on_tiles`: dequantise what they touched, each tile once, off the display path.
+
+        What is wrong with tiles that are left out.
+        """
+        return self._store.flush()
+
+    def take_dropped(self) -> list[HeldTile]:
+        """Tiles of which layers had come and were given up since the last call, for want of memory."""
+        return self._store.take_dropped()
+
+    def on_mark(self, mark: Mark) -> list[DecodeError]:
+        """What came before this is the basis of references that name it; what is wrong with tiles that are left out.
+
+        Raises :class:`DecodeError` for marks that do not rise.
+        """
+        number = self._marked_before + mark.number
+        if number <= self._marked:
+            raise DecodeError(f"mark {mark.number} came after mark {self._marked - self._marked_before}: marks rise")
+        if mark.restart:
+            self._store.reset(self._shown_frame)
+            self._references.reset()
+        self._marked = number
+        return self._store.mark(number)
+
+    def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:
+        """Decode a reference; False asks for an IDR picture. Raises :class:`DecodeError`."""
+        return self._references.add(message, payload, self._marked_before + message.basis)
+
+    def on_frame_end(self, message: FrameEnd, payload: memoryview) -> None:
+        """The frame is whole. Raises :class:`DecodeError`."""
+        capacity = self._store.capacity(message.frame)
+        what = f"removed ids of frame {message.frame}"
+        removed = decode_ids(payload, what=what, limit=max(capacity, 1)) if len(payload) else np.zeros(0, np.int32)
+        self._store.end(message.frame, removed)
+
+    def on_weights(self, data: bytes) -> None:
+        """Weights trained for this content, in place of those of the program. Raises :class:`DecodeError`."""
+        try:
+            weights = Weights.from_bytes(data, "weights of the content")
+            restore.create(weights.network, weights={weights.network: weights})
+        except ConfigError as error:
+            raise DecodeError(str(error)) from error
+        self._weights[weights.network] = weights
+        self._restorer_wanted = ""  # made anew before the next frame
+
+    @property
+    def last_reference_seq(self) -> int:
+        """The last reference picture that was decoded; 0 before any."""
+        return self._references.last_decoded
+
+    @property
+    def on_display(self) -> GofBuffer | None:
+        """What is held of the group of frames on display; None before any."""
+        return self._store.on_display
+
+    def keeps(self, frame: int) -> bool:
+        """Whether a jump to ``frame`` can go on from what is held, of whatever quality."""
+        return self._store.keeps and self._store.in_group(frame)
+
+    def holds(self, frame: int) -> bool:
+        """Whether ``frame`` can be drawn whole without anything from the network."""
+        return self._store.holds(frame)
+
+    def restarted(self, inventory: Sequence[HeldTile]) -> None:
+        """What follows comes over another connection, which was told that ``inventory`` is held.
+
+        References that are there stay in use.
+        """
+        self._references.restart()
+        self._marked_before = self._marked
+        self._store.restarted(inventory)
+
+    def held(self) -> list[HeldTile]:
+        """The tiles that are decoded, for a server that takes the session over."""
+        return self._store.held()
+
+    def reset(self, frame: int) -> None:
+        """The viewer jumped to ``frame``: forget tiles and references."""
+        self._shown_frame = frame
+        self._store.reset(frame)
+        self._references.reset()
+        self._scene = None
+
+    def forget_references(self) -> None:
+        """The viewer jumped within what is held: references of the pass before are of no use."""
+        self._references.reset()
+
+    def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
+        """LoDs shown of each tile (source frame, tile) that has a splat in the picture from ``camera``; draws it."""
+        if self._scene is None or self._scene_store is None:
+            return {}
+        options = RenderOptions(contribution=True, depth=DepthKind.NONE, max_sh_degree=0, threads=self.settings.threads)
+        view = self._scene.render(camera, options)
+        assert view.contribution is not None
+        return self._scene_store.shown.visible_lods(view.contribution)
+
+    # ------------------------------------------------------------------------------------------------------ presenting
+
+    def camera(self, pose: Pose) -> Camera:
+        """The display's camera at ``pose``, with the scene's near plane."""
+        return Camera(self.settings.intrinsics, pose, self.info.near)
+
+    def present(self, frame: int, camera: Camera, share: float = 0.0) -> PresentedFrame:
+        """Draw media frame ``frame`` from ``camera``; with ``share``, after that, what moves so many frames later."""
+        started_s = self._clock()
+        watch = Stopwatch(self._clock)
+        self._shown_frame = frame
+        if self._restorer_wanted != self.live.restore:
+            self._restorer_wanted = self.live.restore
+            self._restorer = self._made_restorer()
+        reference = self._references.newest(frame, self.settings.reference_age)
+        with watch("update"):
+            store, committed = self._committed(frame, share, reference)
+            scene = self._updated(store, committed)
+            if reference is not None and reference.frame == frame and reference.order > self._used:
+                self._used = reference.order
+                self._changes.used(reference.basis)
+            if self._restorer_wanted == CORRECT and self.info.motion is not None and not share:
+                self._changes.shown(frame, store.splats.means)
+        plan = plan_frame(self._situation(store, committed, (frame + share, camera), reference), self.settings.effects)
+        half = self._resolutions.chosen(self.live.resolution) == HALF
+        seen_by = halved(camera) if half else camera
+        with watch("raster"):
+            view = scene.render(seen_by, self._drawing(plan, half=half))
+        drawn = _Drawn(scene, store, seen_by, view)
+        corrected, aligned, shown = None, None, view.rgb
+        if reference is not None and Pass.CORRECTION in plan:
+            corrected = self._corrected(plan, drawn, reference, frame, watch)
+            shown = corrected.rgb
+        elif reference is not None and Pass.RESTORATION in plan:
+            aligned, shown = self._restored(plan, drawn, reference, frame, watch)
+        if half:
+            with watch("enlarge"):
+                shown = enlarged(shown, camera, self.settings.threads)
+        if self.live.resolution == AUTO:
+            self._resolutions.observe(self._clock(), watch.stages_ms, (self._clock() - started_s) * 1e3)
+        return PresentedFrame(
+            frame=frame,
+            camera=camera,
+            rgb=shown,
+            drawn=view.rgb,
+            aligned=aligned,
+            confidence=_confidence(corrected, aligned),
+            depth=view.depth,
+            alpha=view.alpha,
+            reference=reference,
+            lod_mean=store.shown.lod_mean(camera),
+            missed=committed.missed,
+            buffer_ms=self._store.ahead(frame) * 1e3 / self.info.fps,
+            stages_ms=watch.stages_ms,
+            effects=plan,
+            share=share,
+            tier=self._restorer_wanted,
+        )
+
+    def _committed(self, frame: int, share: float, reference: Received | None) -> tuple[GofBuffer, Committed]:
+        """Show what came up to the mark that is right for the frame."""
+        moved = self._store.move(frame, share) if share else None
+        if moved is not None:
+            return moved
+        basis = self._basis_at(frame, reference)
+        newest = self._marked
+        store, committed = self._store.commit(frame, basis)
+        if committed.fresh:
+            self._changes.clear()
+        self._changes.committed(newest + 1 if basis is None else basis, committed.rows)
+        return store, committed
+
+    def _basis_at(self, frame: int, reference: Received | None) -> int | None:
+        """The mark up to which ``frame`` is shown; None: all that has come.
+
+        That which the frame's own reference assumes. A picture assumes none: it is compared with what is shown, and as
+        much is shown as no coming reference falls behind: up to what the next of those that are there assumes, or to
+        the newest mark. While an own reference is late, what is shown stays as the one before assumes. Without any
+        reference there are no marks.
+        """
+        if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
+            self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
+            return self._committed_mark
+        coming = self._references.next_basis(frame, self._used, self.settings.reference_age)
+        self._committed_mark = self._marked if coming is None else min(coming, self._marked)
+        return self._committed_mark or None
+
+    def _situation(
+        self, store: GofBuffer, committed: Committed, view: tuple[float, Camera], reference: Received | None
+    ) -> Situation:
+        time, camera = view
+        speaks = reference is not None and reference.kind is not ReferenceKind.NOTHING
+        name = self._restorer_wanted.partition("@")[0]
+        there = reference.camera.pose.position if reference is not None else None
+        return Situation(
+            sh_degree=self._sh_degree,
+            scene_sh_degree=self.info.sh_degree,
+            changed=committed.changed,
+            whole=store.full and not committed.missed,
+            reference=speaks and name != NONE,
+            picture=reference is not None and reference.kind is ReferenceKind.PICTURE,
+            same_place=there == camera.pose.position,
+            same_frame=reference is not None and reference.frame == int(time),
+            corrects=name == CORRECT,
+            stale=reference is not None and (reference.frame < time or self._outdated(reference)),
+            restorer=self._restorer.needs if self._restorer is not None else frozenset(),
+            replaces=name in restore.REPLACING,
+            depth_shown=self.live.depth_shown,
+        )
+
+    def _outdated(self, reference: Received) -> bool:
+        """Whether splats have changed other than ``reference`` assumes."""
+        return reference.assumes and self._changes.since(reference.basis)
+
+    def _made_restorer(self) -> Restorer | None:
+        """The restorer of aligned pictures that the viewer wants; None where it is another thing that is wanted."""
+        if self._restorer_wanted in (CORRECT, NONE):
+            return None
+        return restore.create(self._restorer_wanted, threads=self.settings.threads, weights=self._weights)
+
+    def _corrected(self, plan: PassPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch) -> Corrected:
+        """The picture with what is lacking in it added."""
+        own = given = None
+        if Pass.OWN_VIEW in plan:
+            with watch("own"):
+                given, own = self._compared(plan, drawn, reference)
+        with watch("correct"):
+            veto = None
+            if Pass.VETO in plan:
+                assert drawn.view.depth is not None
+                focal_px, splats = reference.camera.intrinsics.fx_px, drawn.store.splats
+                since = reference.frame, reference.basis if reference.assumes else None
+                veto = self._changes.veto(since, splats, drawn.view.depth, drawn.camera, focal_px)
+            freshness = self._freshness(reference, frame) if Pass.FADE in plan else 1.0
+            if freshness < 1.0:
+                stale = np.float32(1.0 - freshness)
+                veto = np.full(correction.veto_shape(drawn.camera), stale) if veto is None else np.maximum(veto, stale)
+            settings = self._correct_settings
+            given = given or reference.difference
+            return self._corrector.correct(drawn.view, drawn.camera, given, own, settings, veto=veto)
+
+    def _compared(self, plan: PassPlan, drawn: _Drawn, reference: Received) -> tuple[Reference, F32]:
+        """A picture compared with the client's splats from its camera, anew when they get better; and these."""
+        if self._own is None or self._own[0] is not reference or self._own[1] != self._scene_changes:
+            footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
+            options = replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint)
+            own = drawn.scene.render(reference.camera, options).rgb
+            self._own = reference, self._scene_changes, reference.compared(own), own
+        return self._own[2:]
+
+    def _restored(
+        self, plan: PassPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
+    ) -> tuple[Aligned | None, F32]:
+        """The aligned picture, and what the restorer makes of it."""
+        picture, depth = reference.picture, drawn.view.depth
+        if picture is None or depth is None or self._restorer is None:
+            return None, drawn.view.rgb
+        with watch("align"):
+            occlusion, colours = Pass.OCCLUSION in plan, Pass.EROSION in self._restorer.needs
+            aligned = self._aligner.align(picture, depth, drawn.camera, occlusion=occlusion, colours=colours)
+            if Pass.FADE in plan:
+                aligned = _faded(aligned, self._freshness(reference, frame))
+        with watch("restore"):
+            return aligned, self._restorer.restore(RestoreInput(drawn.view.rgb, aligned))
+
+    def _updated(self, store: GofBuffer, committed: Committed) -> RasterScene:
+        self._scene_changes += committed.fresh or len(committed.rows) > 0
+        if self._scene is None or committed.fresh:
+            self._scene, self._scene_store = self._rasteriser.load(store.splats), store
+            self._sh_degree = held_sh_degree(store.splats.sh_rest)
+            return self._scene
+        if len(committed.moved):
+            self._scene.move(committed.moved, store.splats, self.settings.threads)
+        if len(committed.rows):
+            changed = store.splats.take(committed.rows)
+            self._scene.update(committed.rows, changed)
+            self._sh_degree = max(self._sh_degree, held_sh_degree(changed.sh_rest))
+        return self._scene
+
+    def _options(self, plan: PassPlan) -> RenderOptions:
+        return RenderOptions(
+            exactness=Exactness(self.live.exactness),
+            threads=self.settings.threads,
+            max_sh_degree=plan.sh_degree,
+            depth=DepthKind.EXPECTED if Pass.DEPTH in plan else DepthKind.NONE,
+        )
+
+    def _drawing(self, plan: PassPlan, *, half: bool) -> RenderOptions:
+        options = replace(self._options(plan), displayed=True)
+        return replace(options, footprint=options.footprint.at_half_resolution()) if half else options
+
+    def _freshness(self, reference: Received, frame: int) -> float:
+        """1 for references up to half as old as is allowed, falling to 0 past the oldest: none goes at a stroke."""
+        allowed = self.settings.reference_age + 1
+        return min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """The client's own picture of a frame, and what it was drawn from."""
+
+    scene: RasterScene
+    store: GofBuffer
+    camera: Camera
+    view: RenderedView
+
+
+def _confidence(corrected: Corrected | None, aligned: Aligned | None) -> F32 | None:
+    if corrected is not None:
+        return corrected.confidence
+    return None if aligned is None else aligned.confidence
+
+
+def _faded(aligned: Aligned, freshness: float) -> Aligned:
+    if freshness >= 1.0:
+        return aligned
+    return replace(aligned, paint=lambda: aligned.rgb, confidence=aligned.confidence * np.float32(freshness))

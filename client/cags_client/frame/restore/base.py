@@ -1,0 +1,39 @@
+"""The restoration seam: the colour-distorted picture and the aligned reference in, the picture to show out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from cags_client.frame.align.base import Aligned
+from cags_common.geometry import F32
+from cags_common.passes import Pass
+
+ALIGNED = frozenset({Pass.ALIGNMENT, Pass.EROSION})
+"""What restorers need: the aligned colours, filled where the reference does not see."""
+
+
+@dataclass(frozen=True, eq=False)
+class RestoreInput:
+    """What a restorer sees of one frame."""
+
+    distorted: F32  # [H, W, 3] in [0, 1]: the client's own render, premultiplied over black
+    aligned: Aligned
+
+
+class Restorer(Protocol):
+    """Colour restoration. Where ``aligned.confidence`` is 0 the reference says nothing about a pixel."""
+
+    @property
+    def name(self) -> str:
+        """Name in the registry."""
+        ...
+
+    @property
+    def needs(self) -> frozenset[Pass]:
+        """What it looks at: alignment, erosion (of aligned colours)."""
+        ...
+
+    def restore(self, inputs: RestoreInput) -> F32:
+        """The picture to show, [H, W, 3] float32, finite, in [0, 1]. The inputs are not changed."""
+        ...

@@ -1,0 +1,45 @@
+"""Restoration by networks: the paper's ``srresnet``, and the baselines with one input.
+
+``create("srresnet")`` gives a restorer with the weights that come with the program; ``create("srresnet@openvino")``
+runs it by another runtime. Nothing here imports torch until a network is made.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cags_client.frame.restore.networks.network import network_of
+from cags_client.frame.restore.networks.weights import Weights
+from cags_common.errors import ConfigError
+from cags_common.openmp import yield_cores
+
+if TYPE_CHECKING:
+    from cags_client.frame.restore.base import Restorer
+
+__all__ = ["NETWORKS", "Weights", "create", "from_weights", "network_of"]
+
+yield_cores()
+
+NETWORKS = ("srresnet", "sr-align-ref", "cr-no-ref")
+"""Networks by name."""
+
+
+def create(spec: str, threads: int | None = None) -> Restorer:
+    """The restorer ``NAME`` or ``NAME@RUNTIME`` with the weights that come with the program.
+
+    Raises :class:`ConfigError` for an unknown name, missing weights, or a runtime that is not there.
+    """
+    name, _, runtime = spec.partition("@")
+    if name not in NETWORKS:
+        raise ConfigError(f"network {name!r} is unknown; known: {', '.join(NETWORKS)}")
+    return from_weights(Weights.shipped(name), runtime, threads)
+
+
+def from_weights(weights: Weights, runtime: str = "", threads: int | None = None) -> Restorer:
+    """The restorer that ``weights`` are for (per-scene weights of a bundle, for one). Raises :class:`ConfigError`."""
+    from cags_client.frame.restore.networks import runtimes
+    from cags_client.frame.restore.networks.restorer import PictureRestorer
+
+    ready = runtimes.create(runtime or runtimes.DEFAULT, weights, threads)
+    name = f"{weights.network}@{runtime}" if runtime else weights.network
+    return PictureRestorer(ready, name, fall_back=weights.network == "srresnet")

@@ -1,0 +1,126 @@
+"""Addresses of servers: finding one that answers, at the start and after a loss."""
+
+from __future__ import annotations
+
+import http.client
+import ssl
+from urllib.parse import urlsplit
+
+from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
+from cags_common.errors import ConfigError, NetworkError
+from cags_common.transport import Transport, websocket
+from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+
+INFO_TIMEOUT_S = 10.0
+FIRST_TIMEOUT_S, AGAIN_TIMEOUT_S = 10.0, 1.5
+"""An attempt's time: at the start, and after a loss, where another server may be quicker."""
+
+
+def addresses(url: str) -> tuple[str, ...]:
+    """The stream addresses in ``url``, which commas separate. Raises :class:`NetworkError` for what is none."""
+    found = tuple(part.strip() for part in url.split(","))
+    for address in found:
+        if not _is_stream_address(address):
+            raise NetworkError(f"{address}: is no stream address; write ws://HOST:PORT/stream")
+    return found
+
+
+def _is_stream_address(text: str) -> bool:
+    try:
+        parts = urlsplit(text)
+        return parts.scheme in ("ws", "wss") and bool(parts.hostname) and parts.port != 0
+    except ValueError:  # a port beyond 65535, brackets that do not close
+        return False
+
+
+class Endpoints:
+    """Opens connections to one of several servers of the same scene."""
+
+    def __init__(self, url: str, token: str = "", ca: str = "") -> None:
+        """``url``: one or more addresses, separated by commas. ``ca``: as for :func:`trust`."""
+        self._urls, self._token, self._tls = addresses(url), token, trust(ca)
+        self._current = 0
+
+    async def first(self) -> Transport:
+        """A connection to the first server that answers. Raises :class:`NetworkError`, the last one's."""
+        for index in range(len(self._urls)):
+            self._current = index
+            try:
+                return await self._open(FIRST_TIMEOUT_S)
+            except NetworkError:
+                if index + 1 == len(self._urls):
+                    raise
+        raise AssertionError("there is at least one address")
+
+    async def again(self, attempt: int) -> Transport:
+        """A connection for the ``attempt``-th try (from 1) after a loss: the same server first, then the next.
+
+        Raises :class:`NetworkError`.
+        """
+        if attempt > 1:
+            self._current = (self._current + 1) % len(self._urls)
+        return await self._open(AGAIN_TIMEOUT_S)
+
+    async def _open(self, timeout_s: float) -> Transport:
+        return await websocket.connect(
+            self._urls[self._current],
+            subprotocol=SUBPROTOCOL,
+            max_message_bytes=MAX_MESSAGE_BYTES,
+            timeout_s=timeout_s,
+            token=self._token,
+            tls=self._tls,
+        )
+
+
+def trust(ca: str) -> ssl.SSLContext | None:
+    """Which certificates are believed: those of the authorities in the PEM file ``ca``; None: the system's.
+
+    Raises :class:`ConfigError`.
+    """
+    if not ca:
+        return None
+    try:
+        return ssl.create_default_context(cafile=ca)
+    except (OSError, ssl.SSLError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"ca = {ca}: cannot be used ({reason}); give a PEM file of certificates") from error
+
+
+def fetch_info(url: str, token: str = "", ca: str = "") -> Manifest:
+    """The public manifest of the first server of ``url`` that answers, by HTTP: walks are placed before a session.
+
+    Raises :class:`NetworkError` where there is no such server, :class:`BundleError` for another version's manifest.
+    """
+    last = NetworkError(f"{url}: no server answers")
+    for address in addresses(url):
+        try:
+            return _info(address, token, trust(ca))
+        except NetworkError as error:
+            last = error
+    raise last
+
+
+def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
+    parts = urlsplit(url)
+    connection = http.client.HTTPConnection(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S)
+    if parts.scheme == "wss":
+        connection = http.client.HTTPSConnection(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S, context=tls)
+    try:
+        connection.request("GET", "/bundle", headers={"Authorization": f"Bearer {token}"} if token else {})
+        response = connection.getresponse()
+        data = response.read(MAX_MANIFEST_BYTES + 1)
+    except ssl.SSLError as error:
+        raise NetworkError(f"{url}: {websocket.tls_fault(error)}") from error
+    except http.client.RemoteDisconnected as error:
+        hint = "" if parts.scheme == "wss" else "; if it has a certificate, write wss://"
+        raise NetworkError(f"{url}: the server hangs up without an answer{hint}") from error
+    except (OSError, http.client.HTTPException) as error:
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise NetworkError(f"{url}: no server answers ({reason}); start cags-server or check the address") from error
+    finally:
+        connection.close()
+    if response.status == http.HTTPStatus.UNAUTHORIZED:
+        raise NetworkError(f"{url}: the token is missing or wrong; give the server's with --token")
+    if response.status != 200:
+        raise NetworkError(f"{url}: the server answers {response.status} {response.reason} for its bundle")
+    return Manifest.from_json(data)

@@ -1,0 +1,73 @@
+"""The summary of a play in words, for people: what was shown, how good it was, and what it took."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from cags_client.output.report import STAGE
+
+Row = tuple[str, str]
+
+
+def summary_rows(summary: Mapping[str, Any], clip_frames: int) -> list[Row]:
+    """Names and values of a :func:`~cags_client.output.report.summary` of a clip of ``clip_frames`` media frames."""
+    rows = [("shown", _shown(summary, clip_frames))]
+    if summary.get("psnr_distorted_db") is not None:
+        rows.append(("picture", _picture(summary)))
+    if summary.get("lod_mean") is not None:
+        rows.append(("detail", f"{summary['lod_mean']:.1f} quality levels a splat in view, on average"))
+    rows.append(("received", _received(summary)))
+    if summary.get("prediction_error_deg") is not None:
+        off = f"{summary['prediction_error_deg']:.1f}°, {100 * summary['prediction_error_m']:.0f} cm"
+        rows.append(("prediction", f"{off} between where the server expected the viewer and where they were"))
+    rows += _times(summary)
+    return rows + _trouble(summary)
+
+
+def _shown(summary: Mapping[str, Any], clip_frames: int) -> str:
+    text = f"{summary['frames']} of {clip_frames} frames"
+    if summary.get("frames_interpolated"):
+        text += f"; {summary['frames_interpolated']} pictures between them"
+    if summary["frames_dropped"]:
+        text += f"; {summary['frames_dropped']} skipped, the next one being due"
+    if summary["frames_missed"]:
+        text += f"; {summary['frames_missed']} without all of their data"
+    return text
+
+
+def _picture(summary: Mapping[str, Any]) -> str:
+    before, after = summary["psnr_distorted_db"], summary.get("psnr_restored_db")
+    if after is None:
+        return f"{before:.1f} dB PSNR against the truth"
+    structure = f"SSIM {summary['ssim_restored']:.3f}, {summary['ssim_distorted']:.3f} before"
+    return f"{after:.1f} dB PSNR against the truth, {before:.1f} dB before restoration; {structure}"
+
+
+def _received(summary: Mapping[str, Any]) -> str:
+    tiles, references = summary["bytes_tiles"] / 1e6, summary["bytes_reference"] / 1e6
+    return f"{tiles:.2f} MB of tiles, {references:.2f} MB of references; {summary['goodput_mbps']:.1f} Mbps"
+
+
+def _times(summary: Mapping[str, Any]) -> list[Row]:
+    stages = {key.removeprefix(STAGE): value for key, value in summary.items() if key.startswith(STAGE)}
+    rows = []
+    if stages:
+        each = ", ".join(f"{stage} {value:.1f}" for stage, value in stages.items())
+        rows.append(("work", f"{each} ms, each where it was done"))
+    if summary.get("latency_ms") is not None:
+        late = f"{summary['latency_ms']:.0f} ms after the frame was due, 95 % within {summary['latency_p95_ms']:.0f} ms"
+        rows.append(("shown after", late))
+    return rows
+
+
+def _trouble(summary: Mapping[str, Any]) -> list[Row]:
+    """What hardly ever is, and is told of only then."""
+    rows = []
+    if summary["reconnects"]:
+        away = f"{summary['reconnects']} times, {summary['away_ms'] / 1e3:.1f} s without a server"
+        rows.append(("reconnected", away))
+    if summary["decode_errors"]:
+        asked = f"{summary['decode_errors']} payloads did not decode; key pictures asked for: "
+        rows.append(("damaged", asked + str(summary["keyframe_requests"])))
+    return rows

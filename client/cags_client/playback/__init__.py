@@ -1,0 +1,1 @@
+"""Playback in time: the player, its jobs, and when what is displayed."""

@@ -1,0 +1,415 @@
+"""The client's behaviour in time, without sockets or clocks: session in, work out.
+
+A shell moves bytes (``receive``, ``data_to_send``), sleeps until ``next_timer_us``, and does the work it is handed:
+
+    while (action := player.next_action(now_us)) is not None:
+        player.done(action, action.run(), now_us)      # inline, or in an executor
+
+A dropped connection does not end the play: the picture is held and re-projected while the shell, asked by
+``wants_connection``, opens another and says ``connected`` (or ``lost``, and is asked again after a while). The new
+session is told what the client holds, so that nothing of it is sent again, and where the play stands.
+
+``Decode`` actions must run one after another; ``Present`` actions too, but beside the decoding. All times are the
+client's clock, which is the session's master clock.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+from cags_client.frame.pipeline import ClientPipeline
+from cags_client.frame.presented import PresentedFrame
+from cags_client.frame.restore import references_wanted
+from cags_client.net.reconnect import Reconnect
+from cags_client.playback.cadence import Cadence
+from cags_client.playback.decode_queue import MAX_UNDECODED_BYTES, DecodeQueue
+from cags_client.playback.endings import FATAL_ENDS, FATAL_REFUSALS, affordable, refused
+from cags_client.playback.interpolation import Interpolation, Moment
+from cags_client.playback.jobs import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
+from cags_client.playback.viewpoint import PoseSource, Viewpoint
+from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.stats import PlayStats
+from cags_common.bundle.manifest import Manifest
+from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
+from cags_common.geometry import DEFAULT_NEAR, Pose
+from cags_protocol import events as ev
+from cags_protocol.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
+from cags_protocol.client import ClientSession, ClientSessionSettings
+from cags_protocol.inventory import pack_inventory, unpack_inventory
+from cags_protocol.limits import PROTOCOL_VERSION
+from cags_protocol.messages import Control, Hello, Welcome
+from cags_protocol.session import SessionTimers
+
+KEYFRAME_RETRY_US = 250_000
+"""A lost reference video is asked for again after this long."""
+
+RESUMING = ClientSessionSettings(SessionTimers(handshake_us=3_000_000))
+"""A server that takes over must answer soon, for there may be another."""
+
+
+class Player:
+    """Joins, waits for the first key frame, plays to the end of the clip and leaves."""
+
+    def __init__(
+        self,
+        session: ClientSession,
+        settings: ClientSettings,
+        poses: PoseSource,
+        *,
+        now_us: int,
+        near: float = DEFAULT_NEAR,
+        live: LiveSettings | None = None,
+        clock: Callable[[], float] = lambda: 0.0,
+        rng: random.Random | None = None,
+    ) -> None:
+        """``session`` is the first one; ``rng`` spreads the attempts to come back after a loss."""
+        self.settings = settings
+        self.live = live or LiveSettings(settings)
+        self.pipeline: ClientPipeline | None = None
+        self.info: Manifest | None = None
+        self.error: CagsError | None = None
+        """Why it ended early, if it did."""
+        self.finished = False
+        self.stats = PlayStats()
+        self._session, self._clock = session, clock
+        self._viewpoint = Viewpoint(poses, settings.pose_rate, settings.start_delay_ms * 1000, now_us)
+        self._made_us, self._near = now_us, near
+        self._reconnect = Reconnect(round(settings.reconnect_s * 1e6), rng or random.Random(0))  # noqa: S311
+        self._lost_us = 0
+        self._why_away = NetworkError("the connection was lost")
+        self._welcome: Welcome | None = None
+        self._resume_at: Control | None = None
+        self._codebooks: bytes | None = None
+        self._weights: bytes | None = None
+        self._decode_queue = DecodeQueue()
+        self._restarts_due = 0  # jumps by which everything was forgotten, and of which the server has not heard
+        self._presenting, self._next_frame = False, settings.start_frame
+        self._preview_due = False  # a reference is there, and no picture was shown yet
+        self._cadence = Cadence(settings.start_frame)
+        self._interpolation = Interpolation(settings.interpolate, settings.display_rate)
+        self._due_us: int | None = None
+        self._end_frame = settings.start_frame + 1
+        self._asked_idr_us: int | None = None
+        session.hello(self._hello(settings.start_frame, poses.pose_at(0)), now_us=now_us)
+
+    # ---------------------------------------------------------------------------------------------------------- session
+
+    def receive(self, data: bytes, now_us: int) -> None:
+        """Take one message from the wire."""
+        if self.stats.first_byte_us is None:
+            self.stats.first_byte_us = now_us
+        self.stats.last_byte_us = now_us
+        self._session.receive(data, now_us=now_us)
+        self._pump(now_us)
+        if self._codebooks is None and self.backed_up:
+            self._fail(NetworkError("the server sends tiles without the codebooks that they need"))
+
+    @property
+    def backed_up(self) -> bool:
+        """Whether so much waits for its decoder that nothing more should be read from the connection."""
+        return self._decode_queue.undecoded_bytes > MAX_UNDECODED_BYTES
+
+    def data_to_send(self, now_us: int) -> list[bytes]:
+        """Messages to write now."""
+        self._session.buffered_bytes = self._decode_queue.undecoded_bytes
+        return self._session.data_to_send(now_us)
+
+    def next_timer_us(self) -> int | None:
+        """When :meth:`handle_timer` and :meth:`next_action` want to be called at the latest; None: not by time."""
+        if self.finished:
+            return None
+        times = [self._session.next_timer_us(), self._viewpoint.next_us, self._reconnect.next_timer_us()]
+        if not self._presenting:
+            times += [self._due_us, self._interpolation.next_us()]
+        return min((t for t in times if t is not None), default=None)
+
+    def handle_timer(self, now_us: int) -> None:
+        """Do what is due: keep-alive, acknowledgements, poses."""
+        if self.stats.started_us is None and now_us - self._made_us > self.settings.join_timeout * 1e6:
+            self._fail(NetworkError(f"no first frame within {self.settings.join_timeout:g} s; is the link too slow?"))
+        if self._reconnect.expired(now_us):
+            self._fail(self._why_away)
+        self._session.handle_timer(now_us=now_us)
+        if samples := self._viewpoint.due(now_us):
+            self._session.send_poses(samples, now_us=now_us, cadence_permille=self._cadence.permille)
+        self._pump(now_us)
+
+    def lost(self, reason: str, now_us: int) -> None:
+        """The connection went away, or the one that :meth:`wants_connection` asked for could not be opened."""
+        attempt = self._reconnect.trying
+        self._session.connection_lost(reason, now_us=now_us)
+        self._pump(now_us)
+        if attempt and self._reconnect.trying:  # there was no session yet whose end would tell
+            self._reconnect.lost(now_us)
+
+    @property
+    def away(self) -> bool:
+        """Whether the connection is lost and not yet restored: nothing can be sent."""
+        return self._reconnect.away
+
+    @property
+    def attempts(self) -> int:
+        """Attempts to come back since the connection was lost, the one under way included."""
+        return self._reconnect.attempts
+
+    def wants_connection(self, now_us: int) -> bool:
+        """Whether a connection is to be opened now. Answer by :meth:`connected` or :meth:`lost`."""
+        return not self.finished and self._reconnect.begin(now_us)
+
+    def connected(self, now_us: int) -> None:
+        """There is a connection again: say Hello with what is held."""
+        self._session = ClientSession(RESUMING, now_us=now_us)
+        self._restarts_due = 0
+        self._resume_at = self._state_of_play(now_us)
+        frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
+        hello = self._hello(frame, self._viewpoint.pose_at(now_us))
+        self._decode_queue.add(Restarted(unpack_inventory(hello.inventory)))
+        self._session.hello(hello, now_us=now_us)
+
+    def leave(self, now_us: int) -> None:
+        """End the play here, with a goodbye."""
+        if not self.finished:
+            self._finish(now_us)
+
+    # ------------------------------------------------------------------------------------------------------------- work
+
+    def next_action(self, now_us: int) -> Decode | Present | None:
+        """Work to do now, or None. At most one Decode and one Present are out at a time."""
+        if self.finished or self.pipeline is None:
+            return None
+        if batch := self._decode_queue.take(tiles=self._codebooks is not None):
+            return Decode(batch, self.pipeline)
+        if self._preview_due and not self._presenting:
+            return self._present_first(now_us)
+        if self._due_us is not None and now_us >= self._due_us and not self._presenting:
+            return self._present(now_us)
+        if not self._presenting and (moment := self._interpolation.take(now_us)) is not None:
+            return self._present_between(moment, now_us)
+        return None
+
+    def done(self, action: Decode | Present, result: DecodeResult | PresentedFrame, now_us: int) -> None:
+        """Report a finished action and what its ``run`` returned."""
+        if isinstance(action, Present):
+            assert isinstance(result, PresentedFrame)
+            self._presented(action, result, now_us)
+            if action.media and self._next_frame >= self._end_frame:
+                self._finish(now_us)
+            return
+        assert isinstance(result, DecodeResult)
+        self._decode_queue.decoded()
+        self.stats.decode_errors += len(result.errors)
+        self._preview_due |= result.references and self.stats.first_picture_us is None
+        self._session.report_evictions(result.dropped)
+        if result.needs_idr:
+            self._ask_idr(action.pipeline.last_reference_seq, now_us)
+        if result.whole >= self.settings.start_frame:
+            self._play(now_us)
+
+    # ---------------------------------------------------------------------------------------------------------- details
+
+    def _presented(self, action: Present, result: PresentedFrame, now_us: int) -> None:
+        """Count a picture; those between media frames apart."""
+        self._presenting = False
+        if self.stats.first_picture_us is None:
+            self.stats.first_picture_us = now_us
+        if action.first:
+            return
+        self._interpolation.drawn(now_us)
+        if action.share:
+            self.stats.interpolated += 1
+            return
+        self._cadence.drawn(now_us)
+        self.stats.frames += 1
+        self.stats.missed += result.missed
+
+    def _pump(self, now_us: int) -> None:
+        while (event := self._session.next_event()) is not None:
+            self._on_event(event, now_us)
+
+    def _on_event(self, event: ev.ClientEvent, now_us: int) -> None:
+        match event:
+            case ev.Welcomed(welcome):
+                self._on_welcome(welcome, now_us)
+            case ev.BlobReceived(name, data):
+                self.stats.bytes_other += len(data)
+                if name == CODEBOOKS_BLOB:
+                    self._on_codebooks(data, now_us)
+                elif name == WEIGHTS_BLOB:
+                    self._weights = data
+                    self._take_weights()
+            case ev.TileReceived(_, payload):
+                self.stats.bytes_tiles += len(payload)
+                self._take(event)
+            case ev.ReferenceReceived(_, payload):
+                self.stats.bytes_reference += len(payload)
+                self._take(event)
+            case ev.FrameEnded():
+                self._take(event)
+            case ev.MarkReceived(mark):
+                self._restarts_due -= mark.restart and self._restarts_due > 0
+                self._take(event)
+            case ev.NoticeReceived(notice):
+                self.stats.notices.append(f"{notice.code}: {notice.message}")
+            case ev.Refused(refusal):
+                self._why_away = refused(refusal)
+                if refusal.code in FATAL_REFUSALS:
+                    self._fail(self._why_away)
+            case ev.Closed(code, reason):
+                self._on_closed(code, reason, now_us)
+
+    def _take(self, event: DataEvent) -> None:
+        """Media, unless it was sent before the server heard of a jump by which everything was forgotten."""
+        if not self._restarts_due:
+            self._decode_queue.add(event)
+
+    def _on_closed(self, code: str, reason: str, now_us: int) -> None:
+        if self.finished:
+            return
+        if code == "lost":
+            why = f"the connection was lost ({reason}); start the server again or check the network"
+            self._why_away = NetworkError(why)
+        elif code != "refused":
+            self._why_away = NetworkError(f"the session ended early ({code}: {reason})")
+        if code in FATAL_ENDS or self._welcome is None or not self._reconnect.possible:
+            self._fail(self._why_away)
+            return
+        if not self._reconnect.away:
+            self._lost_us = now_us
+        self._reconnect.lost(now_us)
+
+    def _on_welcome(self, welcome: Welcome, now_us: int) -> None:
+        if self.pipeline is not None and self._welcome is not None and welcome.info != self._welcome.info:
+            self._fail(NetworkError("the server streams another scene now; start the client again"))
+            return
+        if self._reconnect.away:
+            self._reconnect.restored()
+            if not welcome.resumed:  # everything comes again
+                self._decode_queue.add(Restarted())
+            self.stats.reconnects += 1
+            self.stats.away_us += now_us - self._lost_us
+        self._welcome = welcome
+        if self.pipeline is None:
+            try:
+                self.info = affordable(Manifest.from_json(welcome.info), self.settings)
+            except (BundleError, NetworkError) as error:
+                self._fail(error)
+                return
+            self._open(now_us)
+        if self._resume_at is not None:
+            self._session.control(self._resume_at, now_us=now_us)
+            self._cadence.restart(self._resume_at.frame)
+            self._resume_at = None
+
+    def _on_codebooks(self, data: bytes, now_us: int) -> None:
+        if self._codebooks is not None and data != self._codebooks:
+            self._fail(NetworkError("the server streams another encoding of the scene now; start the client again"))
+        first, self._codebooks = self._codebooks is None, data
+        if first and self.pipeline is not None:
+            try:
+                self.pipeline.on_codebooks(data)
+            except CagsError as error:
+                self._fail(error)
+            self._take_weights()
+
+    def _hello(self, frame: int, pose: Pose) -> Hello:
+        """With what is held, once there is a decoder for it."""
+        resume, held = "", b""
+        if self.pipeline is not None and self._welcome is not None and self._codebooks is not None:
+            resume, held = self._welcome.session, pack_inventory(self._decode_queue.held(self.pipeline.held()))
+        token, agent = self.settings.token, "cags-client"
+        wanted, chroma, view = references_wanted(self.settings.restore), self.settings.chroma, self.settings.intrinsics
+        return Hello(PROTOCOL_VERSION, view, pose, self._near, frame, token, agent, resume, wanted, chroma, held)
+
+    def _state_of_play(self, now_us: int) -> Control | None:
+        """Where the play will stand once a server has taken the session over; None before it has begun."""
+        if self.stats.started_us is None:
+            return None
+        frame = min(self._next_frame, self._end_frame - 1)
+        while frame + 1 < self._end_frame and self._frame_due_us(frame) < now_us + self.settings.start_delay_ms * 1000:
+            frame += 1
+        return Control("play", frame, self._frame_due_us(frame))
+
+    def _open(self, now_us: int) -> None:
+        """Make the pipeline once the manifest is there; the codebooks follow."""
+        if self.info is None or self.pipeline is not None:
+            return
+        self.pipeline = ClientPipeline(self.info, self.settings, live=self.live, clock=self._clock)
+        last = self.info.frames
+        if self.settings.duration is not None:
+            last = min(last, self.settings.start_frame + max(1, round(self.settings.duration * self.info.fps)))
+        self._end_frame = max(last, self.settings.start_frame + 1)
+
+    def _take_weights(self) -> None:
+        """Hand the content's own weights to the pipeline, once both are there; damaged ones are only reported."""
+        if self.pipeline is None or self._weights is None:
+            return
+        data, self._weights = self._weights, None
+        try:
+            self.pipeline.on_weights(data)
+        except DecodeError as error:
+            self.stats.decode_errors += 1
+            self.stats.notices.append(str(error))
+
+    def _play(self, now_us: int) -> None:
+        """The first key frame is there: fix when it is shown, and tell the server."""
+        if self._due_us is not None or self.stats.started_us is not None:
+            return
+        at_us = now_us + self.settings.start_delay_ms * 1000
+        self._due_us = self.stats.started_us = at_us
+        self._viewpoint.begin(at_us)
+        self._ask_to_play(at_us, now_us)
+
+    def _ask_to_play(self, at_us: int, now_us: int) -> None:
+        self._session.control(Control("play", self.settings.start_frame, at_us), now_us=now_us)
+
+    def _frame_due_us(self, frame: int) -> int:
+        assert self.info is not None
+        assert self.stats.started_us is not None
+        return self.stats.started_us + round((frame - self.settings.start_frame) * 1e6 / self.info.fps)
+
+    def _present(self, now_us: int) -> Present:
+        frame = self._cadence.next(self._next_frame, self._end_frame)
+        if self.settings.drop_late:
+            frame = self._cadence.newest_due(now_us, self._next_frame, self._end_frame, self._frame_due_us)
+        self.stats.dropped += frame - self._next_frame
+        self._next_frame, self._presenting = frame + 1, True
+        due_us = self._frame_due_us(frame)
+        following = self._cadence.next(frame + 1, self._end_frame)
+        self._due_us = self._frame_due_us(following) if following > frame else None
+        self._interpolation.cancel()
+        assert self.info is not None and self.pipeline is not None
+        if self.info.motion is not None and following > frame:
+            self._interpolation.begin(due_us, self._frame_due_us(following), following - frame)
+        self._interpolation.drawing(now_us)
+        return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._decode_queue.traffic())
+
+    def _present_first(self, now_us: int) -> Present:
+        """The first picture, before the first frame has come whole: of a reference, and of what there is besides."""
+        assert self.pipeline is not None
+        self._presenting, self._preview_due = True, False
+        frame, pose = self.settings.start_frame, self._viewpoint.pose_at(now_us)
+        return Present(frame, now_us, pose, self.pipeline, Traffic(), first=True)
+
+    def _present_between(self, moment: Moment, now_us: int) -> Present:
+        """A picture of what moves, before the next media frame is due."""
+        assert self.pipeline is not None
+        self._presenting = True
+        self._interpolation.drawing(now_us)
+        frame, pose = self._next_frame - 1, self._viewpoint.pose_at(moment.due_us)
+        return Present(frame, moment.due_us, pose, self.pipeline, Traffic(), moment.share)
+
+    def _ask_idr(self, last_seq: int, now_us: int) -> None:
+        if self._asked_idr_us is not None and now_us - self._asked_idr_us < KEYFRAME_RETRY_US:
+            return
+        self._asked_idr_us = now_us
+        self.stats.keyframe_requests += 1
+        self._session.request_keyframe(last_seq, now_us=now_us)
+
+    def _finish(self, now_us: int) -> None:
+        self.finished = True
+        self._session.bye(now_us=now_us)
+
+    def _fail(self, error: CagsError) -> None:
+        self.finished = True
+        self.error = self.error or error

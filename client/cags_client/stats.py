@@ -1,0 +1,55 @@
+"""What a play has counted, and how long each stage of a frame takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+
+
+@dataclass(eq=False)
+class PlayStats:
+    """Counts over a whole play."""
+
+    frames: int = 0
+    """Media frames presented."""
+    interpolated: int = 0
+    """Pictures presented between them."""
+    missed: int = 0
+    """Presented without all of their data."""
+    dropped: int = 0
+    """Not presented because the one after was due already."""
+    decode_errors: int = 0
+    keyframe_requests: int = 0
+    bytes_tiles: int = 0
+    bytes_reference: int = 0
+    bytes_other: int = 0
+    first_byte_us: int | None = None
+    last_byte_us: int = 0
+    first_picture_us: int | None = None
+    """When the first picture had been drawn, of a reference or of the first frame."""
+    started_us: int | None = None
+    """When the first frame was due."""
+    reconnects: int = 0
+    """Dropped connections that were taken up again."""
+    away_us: int = 0
+    """Time without a session, in all."""
+    notices: list[str] = field(default_factory=list)
+
+
+class Stopwatch:
+    """Times named stages by a clock that was passed in (seconds)."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self.stages_ms: dict[str, float] = {}
+
+    def __call__(self, stage: str) -> AbstractContextManager[None]:
+        """A context whose time is ``stage``'s."""
+        return self._timed(stage)
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        start = self._clock()
+        yield
+        self.stages_ms[stage] = (self._clock() - start) * 1e3

@@ -1,0 +1,1 @@
+"""What the client keeps beside its splats: decoded references."""

@@ -1,0 +1,162 @@
+"""Decoded references, matched to the frames that are shown."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from cags_client.store.picture import ReferencePicture
+from cags_common.correction import Reference
+from cags_common.errors import DecodeError
+from cags_common.geometry import DEFAULT_NEAR, F32, Camera
+from cags_common.video.h264 import H264Decoder
+from cags_protocol.messages import ReferenceFrame, ReferenceKind
+
+KEPT = 24
+"""References kept: those sent ahead of display and the last few shown."""
+
+MAX_REFERENCE_PIXELS = 1 << 21
+"""Largest reference that is decoded."""
+
+
+AROUND_PX = 3
+"""Radius of the neighbourhoods in which a picture is compared with the client's own view, its pixels."""
+
+NOISE_WEIGHT = 2.0
+"""Weight of what coding has left, which is not the same everywhere."""
+
+LEAST_POWER = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Received:
+    """A reference as it came."""
+
+    frame: int
+    order: int
+    """Counts references as they come, over all connections."""
+    basis: int
+    """Mark of the client's store that it assumes."""
+    camera: Camera
+    kind: ReferenceKind
+    coded: F32 | None = None  # [h, w, 3] in [0, 1]; None where it says nothing
+    knee: float = 0.1
+    error: float = 0.0
+    """Mean squared error that coding has left in a picture, [0, 1] RGB."""
+    seq: int = 0
+
+    @property
+    def assumes(self) -> bool:
+        """Whether it is right for its basis alone; a picture is compared with whatever the client holds."""
+        return self.kind is not ReferenceKind.PICTURE
+
+    @cached_property
+    def difference(self) -> Reference:
+        """What correctors take of a difference."""
+        assert self.coded is not None, "a reference that says nothing corrects nothing"
+        return Reference(self.coded, self.camera, knee=self.knee)
+
+    def compared(self, own: F32) -> Reference:
+        """What correctors take of a picture, by the client's ``own`` view [h, w, 3] of it.
+
+        Where the two differ by no more than coding has left in the picture, nothing is lacking: of the difference d in
+        a neighbourhood 1 - error / mean d^2 counts, Wiener's share.
+        """
+        assert self.coded is not None, "a reference that says nothing corrects nothing"
+        own = np.clip(own, 0.0, 1.0)
+        away = self.coded - own
+        size = (2 * AROUND_PX + 1,) * 2
+        power = cv2.boxFilter(np.einsum("ijk,ijk->ij", away, away), -1, size) / 3
+        share = np.clip(1 - NOISE_WEIGHT * self.error / np.maximum(power, LEAST_POWER), 0.0, 1.0)
+        return Reference(np.asarray(own + share[..., None] * away, np.float32), self.camera, picture=True)
+
+    @cached_property
+    def picture(self) -> ReferencePicture | None:
+        """What aligners take; None of a difference."""
+        if self.kind is not ReferenceKind.PICTURE or self.coded is None:
+            return None
+        return ReferencePicture(self.coded, self.camera, self.frame, self.seq)
+
+
+class References:
+    """Decodes the reference video and hands out what is for a frame. Decoding and reading may be in two threads."""
+
+    def __init__(self, near: float = DEFAULT_NEAR) -> None:
+        self._decoder = H264Decoder(max_pixels=MAX_REFERENCE_PIXELS)
+        self._near = near
+        self._last_seq = self._order = 0
+        self.last_decoded = 0
+        """Sequence number of the last picture that was decoded; 0 before any."""
+        self._received: dict[int, Received] = {}
+        self._lock = threading.Lock()
+
+    def add(self, message: ReferenceFrame, access_unit: memoryview, basis: int) -> bool:
+        """Decode one reference, which assumes mark ``basis`` of the store. Returns whether the video is whole: if not,
+        an IDR picture is needed.
+
+        A gap in the sequence makes every picture up to the next IDR wrong without an error, so they are not shown.
+        Raises :class:`DecodeError`.
+        """
+        kind, coded = ReferenceKind(message.kind), None
+        if kind is ReferenceKind.NOTHING:
+            if len(access_unit):
+                raise DecodeError(f"reference of frame {message.frame} says nothing in {len(access_unit)} bytes")
+        else:
+            if message.seq <= self._last_seq and not message.idr:
+                return True  # late: the decoder is past it
+            coded = self._decoded(message, access_unit)
+            if coded is None:
+                return False
+        camera = Camera(message.intrinsics, message.pose, self._near)
+        with self._lock:
+            self._order += 1
+            self._received.pop(message.frame, None)
+            self._received[message.frame] = Received(
+                message.frame, self._order, basis, camera, kind, coded, message.knee, message.error, message.seq
+            )
+            while len(self._received) > KEPT:
+                del self._received[next(iter(self._received))]
+        return True
+
+    def _decoded(self, message: ReferenceFrame, access_unit: memoryview) -> F32 | None:
+        if message.seq != self._last_seq + 1 and not message.idr:
+            self._decoder.reset()
+        self._last_seq = message.seq
+        rgb = self._decoder.decode(access_unit)
+        if rgb is None:
+            return None
+        i = message.intrinsics
+        if rgb.shape[:2] != (i.height_px, i.width_px):
+            raise DecodeError(
+                f"reference {message.seq} is {rgb.shape[1]}x{rgb.shape[0]}, said {i.width_px}x{i.height_px}"
+            )
+        self.last_decoded = message.seq
+        return rgb
+
+    def newest(self, frame: int, max_age: int) -> Received | None:
+        """That of ``frame``, or the newest of the ``max_age`` frames before it; never one of a frame to come."""
+        with self._lock:
+            past = [f for f in self._received if 0 <= frame - f <= max_age]
+            return self._received[max(past)] if past else None
+
+    def next_basis(self, frame: int, after: int, max_age: int) -> int | None:
+        """The mark that the next references assume, of those that have come: later in order than ``after``, and not of
+        the ``max_age`` frames up to ``frame``. None where none has come, or they assume nothing.
+        """
+        with self._lock:
+            waiting = [r for f, r in self._received.items() if r.order > after and not 0 <= frame - f <= max_age]
+            return min((r.basis for r in waiting if r.assumes), default=None)
+
+    def restart(self) -> None:
+        """Another server's video follows, numbered from 1; what is there stays."""
+        self._decoder.reset()
+        self._last_seq = self.last_decoded = 0
+
+    def reset(self) -> None:
+        """Forget everything (the viewer jumped); the decoder goes on."""
+        with self._lock:
+            self._received.clear()

@@ -1,0 +1,297 @@
+"""What is held of one group of frames: tiles at any depth, in any order of arrival.
+
+Tiles are decoded when they arrive (:mod:`cags_common.store.gof_tiles`); :meth:`GofBuffer.commit` makes them visible,
+all of a frame at once, when that frame is shown (:mod:`cags_common.splat_buffer` has the rules by which looks, updates
+and motion become one array of splats). What is shown depends on what came up to a mark and on the frame alone: not on
+how arrivals were batched, nor on what was committed before. Each group of frames has ids, and a store, of its own.
+Showing an earlier frame of the group replays what is held, so a loop or a jump back asks the network for nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.bundle.manifest import Manifest
+from cags_common.codecs import WHOLE_TILES_CODEC
+from cags_common.errors import DecodeError
+from cags_common.held_tile import HeldTile
+from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
+from cags_common.motion.chunk import Chunk
+from cags_common.splat_buffer import Slot, SplatBuffer
+from cags_common.splats import Ids, Splats
+from cags_common.store.gof_tiles import GofTiles
+from cags_common.store.motions import HeldMotion, HeldUpdate, LooksValue, Staged
+from cags_common.store.shown import Held, Shown
+from cags_common.store.tile_decode import Arrival, Key, Opener
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What a commit did."""
+
+    rows: NDArray[np.intp]
+    """[M] whose splats changed."""
+    moved: NDArray[np.intp]
+    """[K] further ones, of which only position, rotation and opacity did."""
+    whole: bool
+    """Whether the end of the frame was there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Committed:
+    """What became visible: the rows that changed [M] or only moved [K]; all of them where the group is new."""
+
+    gof: int
+    rows: NDArray[np.intp]
+    moved: NDArray[np.intp]
+    fresh: bool
+    missed: bool
+    """The end of this frame was not there: something older is shown."""
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything became visible."""
+        return self.fresh or len(self.rows) > 0 or len(self.moved) > 0
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    """The end of a frame, and the last mark that came before it."""
+
+    mark: int
+    removed: Ids
+
+
+class GofBuffer:
+    """One group of frames. One thread may add and flush while another commits, which never waits for a decoder."""
+
+    def __init__(self, manifest: Manifest, gof: int, opener: Opener, mark: int = 0) -> None:
+        """``mark`` is the last that came."""
+        self._manifest, self._gof, self._opener = manifest, gof, opener
+        self.capacity = manifest.capacity[gof]
+        frames, self._top_lod = manifest.gof_frames(gof), manifest.lods - 1
+        myself = weakref.ref(self)  # a cycle would keep all splats until a collection finds it
+        self._buffer = SplatBuffer(
+            self.capacity, manifest.sh_degree, on_replaced=partial(_tell_replaced, myself), threads=opener.threads
+        )
+        layered, in_motion = manifest.codec != WHOLE_TILES_CODEC, manifest.motion is not None
+        self._tiles = GofTiles(frames, self.capacity, opener, layered=layered, in_motion=in_motion, mark=mark)
+        self._shown: list[Held] = []
+        self._coarse: dict[Key, HeldMotion | HeldUpdate] = {}  # shown below its highest level
+        self._shown_frame = self._horizon = -1
+        self.whole = False
+        """Whether the end of the frame on display had come when it was committed."""
+        self.begun = False
+        """Whether looks of any frame up to the one on display have been shown."""
+        self._rewound = False
+        self._ends: set[int] = set()  # not yet shown
+        self._ended: dict[int, _End] = {}
+        self._lock = threading.Lock()
+
+    def resumed(self, inventory: Mapping[Key, int] | None) -> GofBuffer:
+        """Another store, of so many LoDs of each tile (None: of what :meth:`held` says), without ends of frames."""
+        other = GofBuffer(self._manifest, self._gof, self._opener, self._tiles.mark)
+        other._tiles = self._tiles.resumed(inventory)
+        return other
+
+    @property
+    def splats(self) -> Splats:
+        """Those on display; rows are splat ids. They change with :meth:`commit` and :meth:`move`."""
+        return self._buffer.splats
+
+    @property
+    def nbytes(self) -> int:
+        """What the splats by id take."""
+        return self._buffer.nbytes
+
+    @property
+    def keeps(self) -> bool:
+        """Whether earlier frames of the group can be shown again from what is held."""
+        return self._tiles.keeps
+
+    # ------------------------------------------------------------------------------------------ arrival (decode thread)
+
+    def add(self, arrivals: Sequence[Arrival]) -> list[DecodeError]:
+        """Decode tiles' layers; what is wrong with those that are left out. Duplicates change nothing."""
+        return self._tiles.add(arrivals)
+
+    def flush(self) -> list[DecodeError]:
+        """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that are
+        left out.
+        """
+        return self._tiles.flush()
+
+    def mark(self, number: int) -> None:
+        """What comes from now on belongs to later marks. After :meth:`flush`, in the same thread."""
+        self._tiles.mark = number
+
+    def take_dropped(self) -> list[HeldTile]:
+        """What had come and was given up since the last call, for want of memory: the server may send it again."""
+        return self._tiles.take_dropped()
+
+    def end(self, frame: int, removed: Ids) -> None:
+        """Nothing more is planned for ``frame``; ``removed`` ids end there. Raises :class:`DecodeError`."""
+        self._tiles.check_ids(removed, f"removed ids of frame {frame}")
+        with self._lock:
+            if frame not in self._ended:
+                self._ended[frame] = _End(self._tiles.mark, removed)
+                self._ends.add(frame)
+
+    # ----------------------------------------------------------------------------------------- display (display thread)
+
+    def commit(self, frame: int, basis: int | None = None) -> Changes:
+        """Show what has come up to mark ``basis`` (None: everything) for frames up to ``frame``, where it is then.
+
+        What a frame at or before it showed of later marks stays; a frame before the one on display shows the basis
+        alone.
+        """
+        limit = math.inf if basis is None else basis
+        horizon = self._newest_end(frame, limit)
+        if frame < self._shown_frame:
+            self._rewind(horizon, limit)
+        self._shown_frame, self._horizon = frame, max(self._horizon, horizon)
+        ends = self._due(horizon, limit)
+        self.whole = self._horizon >= frame and frame in self._ended
+        self._tiles.stage_unless_decoding(horizon)
+        updates = self._tiles.due(horizon, limit)
+        touched = np.zeros(self.capacity, dtype=bool)
+        if self._rewound:
+            touched[:], self._rewound = True, False
+        for f, ids in ends:
+            touched[self._buffer.remove(f, ids)] = True
+        for staged in updates:
+            touched[self._show(staged)] = True
+        moved = self._buffer.move(float(frame))
+        self._forget_past(frame, changed=bool(updates or ends))
+        only = np.zeros(self.capacity, dtype=bool)
+        only[moved] = True
+        return Changes(np.nonzero(touched)[0], np.nonzero(only & ~touched)[0], self.whole)
+
+    def move(self, time: float) -> NDArray[np.intp]:
+        """Show the splats on display where they are at ``time``, after the frame that was committed; the rows [K] that
+        moved. Nothing else of them changes.
+        """
+        return np.sort(self._buffer.move(time))
+
+    def _show(self, staged: Staged) -> NDArray[np.integer]:
+        """The rows that change by it; motion changes none before all of it is evaluated."""
+        held, value = staged.held, staged.value
+        if isinstance(held, Held):
+            assert isinstance(value, LooksValue)
+            held.steps, held.grows = value.steps, value.grows
+            self.begun |= len(value.ids) > 0
+            if held.index < 0:
+                held.index = len(self._buffer.slots)
+                self._buffer.add(held)
+                self._shown.append(held)
+            return self._buffer.write(held, staged.lod, value.ids, value.splats)
+        held.shown_lod, top = staged.lod, MOTION_LEVELS - 1
+        rows = np.zeros(0, np.intp)
+        if isinstance(held, HeldUpdate):
+            assert isinstance(value, dict)
+            held.ids_of, top = {column: ids for column, (ids, _) in value.items()}, self._top_lod
+            rows = self._buffer.update(held.key[0], value)
+        elif held.versions is not None:
+            assert isinstance(value, Chunk)
+            self._buffer.set_motion(held.looks, held.key[0], value)
+        if staged.lod < top:
+            self._coarse[held.key] = held
+        else:
+            self._coarse.pop(held.key, None)
+        return rows
+
+    def _newest_end(self, frame: int, limit: float) -> int:
+        """The newest frame up to ``frame`` whose end came before mark ``limit``; -1 where none did."""
+        with self._lock:
+            return max((f for f, end in self._ended.items() if f <= frame and end.mark < limit), default=-1)
+
+    def _due(self, horizon: int, limit: float) -> list[tuple[int, Ids]]:
+        """Removals to be shown, of frames up to ``horizon`` whose ends came before mark ``limit``."""
+        with self._lock:
+            frames = sorted(f for f in self._ends if f <= horizon and self._ended[f].mark < limit)
+            self._ends.difference_update(frames)
+            return [(f, self._ended[f].removed) for f in frames]
+
+    def _rewind(self, horizon: int, limit: float) -> None:
+        """Back to an empty picture; everything held waits to be shown again, in order."""
+        self._buffer.clear()
+        for looks in self._tiles.rewind(horizon, limit):
+            self._buffer.drop_motion(looks)
+        self._coarse.clear()
+        with self._lock:
+            self._ends = set(self._ended)
+        self._rewound, self.begun, self._horizon = True, False, -1
+
+    def _replaced(self, slot: Slot) -> None:
+        """Nothing of a tile is shown any more."""
+        assert isinstance(slot, Held)
+        if slot.replaced or slot.grows:
+            return
+        self._buffer.drop_motion(slot.key)
+        self._forget(self._tiles.replaced(slot))
+
+    def _forget_past(self, frame: int, *, changed: bool) -> None:
+        """Chunks of motion that later ones followed; once nothing is kept, updates too of which nothing is left."""
+        self._forget(self._tiles.past(self._buffer.drop_past(frame)))
+        if changed and not self.keeps:
+            for update in self._tiles.updates():
+                if not self._buffer.uses(update.key[0], update.ids_of):
+                    self._tiles.forget(update)
+                    self._forget([update])
+
+    def _forget(self, changes: Sequence[HeldMotion | HeldUpdate]) -> None:
+        for held in changes:
+            self._coarse.pop(held.key, None)
+
+    @property
+    def shown_frame(self) -> int:
+        """The frame on display; -1 before any."""
+        return self._shown_frame
+
+    @property
+    def newest(self) -> int:
+        """The newest frame that has come whole; -1 before any."""
+        with self._lock:
+            return max(self._ended, default=-1)
+
+    def holds(self, frame: int) -> bool:
+        """Whether ``frame`` can be shown whole at once."""
+        with self._lock:
+            return self._tiles.keeps and frame in self._ended
+
+    # ---------------------------------------------------------------------------------------------------------- figures
+
+    @property
+    def shown(self) -> Shown:
+        """What is on display."""
+        return Shown(self._buffer.owner, tuple(self._shown))
+
+    def held(self) -> list[HeldTile]:
+        """The tiles of which splats are shown, wait to be, or are kept for a replay; motion and updates like looks."""
+        return self._tiles.held()
+
+    @property
+    def full(self) -> bool:
+        """Whether everything shown is at its highest LoD, motion and updates too: nothing is left to restore."""
+        return self.shown.full(self._top_lod) and not any(map(self._counts, list(self._coarse.values())))
+
+    def _counts(self, held: HeldMotion | HeldUpdate) -> bool:
+        """Whether ``held`` makes anything that is shown what it is."""
+        if isinstance(held, HeldUpdate):
+            return self._buffer.uses(held.key[0], held.ids_of, shown=True)
+        looks = self._tiles.looks(held.looks)
+        return looks is not None and looks.on_display and self._buffer.moves(held.looks) == held.key[0]
+
+
+def _tell_replaced(store: weakref.ref[GofBuffer], slot: Slot) -> None:
+    told = store()
+    if told is not None:
+        told._replaced(slot)

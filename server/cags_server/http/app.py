@@ -1,0 +1,336 @@
+"""The server's shell: HTTP and WebSocket on a port, a :class:`~cags_server.session.connection.Connection` a client."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import gc
+import itertools
+import logging
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+from aiohttp import web
+from aiohttp.typedefs import Handler, Middleware
+
+from cags_common.errors import NetworkError, OutputError
+from cags_common.rare_log import RareLog
+from cags_common.transport.accepting import listen_on
+from cags_common.transport.hosts import named
+from cags_common.transport.websocket import ServerWebSocket
+from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
+from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
+from cags_protocol.messages import Hello, RefusalCode
+from cags_server.http.acceptor import BACKLOG, Acceptor, max_connections
+from cags_server.http.admission import (
+    MAX_HANDSHAKES,
+    header_allowed,
+    host_refusal,
+    operator_allowed,
+    origin_allowed,
+    tls_context,
+    token_allowed,
+)
+from cags_server.http.admission_rate import AdmissionRate
+from cags_server.http.capacity import Capacity, capacity
+from cags_server.http.client_task import ClientTask, now_us
+from cags_server.http.event_file import EventFile
+from cags_server.http.memory import FreedMemory
+from cags_server.http.metrics import Totals, exposition
+from cags_server.http.status import SessionBook, page
+from cags_server.http.waiting_list import WaitingList
+from cags_server.records import StreamStats, write_session
+from cags_server.reference.render_pool import RenderPool
+from cags_server.reference.render_slots import RenderSlots
+from cags_server.scene.library import SceneLibrary
+from cags_server.session.connection import Connection
+from cags_server.session.quota import Quotas
+from cags_server.settings import ServeSettings
+
+log = logging.getLogger(__name__)
+
+MOST_BY_MEASURE = 256
+"""Descriptors are kept for so many clients where their number is measured."""
+
+LINES_AT_ONCE = 16
+"""Log lines about comings and goings of one address that may come at once; then there is one a second."""
+
+
+class App:
+    """One served scene and its clients."""
+
+    def __init__(self, library: SceneLibrary, settings: ServeSettings, acceptor: Acceptor | None = None) -> None:
+        """``acceptor``: where its connections come from, if there is one that wants to know what they are at."""
+        self._library, self._settings, self._acceptor = library, settings, acceptor
+        self._told, self._turned_away = RareLog(log, burst=LINES_AT_ONCE), RareLog(log)
+        self._turns = AdmissionRate()
+        self._unvouched = WaitingList[str]()  # names of those who have shown neither a Hello nor the token yet
+        self._render_slots = RenderSlots(settings.workers)
+        self._names = itertools.count(1)
+        self._clients: dict[str, tuple[ClientTask, Connection]] = {}
+        self._executor = RenderPool(settings.workers, self._served)
+        self._executor.submit(library.warm)
+        self._ended = Totals()
+        self._memory, self._book = FreedMemory(), SessionBook()
+        self._draining = False
+        self._empty = asyncio.Event()
+        self._empty.set()
+
+    def web_app(self) -> web.Application:
+        """Routes: health, readiness, metrics, the operator's page, the bundle's public manifest, and the stream."""
+        app = web.Application(
+            middlewares=([] if self._acceptor is None else [self._acceptor.middleware()]) + [self._guard()]
+        )
+        app.router.add_get("/healthz", self._health)
+        app.router.add_get("/readyz", self._ready)
+        app.router.add_get("/metrics", self._metrics)
+        app.router.add_get("/status", self._status)
+        app.router.add_get("/status.json", self._status)
+        app.router.add_get("/bundle", self._bundle)
+        app.router.add_get("/stream", self._stream)
+        return app
+
+    def _guard(self) -> Middleware:
+        @web.middleware
+        async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
+            refusal = host_refusal(self._settings, request.headers.get("Host"))
+            return await handler(request) if refusal is None else web.json_response({"error": refusal}, status=403)
+
+        return guard
+
+    def sessions(self) -> list[tuple[str, StreamStats]]:
+        """Name and figures of every client that has been let in."""
+        return [(name, c.stats) for name, (_, c) in list(self._clients.items()) if c.streamer is not None]
+
+    def _served(self) -> int:
+        """How many have been let in: not those who have yet to say hello."""
+        return sum(connection.streamer is not None for _, connection in self._clients.values())
+
+    def _full(self) -> str | None:
+        """Why nobody more is let in; None while there is room."""
+        most = self._settings.max_clients
+        if most:
+            return f"{most} clients are here already; try again later" if self._served() >= most else None
+        now = self._capacity()
+        return now.reason() if self._served() >= now.clients else None
+
+    def _capacity(self) -> Capacity:
+        live = [stats for _, stats in self.sessions()]
+        return capacity(self._settings, self._library.manifest.fps, [*live, self._ended.as_stats()])
+
+    async def drain(self) -> None:
+        """Let no one in any more, and say goodbye to everybody who is."""
+        self._draining = True
+        for task, _ in list(self._clients.values()):
+            task.say_goodbye("the server is shutting down")
+        try:
+            async with asyncio.timeout(self._settings.drain_s):
+                await self._empty.wait()
+        except TimeoutError:
+            log.warning("%d clients did not leave within %g s", len(self._clients), self._settings.drain_s)
+
+    def close(self) -> None:
+        """Stop rendering."""
+        self._memory.close()
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+    async def _health(self, request: web.Request) -> web.Response:
+        return web.json_response({"status": "ok", "clients": len(self._clients)})
+
+    async def _ready(self, request: web.Request) -> web.Response:
+        status = 503 if self._draining else 200
+        return web.json_response({"status": "draining" if self._draining else "ready"}, status=status)
+
+    def _operator(self, request: web.Request) -> web.Response | None:
+        """Why a request for what operators see is turned away; None where it is not."""
+        if operator_allowed(self._settings.token, request.headers.get("Authorization"), request.remote or ""):
+            return None
+        reason = "give the token, as a bearer's or as the password of any name; without --token, ask from this machine"
+        asks = {"WWW-Authenticate": 'Basic realm="cags-server"'} if self._settings.token else {}
+        return web.json_response({"error": reason}, status=401 if self._settings.token else 403, headers=asks)
+
+    async def _status(self, request: web.Request) -> web.Response:
+        refusal = self._operator(request)
+        if refusal is not None:
+            return refusal
+        report = {
+            "bundle": self._library.manifest.name,
+            "max_clients": self._settings.max_clients or self._capacity().clients,
+            "draining": self._draining,
+            **self._book.report(self.sessions()),
+        }
+        if request.path.endswith(".json"):
+            return web.json_response(report)
+        security = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"}
+        text = page(report, self._library.manifest.name)
+        return web.Response(text=text, content_type="text/html", charset="utf-8", headers=security)
+
+    async def _metrics(self, request: web.Request) -> web.Response:
+        if self._settings.token and (refusal := self._operator(request)) is not None:
+            return refusal
+        page = exposition(self._ended, (stats for _, stats in self.sessions()))
+        return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
+
+    async def _bundle(self, request: web.Request) -> web.Response:
+        if not header_allowed(self._settings.token, request.headers.get("Authorization")):
+            return web.json_response({"error": "the token is missing or wrong"}, status=401)
+        return web.Response(body=self._library.manifest.public_json(), content_type="application/json")
+
+    async def _stream(self, request: web.Request) -> web.StreamResponse:
+        refusal = self._refusal(request)
+        if refusal is not None:
+            return refusal
+        header = request.headers.get("Authorization")
+        vouched = bool(self._settings.token) and header_allowed(self._settings.token, header)
+        if not vouched and not await self._turns.take():
+            return web.json_response({"error": "too many ask at once; try again later"}, status=503)
+        transport = await ServerWebSocket.accept(
+            request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
+        )
+        if self._acceptor is not None:
+            self._acceptor.streams(request)
+        name = f"s{next(self._names)}"
+        events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
+        connection = self._connection(name, transport.peer, header, events)
+        task = ClientTask(
+            transport, connection, self._executor, slow_s=self._settings.slow_s, clients=lambda: len(self._clients)
+        )
+        self._clients[name] = task, connection
+        self._empty.clear()
+        if not vouched:
+            self._wait_for_hello(transport.peer, name)
+        try:
+            await task.run()
+        finally:
+            self._leave(name, transport.peer, connection)
+            if events is not None:
+                events.close()
+        return transport.response
+
+    def _wait_for_hello(self, peer: str, name: str) -> None:
+        """One that has shown nothing yet may take the place of one that has been at it for longer."""
+        self._unvouched.add(peer, name)
+        if len(self._unvouched) > MAX_HANDSHAKES and (longest := self._unvouched.first_to_go()) is not None:
+            task, _ = self._clients[longest]
+            self._unvouched.discard(task.peer, longest)
+            task.cut("others wait, and you said nothing")
+
+    def _refusal(self, request: web.Request) -> web.Response | None:
+        """Why a request is turned away before any WebSocket: draining, or a strange origin."""
+        if self._draining:
+            return web.json_response({"error": "the server is shutting down"}, status=503)
+        origin = request.headers.get("Origin")
+        host, names = request.headers.get("Host"), named(self._settings.hosts)
+        if not origin_allowed(origin, host, self._settings.origins, names):
+            return web.json_response({"error": f"origin {origin} is not allowed; list it with --origins"}, status=403)
+        return None
+
+    def _connection(self, name: str, peer: str, header: str | None, events: EventFile | None) -> Connection:
+        settings = self._settings
+        session = ServerSessionSettings(
+            timers=SessionTimers(idle_us=round(settings.idle_s * 1e6)),
+            max_queue_bytes=round(settings.max_queue_mb * 1e6),
+        )
+
+        def admit(hello: Hello) -> tuple[RefusalCode, str, str] | None:
+            self._unvouched.discard(peer, name)
+            if not token_allowed(settings.token, hello, header):
+                return RefusalCode.TOKEN, "token", "the token is missing or wrong; give the server's with --token"
+            if (reason := self._full()) is not None:
+                return RefusalCode.FULL, "", reason
+            self._book.began(name, peer)
+            self._told.write(logging.INFO, peer, "%s: joined from %s", name, peer)
+            return None
+
+        return Connection(
+            self._library,
+            settings,
+            name=name,
+            now_us=now_us(),
+            session_settings=session,
+            admit=admit,
+            fetches=True,
+            render_slots=self._render_slots,
+            trace=None if events is None else events.trace,
+            quotas=Quotas(messages=settings.max_message_rate, poses=settings.max_pose_rate),
+        )
+
+    def _leave(self, name: str, peer: str, connection: Connection) -> None:
+        del self._clients[name]
+        self._unvouched.discard(peer, name)
+        let_in = connection.streamer is not None
+        connection.release()
+        self._memory.session_ended()
+        if not self._clients:
+            self._empty.set()
+        ending = connection.ending
+        why = f"{ending.code}: {ending.reason}" if ending else "lost"
+        self._book.ended(name, connection.stats, ending)
+        if not let_in:
+            self._turned_away.write(logging.INFO, peer, "%s: not let in, from %s (%s)", name, peer, why)
+            return
+        self._ended.add(connection.stats)
+        self._told.write(logging.INFO, peer, "%s: left (%s)", name, why)
+        if self._settings.session_logs:
+            try:
+                write_session(Path(self._settings.session_logs), name, connection.stats, ending)
+            except OutputError as error:  # a full disk is no reason to stop serving
+                self._told.write(logging.WARNING, "session log", "%s", error)
+
+
+async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int, App], None]) -> None:
+    """Serve until SIGTERM or SIGINT. ``on_ready`` is told the host, the actual port and what serves there.
+
+    Raises :class:`NetworkError` where the address cannot be listened on.
+    """
+    tls = tls_context(settings.tls_cert, settings.tls_key)
+    try:
+        listeners = listen_on(settings.host, settings.port, BACKLOG)
+    except OSError as error:
+        raise NetworkError(
+            f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); {_way_out(error)}"
+        ) from error
+    acceptor = Acceptor(max_connections(settings.max_clients or MOST_BY_MEASURE))
+    app = App(library, settings, acceptor)
+    runner = web.AppRunner(app.web_app(), access_log=None, shutdown_timeout=settings.drain_s)
+    await runner.setup()
+    assert runner.server is not None
+    failed: list[BaseException] = []
+    stop = _stop_on_signals()
+
+    def fault(error: BaseException) -> None:
+        failed.append(error)
+        stop.set()
+
+    try:
+        gc.freeze()  # modules and the scene live as long as the server: collections need not look at them
+        acceptor.open(listeners, runner.server, tls, fault)
+        on_ready(settings.host, int(listeners[0].getsockname()[1]), app)
+        await stop.wait()
+        await app.drain()
+    finally:
+        await acceptor.close()
+        await runner.cleanup()
+        app.close()
+    if failed:
+        raise NetworkError(f"no connections can be accepted any more ({failed[0]}); start the server again")
+
+
+def _reason(error: OSError) -> str:
+    return os.strerror(error.errno).lower() if error.errno and error.errno > 0 else str(error)
+
+
+def _way_out(error: OSError) -> str:
+    if error.errno in (errno.EADDRINUSE, errno.EACCES):
+        return "stop the program that uses it or give another --port"
+    return "give --host an address of this machine, such as 127.0.0.1 or 0.0.0.0"
+
+
+def _stop_on_signals() -> asyncio.Event:
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+    return stop

@@ -1,0 +1,94 @@
+"""Bandwidth from acknowledgements alone.
+
+Every acknowledgement carries a delivery-rate sample (draft-cheng-iccrg-delivery-rate-estimation). A sample taken
+while the server had nothing more to send shows what was sent, not what the link can do: it may raise the estimate,
+never lower it, so the estimate cannot spiral down with the traffic it causes. Samples that had a queue behind them
+are the link's own rate; their mean over two round trips replaces the estimate, in both directions.
+
+A link that falls silent says something, too: while bytes are on their way, and no packet has arrived for longer than
+round trips take and jump about, it carries less than a packet in that time. Without that, the estimate of a link in an
+outage stays where it was, and what is sent by it waits in front of all that comes later.
+
+Nothing shows that a link has become faster but sending more: while no queue stands, the estimate handed out exceeds
+what was measured by a gain, doubled at the start of a session until a queue is first seen (as BBR's start-up does).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from cags_protocol.events import AckSample
+from cags_protocol.limits import PACKET_BYTES
+from cags_protocol.round_trips import RoundTrips
+
+INITIAL_BPS = 8e6
+"""Planned for until the first acknowledgement."""
+
+MIN_BPS, MAX_BPS = 64e3, 10e9
+
+STARTUP_GAIN, PROBE_GAIN, LOADED_GAIN = 2.0, 1.15, 0.95
+MIN_WINDOW_US = 120_000
+QUEUE_US = 15_000
+"""A round trip longer than the shortest by this much has a queue in it, unless round trips jump about by as much.
+
+Without regard to jitter a busy machine, whose round trips come late at random, would look like a loaded link for ever:
+each sample of what little was sent would replace the estimate, and nothing would raise it again.
+"""
+
+BACKED_UP_US = 100_000
+"""A queue so long shows the link even if the server had nothing more to send when it was filled: it is a fall that
+came while little was sent. The credit window never lets so much wait on a link that is as fast as it is believed to be.
+"""
+
+
+class MeasuredEstimator:
+    """Estimate of one link from its acknowledgements."""
+
+    def __init__(self, initial_bps: float = INITIAL_BPS) -> None:
+        self._rate_bps = initial_bps
+        self._startup = True
+        self._loaded = False
+        self._samples: deque[tuple[int, int, float]] = deque()  # (time, bytes, rate) of samples that show the link
+        self._round_trips = RoundTrips()
+        self._newest: AckSample | None = None
+
+    def on_ack(self, sample: AckSample) -> None:
+        """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
+        trips = self._round_trips
+        trips.note(sample.now_us, sample.rtt_us)
+        self._newest = sample
+        rate = sample.delivery_rate_bps
+        if rate is None or rate <= 0 or sample.newly_delivered_bytes <= 0:
+            return
+        queue_us = sample.rtt_us - trips.shortest_us
+        queued = queue_us > QUEUE_US + trips.jitter_us
+        backed_up = sample.app_limited and queue_us > BACKED_UP_US
+        if backed_up:  # the link was busy all that time, and may have been idle only before
+            rate *= sample.rtt_us / queue_us
+        self._loaded = shows_link = queued and (backed_up or not sample.app_limited)
+        if not shows_link and rate <= self._rate_bps:
+            return
+        self._startup = self._startup and not shows_link
+        self._samples.append((sample.now_us, sample.newly_delivered_bytes, rate))
+        window_us = max(MIN_WINDOW_US, 2 * sample.rtt_us)
+        while self._samples[0][0] < sample.now_us - window_us:
+            self._samples.popleft()
+        total = sum(size for _, size, _ in self._samples)
+        self._rate_bps = total / sum(size / each for _, size, each in self._samples)
+
+    def estimate_bps(self, now_us: int) -> float:
+        """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
+        return min(max(min(self._rate_bps, self._silence_bps(now_us)), MIN_BPS), MAX_BPS)
+
+    def allowance_bps(self, now_us: int) -> float:
+        """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
+        gain = LOADED_GAIN if self._loaded else STARTUP_GAIN if self._startup else PROBE_GAIN
+        return min(max(min(self._rate_bps, self._silence_bps(now_us)) * gain, MIN_BPS), MAX_BPS)
+
+    def _silence_bps(self, now_us: int) -> float:
+        """The most that the link can carry if nothing has arrived since the newest acknowledgement."""
+        newest, trips = self._newest, self._round_trips
+        if newest is None or not newest.in_flight_bytes:
+            return MAX_BPS
+        silent_us = now_us - newest.now_us - trips.shortest_us - trips.jitter_us
+        return PACKET_BYTES * 8e6 / silent_us if silent_us > 0 else MAX_BPS

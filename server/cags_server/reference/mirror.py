@@ -1,0 +1,194 @@
+"""What one client shows, kept on the server: the client's own store, fed with what was written to the connection.
+
+TCP delivers in order. What was written before a *mark* has come when the client uses a reference that names it, so that
+the mirror, brought up to the same mark, holds the client's splats, bit for bit.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from cags_common.held_tile import HeldTile
+from cags_common.packing import decode_ids
+from cags_common.raster.base import RasterScene
+from cags_common.splats import Splats
+from cags_common.store.gof_buffer import Committed, GofBuffer
+from cags_common.store.tile_decode import Arrival
+from cags_common.store.tile_store import TileStore
+from cags_protocol.messages import Buffer, FrameEnd, TileLayers
+from cags_server.scene.decoded_tiles import SharedOpener
+from cags_server.scene.library import SceneLibrary
+
+MAX_LOG = 16_384
+"""Messages that wait for the next reference; past it those of groups of frames that nobody will see again go."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Layers:
+    frame: int
+    tile: int
+    from_lod: int
+    sizes: tuple[int, ...]
+
+    def arrival(self) -> Arrival:
+        """With payloads of zeros: a mirror's store counts their bytes, as the client's does, and reads none."""
+        return Arrival(self.frame, self.tile, self.from_lod, [_zeros(size) for size in self.sizes])
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    frame: int
+    removed: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _Restart:
+    frame: int
+
+
+def _zeros(count: int) -> memoryview:
+    return memoryview(_ZEROS)[:count] if count <= len(_ZEROS) else memoryview(bytes(count))
+
+
+_ZEROS = bytes(1 << 20)
+
+_Event: TypeAlias = _Layers | _End | _Restart
+
+
+class Mirror:
+    """Of one client. The event loop tells what was sent and marked; one job at a time asks for the scene."""
+
+    def __init__(self, library: SceneLibrary, threads: int) -> None:
+        """``threads`` of decoding and of motion."""
+        self._library, self._threads = library, threads
+        opener = SharedOpener(library.decoded, threads)
+        self._store = TileStore(library.manifest, library.reader.codec, opener=opener)
+        self._log: deque[tuple[int, _Event]] = deque()  # what came after which mark
+        self._most = MAX_LOG
+        self._mark = 0
+        self._lock = threading.Lock()
+        self._scene: RasterScene | None = None
+
+    # ------------------------------------------------------------------------------------------------------- event loop
+
+    def sent(self, message: TileLayers | FrameEnd, payload: Buffer) -> None:
+        """A message was written to its end; in the order in which they were."""
+        if isinstance(message, FrameEnd):
+            self._append(_End(message.frame, bytes(payload)))
+        else:
+            self._append(_Layers(message.frame, message.tile, message.from_lod, message.sizes))
+
+    def mark(self) -> int:
+        """All that was sent so far belongs to the mark of this number, 1 and up, which is to be written now."""
+        with self._lock:
+            self._mark += 1
+            return self._mark
+
+    def restart(self, frame: int) -> None:
+        """The client forgot everything that was sent before the next mark: it jumped to ``frame``."""
+        with self._lock:
+            self._log.clear()
+        self._append(_Restart(frame))
+
+    def resume(self, inventory: Iterable[HeldTile]) -> None:
+        """Over this connection the client begins with so many LoDs of each tile, and with no end of a frame."""
+        layered = self._library.decoded.layered
+        for held in inventory:
+            if held.lods and self._has(held):
+                first = 0 if layered else held.lods - 1
+                sizes = self._library.decoded.entry((held.frame, held.tile)).lod_bytes[first : held.lods]
+                self._append(_Layers(held.frame, held.tile, first, sizes))
+
+    def _has(self, held: HeldTile) -> bool:
+        """Whether the bundle has what a client says that it holds of it."""
+        if not 0 <= held.frame < self._library.manifest.frames:
+            return False
+        tiles = self._library.entry(held.frame).tiles
+        return held.tile < len(tiles) and held.lods <= len(tiles[held.tile].lod_bytes)
+
+    def _append(self, event: _Event) -> None:
+        with self._lock:
+            self._log.append((self._mark, event))
+            if len(self._log) > self._most:
+                self._forget_groups()
+                self._most = len(self._log) + MAX_LOG
+
+    def _forget_groups(self) -> None:
+        """Of groups of frames before the one that stays on display while the newest that has begun comes."""
+        gof_of = self._library.manifest.gof_of
+        ended = max((gof_of(event.frame) for _, event in self._log if isinstance(event, _End)), default=0)
+        kept = [item for item in self._log if isinstance(item[1], _Restart) or gof_of(item[1].frame) >= ended - 1]
+        self._log = deque(kept)
+
+    # ------------------------------------------------------------------------------------------------------- job thread
+
+    def scene_at(self, frame: int, basis: int) -> RasterScene | None:
+        """What the client draws of ``frame`` by mark ``basis``; None where it holds nothing of it.
+
+        Frames and marks rise but for :meth:`restart` and the client's own jumps within what it keeps. The scene is
+        the mirror's, and changes with the next call. Raises :class:`~cags_common.errors.BundleError` and
+        :class:`~cags_common.errors.DecodeError` for a bundle that cannot be read.
+        """
+        self._catch_up(basis)
+        if not self._store.reaches(frame):
+            return None
+        store, committed = self._store.commit(frame)
+        self._scene = self._updated(store, committed) if store.begun else None
+        return self._scene
+
+    @property
+    def splats(self) -> Splats | None:
+        """Those of :meth:`scene_at`, by splat id; None where there were none. They change with the next call."""
+        store = self._store.on_display
+        return store.splats if store is not None and store.begun else None
+
+    @property
+    def memory_bytes(self) -> int:
+        """What it takes beside the tiles that all mirrors share: splats by id, once more in the renderer."""
+        store = self._store.on_display
+        scene = sum(array.nbytes for _, array in store.splats.arrays()) if store and self._scene is not None else 0
+        return self._store.nbytes + scene
+
+    def _catch_up(self, basis: int) -> None:
+        with self._lock:
+            events = []
+            while self._log and self._log[0][0] < basis:
+                events.append(self._log.popleft()[1])
+        arrivals: list[Arrival] = []
+        for event in events:
+            if isinstance(event, _Layers):
+                arrivals.append(event.arrival())
+                continue
+            self._take(arrivals)
+            arrivals = []
+            if isinstance(event, _End):
+                capacity = max(self._store.capacity(event.frame), 1)
+                what = f"removed ids of frame {event.frame}"
+                removed = decode_ids(event.removed, what=what, limit=capacity) if event.removed else _NOBODY
+                self._store.end(event.frame, removed)
+            else:
+                self._store.reset(event.frame)
+        self._take(arrivals)
+
+    def _take(self, arrivals: list[Arrival]) -> None:
+        for error in self._store.add_all(arrivals):
+            raise error
+
+    def _updated(self, store: GofBuffer, committed: Committed) -> RasterScene:
+        scene = self._scene
+        if scene is None or committed.fresh:
+            return self._library.rasteriser.load(store.splats)
+        if len(committed.moved):
+            scene.move(committed.moved, store.splats, self._threads)
+        if len(committed.rows):
+            scene.update(committed.rows, store.splats.take(committed.rows))
+        return scene
+
+
+_NOBODY = np.zeros(0, np.int32)

@@ -1,0 +1,1 @@
+"""The scene as all clients share it: source frames, tiles and their owners."""

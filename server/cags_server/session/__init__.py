@@ -1,0 +1,1 @@
+"""One client without IO: protocol session, planning in time, messages."""

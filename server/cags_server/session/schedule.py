@@ -1,0 +1,194 @@
+"""When one client's frames are planned: a lead before their display, with a reference render or without.
+
+Frames are counted by *ticks* of the timeline. A client that cannot draw them all says how many it displays; the others
+are skipped: nobody would see their references or what their tiles change. One reference render is out at a time. A
+frame whose render is overdue is served blind, so that media never waits for the renderer: soon where its group of
+frames has been seen before, later where nothing has, since tiles are then chosen by their bounds alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cags_protocol.cadence import EVERY_FRAME, last_displayed, next_displayed
+from cags_protocol.messages import Control
+from cags_server.session.clock import ClientClock
+from cags_server.session.pace import Pace
+from cags_server.session.timeline import Timeline
+from cags_server.settings import ServerSettings
+
+RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
+"""How long a frame waits for a render that is out before it goes without: the frame that is rendered, one that follows
+it, and either in a group of which nothing was seen. Periods, but no longer than such a share of the lead.
+"""
+
+MAX_LEAD_STRETCH = 3.0
+"""A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
+
+
+JUMP_US = 1_000_000
+"""Frames that are later than that, or earlier while the viewer pauses, tell of a clock that has jumped."""
+
+
+class Schedule:
+    """The ticks of one client. Times are the server's clock unless named otherwise."""
+
+    def __init__(self, settings: ServerSettings, timeline: Timeline, clock: ClientClock) -> None:
+        self.timeline = timeline
+        self.generation = 0
+        """Counts controls: what was planned before one is void after it."""
+        self.cadence_permille = EVERY_FRAME
+        """How many of 1,000 media frames the client displays (:mod:`cags_protocol.cadence`)."""
+        self.rendering = False
+        """Whether a reference render is out."""
+        self.pace = Pace()
+        """How long reference renders take."""
+        self._lead_frames, self._reference_every = settings.lead_frames, settings.reference_every
+        self._tiles_ahead = settings.tiles_ahead
+        self._clock = clock
+        self._controlled = False
+        self._from_tick = 0  # first tick that is neither planned nor skipped
+        self._blind_tick = -1  # newest frame that was served without a render
+        self._rendered_tick: int | None = None  # newest frame that a render was begun for
+        self._render_covers = 1
+
+    def controlled(self, control: Control, now_us: int, rtt_us: int) -> None:
+        """The viewer plays, pauses, seeks or changes speed: ticks are counted anew."""
+        # Until a pose tells the time: a frame is asked for about a lead before its display.
+        self._clock.guess(control.at_us - round(self.lead_us(rtt_us)), now_us)
+        self.timeline = self.timeline.controlled(control)
+        self._controlled = True
+        self.generation += 1
+        self._from_tick, self._blind_tick, self._rendered_tick = 0, -1, None
+
+    def lead_us(self, rtt_us: int) -> float:
+        """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
+        wanted = self._lead_frames * 1e6 / self.timeline.fps
+        return min(max(wanted, self.pace.needed_us(rtt_us)), MAX_LEAD_STRETCH * wanted)
+
+    def follow_clock(self, now_us: int) -> None:
+        """A pose has told the client's time: a clock that was set back leaves ticks of a pause far in the future."""
+        t = self.timeline
+        if self._controlled and not t.playing and not self.rendering:
+            due_us = self._clock.to_server(t.display_us(self.next_tick))
+            if due_us - now_us > JUMP_US + MAX_LEAD_STRETCH * self._lead_frames * t.period_us:
+                self.timeline = replace(t, at_us=self._clock.to_client(now_us))
+                self._from_tick, self._blind_tick, self._rendered_tick = 0, -1, None
+
+    def media_frame(self, tick: int) -> int | None:
+        """While paused the viewer still moves: the same frame is planned again and again. None past the end."""
+        return self.timeline.media_frame(tick) if self.timeline.playing else self.timeline.frame
+
+    @property
+    def next_tick(self) -> int:
+        """The tick to be planned next: one that the client displays, as it does the clip's last one in any case."""
+        return self._up_to_the_end(next_displayed(self._from_tick, self.cadence_permille))
+
+    def _up_to_the_end(self, tick: int) -> int:
+        """``tick``, or that of the clip's last frame if it lies between."""
+        t = self.timeline
+        last = tick if t.loop or not t.playing else t.frames - 1 - t.frame
+        return min(tick, last) if last >= self._from_tick else tick
+
+    def ahead(self, tick: int) -> int:
+        """The tick whose tiles go out with the reference of ``tick``; at most the last one of the clip."""
+        t, after = self.timeline, tick
+        for _ in range(self._tiles_ahead):
+            after = next_displayed(after + 1, self.cadence_permille)
+        return after if t.loop or not t.playing else max(tick, min(after, t.frames - 1 - t.frame))
+
+    @property
+    def reference_period_us(self) -> float:
+        """Time between two frames that have references."""
+        return self.planned_period_us * self._reference_every
+
+    @property
+    def planned_period_us(self) -> float:
+        """Time between two frames that are planned."""
+        return self.timeline.period_us * EVERY_FRAME / self.cadence_permille
+
+    @property
+    def _unserved_render(self) -> int | None:
+        """The tick of the render that is out, while nothing has been sent for it."""
+        out = self.rendering and self._rendered_tick is not None and self._rendered_tick > self._blind_tick
+        return self._rendered_tick if out else None
+
+    @property
+    def serves(self) -> int:
+        """The tick to be served next: that of the render that is out, while nothing has been sent for it."""
+        unserved = self._unserved_render
+        return self.next_tick if unserved is None else unserved
+
+    @property
+    def next_frame(self) -> int | None:
+        """Media frame of the tick to be served next; None while there is none."""
+        return self.media_frame(self.serves) if self._controlled else None
+
+    def next_due_us(self, rtt_us: int, *, seen: bool) -> int | None:
+        """When the next frame must be planned, or served blind; None while there is none.
+
+        ``seen``: the group of frames that it is of has been rendered.
+        """
+        if self.next_frame is None:
+            return None
+        unserved, lead_us, period_us = self._unserved_render, self.lead_us(rtt_us), self.timeline.period_us
+        due_us = self._clock.to_server(round(self.timeline.display_us(self.serves) - lead_us))
+        if not self.rendering:
+            return due_us
+        if not seen:
+            return due_us + round(UNSEEN_GRACE_LEADS * lead_us)
+        periods, leads = SEEN_GRACE if unserved is None else RENDER_GRACE
+        return due_us + round(min(periods * period_us, leads * lead_us))
+
+    def between_references(self, *, seen: bool) -> bool:
+        """Whether the next frame is one of those that get no reference of their own."""
+        if self.rendering or self._rendered_tick is None or self.next_frame is None:
+            return False
+        return seen and self.next_tick < self._rendered_tick + self._reference_every
+
+    @property
+    def begun(self) -> bool:
+        """Whether the viewer has said when to play."""
+        return self._controlled
+
+    def begin_render(self, late_us: int) -> tuple[int, int, int]:
+        """Begin to render the newest frame that is due; its tick, media frame and how many ticks it covers.
+
+        The next one became due ``late_us`` ago. Those between are skipped: their references would come too late.
+        """
+        newest = last_displayed(self.next_tick + int(late_us // self.timeline.period_us), self.cadence_permille)
+        tick = max(self.next_tick, self._up_to_the_end(newest))
+        frame = self.media_frame(tick)
+        assert frame is not None, "a render begins at a frame that is due"
+        self._render_covers = self._cover(tick)
+        self._rendered_tick, self.rendering = tick, True
+        return tick, frame, self._render_covers
+
+    def go_blind(self, late_us: float = 0.0) -> tuple[int, int]:
+        """Serve the next frame without what a render would tell; its tick and how many ticks it covers.
+
+        That may be the frame whose render is out: its reference still comes, its tiles do not wait for it. The frame
+        became due ``late_us`` ago: after a jump of the clock the newest one that is due stands for all before it.
+        """
+        unserved = self._unserved_render
+        if unserved is not None:
+            self._blind_tick = unserved
+            return unserved, self._render_covers
+        missed = int(late_us // self.timeline.period_us) if late_us > JUMP_US else 0
+        newest = self._up_to_the_end(last_displayed(self.next_tick + missed, self.cadence_permille))
+        self._blind_tick = max(self.next_tick, newest)
+        return self._blind_tick, self._cover(self._blind_tick)
+
+    def _cover(self, tick: int) -> int:
+        """``tick`` is planned, and with it all before it are done; how many those are, it included."""
+        covered = tick - self._from_tick + 1
+        self._from_tick = tick + 1
+        return covered
+
+    def is_out(self, tick: int) -> bool:
+        """Whether the render of ``tick`` is out."""
+        return self.rendering and tick == self._rendered_tick
+
+    def overtaken(self, tick: int) -> bool:
+        """Whether the frame of a render, or a later one, was served while the render was out."""
+        return tick <= self._blind_tick

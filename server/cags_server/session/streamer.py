@@ -1,0 +1,508 @@
+"""The server's core for one client: from poses, acknowledgements and controls to planned frames and messages.
+
+Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), hands in session events, runs the
+:class:`~cags_server.reference.FrameJob` that :meth:`Streamer.begin` gives wherever it likes, and queues what
+:meth:`Streamer.finish` returns. Real time and virtual time run this same code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from cags_common.geometry import Camera, Pose
+from cags_common.held_tile import HeldTile
+from cags_common.tile_kinds import TileKind
+from cags_protocol import events as ev
+from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers, Welcome
+from cags_server.fov import widened
+from cags_server.ratecontrol import Decision, Observation, create_rate_policy
+from cags_server.ratecontrol.bandwidth.base import BandwidthEstimator
+from cags_server.ratecontrol.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
+from cags_server.records import Ahead, FrameRecord, StreamStats
+from cags_server.reference.budget import ReferenceBudget
+from cags_server.reference.coder import ReferenceCoder
+from cags_server.reference.job import FrameJob, FramePlan, FrameRender
+from cags_server.reference.mirror import Mirror
+from cags_server.reference.video import ReferenceVideo
+from cags_server.scene.library import SceneLibrary
+from cags_server.scene.visible_tiles import VisibleTile
+from cags_server.session.pace import MARGIN_US
+from cags_server.session.schedule import Schedule
+from cags_server.session.startup import Startup
+from cags_server.session.tile_sender import TileSender
+from cags_server.session.timeline import Timeline
+from cags_server.session.viewer import Viewer
+from cags_server.settings import PLAIN, ServerSettings
+from cags_server.visibility.visibility import Visibility
+
+MARK_EVERY_US = 30_000
+"""While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
+
+OVERLOAD = 1.5
+"""Times the time from one reference to the next that a reference may take to be made; beyond it they become rare."""
+
+GREETING_DEADLINE_US = 2_000_000
+"""After so long a first picture is of no use: tiles have come."""
+
+
+class Streamer:
+    """Decides what one client gets."""
+
+    def __init__(
+        self,
+        library: SceneLibrary,
+        settings: ServerSettings,
+        hello: Hello,
+        *,
+        estimator: BandwidthEstimator,
+        may_render: Callable[[int], bool] = lambda now_us: True,
+    ) -> None:
+        """``may_render(now_us)``: whether the renderer has room for this client; asked when a reference is due."""
+        self.stats = StreamStats()
+        self._library, self._settings, self._hello = library, settings, hello
+        self._estimator, self._may_render = estimator, may_render
+        self._viewer = Viewer(settings, hello)
+        self._policy = create_rate_policy(settings.abr)
+        self._coder = ReferenceCoder(settings, hello, library.manifest.fps)
+        self._mirror = Mirror(library, settings.render_threads)
+        self._tiles = TileSender(library, opening=settings.opening_tiles)
+        start = min(hello.start_frame, library.manifest.frames - 1)
+        timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
+        self._schedule = Schedule(settings, timeline, self._viewer.clock)
+        self._budget = ByteBudget(settings.queue_ms)
+        self._startup = Startup(library, self._tiles)
+        self._video = ReferenceVideo()
+        self._reference_budget = ReferenceBudget(settings.reference_most)
+        self._visibility = Visibility(library, settings.visible_px)
+        self._render_plan: FramePlan | None = None  # the newest
+        self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
+        self._marks: list[ev.Outgoing] = []
+        self._joined_us = self._marked_us = 0
+        self._greets = False  # a first picture is due, before the viewer says when to play
+        self._damaged = False  # something that was sent did not arrive whole
+
+    # ------------------------------------------------------------------------------------------------------- startup
+
+    def welcome(self, session: str, *, resumed: bool = False) -> Welcome:
+        """The answer to the client's Hello."""
+        manifest = self._library.manifest
+        return Welcome(session, manifest.fps, manifest.frames, resumed, manifest.public_json())
+
+    def startup(self, now_us: int) -> list[ev.Outgoing]:
+        """What a client gets first (:class:`~cags_server.session.startup.Startup`): enough to begin to play."""
+        camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
+        self._greets, self._joined_us = not self._startup.resumed, now_us
+        return self._counted(self._startup.messages(self._schedule.timeline.frame, camera, now_us), now_us)
+
+    @property
+    def first_frame(self) -> int:
+        """The media frame that :meth:`startup` begins with."""
+        return self._schedule.timeline.frame
+
+    @property
+    def next_frame(self) -> int | None:
+        """The media frame to be planned next; None while there is none."""
+        return self._schedule.next_frame
+
+    @property
+    def frame_ahead(self) -> int | None:
+        """The media frame whose tiles are to be planned next; None while there is none."""
+        tick, frame = self._schedule.serves, self._schedule.next_frame
+        return None if frame is None else self._ahead(tick, frame).frame
+
+    def startup_due_us(self) -> int | None:
+        """When :meth:`end_startup` has something to say."""
+        return self._startup.due_us()
+
+    def end_startup(self, now_us: int) -> list[ev.Outgoing]:
+        """The end of the first frame while the link is still busy with it, so that the play can begin."""
+        return self._counted(self._startup.end(now_us), now_us)
+
+    def resume(self, inventory: Iterable[HeldTile]) -> None:
+        """The client still holds these tiles, and the codebooks, from an earlier session: they are not sent again."""
+        held = tuple(inventory)
+        self._startup.resumed = True
+        self._tiles.resume(held)
+        self._mirror.resume(held)
+
+    # -------------------------------------------------------------------------------------------------------- events
+
+    def on_event(self, event: ev.ServerEvent, now_us: int) -> None:
+        """Take one event of the session."""
+        match event:
+            case ev.PosesReceived(samples, arrival_us, cadence_permille):
+                self._viewer.observe(samples, arrival_us)
+                self._schedule.cadence_permille = cadence_permille
+                self._schedule.follow_clock(arrival_us)
+            case ev.Acknowledged(sample, buffered_bytes):
+                self._estimator.on_ack(sample)
+                self._budget.acknowledged(sample, buffered_bytes)
+                self.stats.rtt_us = sample.rtt_us
+                self._reference_budget.in_flight_bytes = sample.in_flight_bytes
+                self.stats.bandwidth_bps = self._estimator.estimate_bps(now_us)
+            case ev.ControlReceived(control, arrival_us):
+                self._on_control(control, arrival_us)
+            case ev.KeyframeRequested(reference_seq):
+                self._video.requested(reference_seq)
+            case ev.Sent(outgoing, _):
+                self._on_sent(outgoing, now_us)
+            case ev.Delivered(outgoing, _):
+                self._on_settled(outgoing, delivered=True)
+            case ev.Dropped(outgoing, reason, sent_bytes, _):
+                self.stats.bytes_dropped += sent_bytes
+                self._on_settled(outgoing, delivered=False)
+                self._damaged |= reason == "lost" and isinstance(outgoing.message, TileLayers | FrameEnd)
+            case ev.Evicted(tiles):
+                for held in tiles:
+                    self._tiles.evicted(held)
+            case _:
+                pass
+
+    def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
+        """A message was written to its end."""
+        if isinstance(outgoing.message, TileLayers | FrameEnd):
+            if self._coder.compares:
+                self._mirror.sent(outgoing.message, outgoing.payload)
+            if now_us - self._marked_us >= MARK_EVERY_US and self._coder.kind is not None:
+                self._mark(now_us)
+
+    def _on_control(self, control: Control, now_us: int) -> None:
+        self._schedule.controlled(control, now_us, self.stats.rtt_us)
+        self._went_ahead = None
+        self._tiles.client_keeps = control.keeps
+        if control.action == "seek":
+            self._tiles.go_back(control.frame)
+            self._tiles.from_nothing = True
+            self._video.broken()
+            self._restart_if_forgotten(control.frame, now_us)
+
+    def _restart_if_forgotten(self, frame: int, now_us: int) -> None:
+        """The client is to hold nothing any more: say so, and let the mirror follow."""
+        if self._tiles.forgotten:
+            self._tiles.forgotten = False
+            self._mirror.restart(min(frame, self._library.manifest.frames - 1))
+            self._mark(now_us, restart=True)
+
+    def _mark(self, now_us: int, *, restart: bool = False) -> int:
+        """Note what will have been sent before the next message: the basis of references."""
+        number, self._marked_us = self._mirror.mark(), now_us
+        self._marks.append(ev.Outgoing(Mark(number, restart)))
+        return number
+
+    def take_marks(self) -> list[ev.Outgoing]:
+        """Marks to be queued at once: nothing may be sent to its end before them."""
+        marks, self._marks = self._marks, []
+        return marks
+
+    def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
+        self._budget.settled(outgoing)
+        message = outgoing.message
+        if isinstance(message, TileLayers):
+            self._tiles.settled(message, delivered=delivered)
+            self._startup.settled(message)
+        elif isinstance(message, ReferenceFrame) and not delivered:
+            self._video.dropped(message)
+
+    # ------------------------------------------------------------------------------------------------------ planning
+
+    def next_due_us(self) -> int | None:
+        """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
+        if self._greets:
+            return self._joined_us
+        return self._schedule.next_due_us(self.stats.rtt_us, seen=self._next_is_seen())
+
+    def begin(self, now_us: int) -> FrameJob | None:
+        """Plan the newest frame that is due: where the viewer will be, and how wide to look. None if none is due.
+
+        Frames that became due before it and were not begun are skipped: their references would come too late.
+        """
+        if self._greets:
+            return self._greeting(now_us)
+        due_us = self.next_due_us()
+        if self._schedule.rendering or due_us is None or now_us < due_us or self._between_references(now_us):
+            return None
+        tick, frame, covered = self._schedule.begin_render(now_us - due_us)
+        if self._damaged:
+            self._damaged = False
+            self._tiles.start_anew()
+            self._restart_if_forgotten(frame, now_us)
+        plan = self._render_plan = self._plan(tick, frame, covered, now_us)
+        return self._job(plan, now_us)
+
+    def _greeting(self, now_us: int) -> FrameJob | None:
+        """The first picture, of what a client sees that has just joined: it comes before the first tile."""
+        self._greets = False
+        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), GREETING_DEADLINE_US)
+        if self._coder.kind is None or self._schedule.begun or not (affordable and self._may_render(now_us)):
+            return None
+        self._schedule.rendering = True
+        frame, seen = self._schedule.timeline.frame, self._viewer.first_view()
+        plan = FramePlan(
+            generation=self._schedule.generation,
+            tick=0,
+            frame=frame,
+            ahead=Ahead(frame, 0),
+            ticks_covered=1,
+            planned_us=now_us,
+            display_us=0,
+            horizon_us=0,
+            predicted=seen,
+            margins=self._viewer.margins(frame, seen),
+            idr=self._video.needs_idr,
+            basis=self._mark(now_us),
+            greets=True,
+        )
+        return self._job(plan, now_us)
+
+    def _job(self, plan: FramePlan, now_us: int) -> FrameJob:
+        self._video.needs_idr = False
+        self._coder.follow(self._estimator.estimate_bps(now_us), self._schedule.reference_period_us)
+        size = self._coder.width_px, self._coder.height_px
+        intrinsics = widened(self._hello.intrinsics, plan.margins, *size)
+        return FrameJob(
+            plan=plan,
+            library=self._library,
+            mirror=self._mirror if self._coder.compares else None,
+            camera=Camera(intrinsics, plan.predicted.pose, self._hello.near),
+            client=self._hello.intrinsics,
+            coder=self._coder,
+            visible_px=self._settings.visible_px,
+            threads=self._settings.render_threads,
+            stale=self._visibility.stale,
+            plain_footprint=self._settings.reference_footprint == PLAIN,
+        )
+
+    def catch_up(self, now_us: int) -> list[ev.Outgoing]:
+        """Between two references, and while a job takes long: tiles and ends of frames, chosen by what was seen last.
+
+        Media goes on without new references; only they wait for the renderer. Where nothing was seen yet, the tiles'
+        bounds say what is in view.
+        """
+        due_us, frame = self.next_due_us(), self._schedule.next_frame
+        if frame is None or due_us is None or now_us < due_us:
+            return []
+        between = self._between_references(now_us)
+        if not (self._schedule.rendering or between):
+            return []
+        seen = self._next_is_seen()
+        tick, covered = self._schedule.go_blind(now_us - due_us)
+        plan = self._blind_plan(tick, frame, covered, now_us)
+        record = self._record(plan)
+        if self._schedule.is_out(tick):
+            self._went_ahead = record  # of the render that is out, whose reference is not late yet
+        else:
+            record.reference_late = not between
+            self.stats.references_late += record.reference_late
+        ahead = plan.ahead.frame
+        self._enter(ahead, now_us)
+        told = seen and self._visibility.tells_of(ahead)
+        visible = self._visibility.tiles(ahead) if told else self._tiles_in_view(ahead, plan.predicted.pose)
+        return self._from_nothing(plan, now_us) + self._upgrades(visible, record, now_us)
+
+    def _enter(self, frame: int, now_us: int) -> None:
+        self._tiles.enter(frame)
+        self._restart_if_forgotten(frame, now_us)
+
+    def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
+        """Of a frame that is served without a render; the render's own where that is out."""
+        if self._render_plan is not None and self._schedule.is_out(tick):
+            return self._render_plan
+        return self._plan(tick, frame, ticks_covered, now_us, drawn=False)
+
+    def _ahead(self, tick: int, frame: int) -> Ahead:
+        """The frame whose tiles go out with the reference of ``tick``; the same again at the clip's end."""
+        ahead = self._schedule.ahead(tick)
+        then = self._schedule.media_frame(ahead)
+        return Ahead(frame if then is None else then, self._schedule.timeline.display_us(ahead))
+
+    def _tiles_in_view(self, frame: int, pose: Pose) -> tuple[VisibleTile, ...]:
+        camera = Camera(self._hello.intrinsics, pose, self._hello.near)
+        return self._visibility.guessed_tiles(frame, camera, self._coder.width_px * self._coder.height_px)
+
+    def _between_references(self, now_us: int) -> bool:
+        """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
+        seen = self._next_is_seen()
+        spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
+        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), spare_us)
+        if seen and not self._schedule.rendering and not (affordable and self._may_render(now_us)):
+            return True
+        return not self._video.needs_idr and self._schedule.between_references(seen=seen)
+
+    def _next_is_seen(self) -> bool:
+        """Whether what was seen last says what the next tiles will show: not in another group of frames."""
+        ahead = self.frame_ahead
+        if ahead is None or self._tiles.ended is None or ahead < self._tiles.ended:
+            return False
+        return self._visibility.tells_of(ahead)
+
+    def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int, *, drawn: bool = True) -> FramePlan:
+        """Of a frame that gets a reference, or is served without being ``drawn``."""
+        display_us = self._schedule.timeline.display_us(tick)
+        self._viewer.ensure_pose(now_us)
+        predicted = self._viewer.predict(display_us)
+        return FramePlan(
+            generation=self._schedule.generation,
+            tick=tick,
+            frame=frame,
+            ahead=self._ahead(tick, frame),
+            ticks_covered=ticks_covered,
+            planned_us=now_us,
+            display_us=display_us,
+            horizon_us=self._viewer.horizon_us(display_us) if drawn else 0,
+            predicted=predicted,
+            margins=self._viewer.margins(frame, predicted) if drawn else (0.0, 0.0),
+            idr=drawn and self._video.needs_idr,
+            basis=self._mark(now_us) if drawn and self._coder.kind is not None else 0,
+        )
+
+    # ----------------------------------------------------------------------------------------------------- finishing
+
+    def abandon(self, job: FrameJob) -> None:
+        """A job failed or was given up: its picture never existed."""
+        self._schedule.rendering = False
+        self._video.broken()
+
+    def finish(self, render: FrameRender, now_us: int) -> list[ev.Outgoing]:
+        """Turn a finished job into messages: the reference, the tiles that the rate policy chose, the frame's end."""
+        plan = render.plan
+        self._schedule.rendering = False
+        work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
+        self._schedule.pace.observe(work_us, len(render.coded.access_unit), rate_bps)
+        self.stats.references += 1
+        self.stats.render_ns += render.render_ns
+        self.stats.mirror_ns += render.mirror_ns
+        self.stats.mirror_bytes = self._mirror.memory_bytes
+        self.stats.encode_ns += render.encode_ns
+        if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
+            self._video.broken()
+            return []
+        if plan.greets:
+            self._reference_budget.spent(len(render.coded.access_unit))
+            return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
+        self._visibility.rendered(plan.ahead.frame, render.contribution)
+        overtaken = self._schedule.overtaken(plan.tick)
+        if not overtaken:
+            self._enter(plan.ahead.frame, now_us)
+        ahead, self._went_ahead = self._went_ahead, None
+        record = ahead if ahead is not None and ahead.tick == plan.tick else self._record(plan)
+        record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
+        self.stats.references_late += record.reference_late
+        out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
+        if overtaken:  # its tiles, and later ones, have gone ahead
+            return out
+        out += self._from_nothing(plan, now_us) + self._upgrades(render.visible, record, now_us)
+        self._visibility.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
+        return out
+
+    def _from_nothing(self, plan: FramePlan, now_us: int) -> list[ev.Outgoing]:
+        """The beginning of a picture, for a client that holds nothing."""
+        if not self._tiles.from_nothing:
+            return []
+        camera = Camera(self._hello.intrinsics, plan.predicted.pose, self._hello.near)
+        return self._counted(self._tiles.beginning(plan.frame, camera), now_us)
+
+    def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
+        """The reference, unless it is too late for anything; then the next one must stand alone."""
+        if self._coder.kind is None:
+            return []
+        if now_us >= self._reference_deadline_us(render.plan.display_us):
+            self._video.broken()
+            return []
+        coded = render.coded
+        record.reference_bytes, record.reference_kind = len(coded.access_unit), coded.kind.value
+        record.lacking, record.left = coded.before, coded.after
+        travels_us = self.stats.rtt_us / 2 + len(coded.access_unit) * 8e6 / self._estimator.estimate_bps(now_us)
+        late = now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us)
+        rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
+        self._coder.lateness.observe(late=late or rare)
+        self._reference_budget.spent(record.reference_bytes)
+        return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
+
+    def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
+        """The tiles that the rate policy chooses for a frame, and the frame's end."""
+        camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
+        ahead = record.ahead
+        visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
+        decision = self._decide(visible, record, now_us)
+        deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
+        return self._counted(self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us), now_us)
+
+    def _record(self, plan: FramePlan) -> FrameRecord:
+        record = FrameRecord(
+            tick=plan.tick,
+            frame=plan.frame,
+            ahead=plan.ahead,
+            planned_us=plan.planned_us,
+            display_us=plan.display_us,
+            horizon_us=plan.horizon_us,
+            predicted=plan.predicted.pose,
+            margins=plan.margins,
+            ticks_covered=plan.ticks_covered,
+        )
+        self.stats.records.append(record)
+        self.stats.frames += 1
+        self.stats.frames_skipped += plan.ticks_covered - 1
+        self._viewer.expect(record)
+        return record
+
+    def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
+        record.estimate_bps, allowed_bps = self._estimator.estimate_bps(now_us), self._estimator.allowance_bps(now_us)
+        frame, display_us = record.ahead.frame, record.ahead.display_us
+        lead_us = self._schedule.lead_us(self.stats.rtt_us)
+        to_display_us = self._viewer.clock.to_server(display_us) - now_us
+        lead_frames = to_display_us / self._schedule.timeline.period_us
+        views = (self._tiles.view(tile, frame, lead_frames) for tile in visible)
+        tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
+        period_us = self._schedule.planned_period_us
+        earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
+        spare_us = float(to_display_us - MARGIN_US)
+        if self._coder.kind is ReferenceKind.DIFFERENCE and spare_us > lead_us:
+            spare_us -= lead_us  # what is to be shown is there when it is compared with, where it still can be
+        now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
+        fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
+        timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
+        room_bytes = max(self._budget.room(record.estimate_bps, period_us), timely_bytes)
+        record.budget_bytes = min(earned_bytes, room_bytes)
+        decision = self._policy.decide(
+            Observation(
+                frame=frame,
+                budget_bytes=record.budget_bytes,
+                tiles=tiles,
+                lod_gains_db=self._library.manifest.lod_gains_db,
+                message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
+                layered=self._tiles.layered,
+                waiting_us=self._budget.waiting_us(now_us),
+                timely_bytes=timely_bytes,
+            )
+        )
+        record.tile_bytes = decision.bytes
+        self._budget.close(earned_bytes - decision.bytes, allowed_bps)
+        record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
+        return decision
+
+    # ------------------------------------------------------------------------------------------------------ messages
+
+    def outdated(self, outgoing: ev.Outgoing, now_us: int) -> bool:
+        """Whether a tile that waits was chosen for a frame that has been displayed: what is worth its bytes now may
+        be another.
+        """
+        message, deadline_us = outgoing.message, outgoing.deadline_us
+        if not isinstance(message, TileLayers) or deadline_us is None:
+            return False
+        return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
+
+    def _reference_deadline_us(self, display_us: int) -> int:
+        """A late reference still serves the frames that follow its own."""
+        return self._viewer.clock.to_server(display_us) + int(self._settings.reference_deadline_ms * 1000)
+
+    def _counted(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:
+        for each in outgoing:
+            size = len(each.payload)
+            self._budget.planned(each, now_us)
+            if isinstance(each.message, TileLayers):
+                self.stats.bytes_tiles += size
+            elif isinstance(each.message, ReferenceFrame):
+                self.stats.bytes_reference += size
+            else:
+                self.stats.bytes_other += size
+        return outgoing

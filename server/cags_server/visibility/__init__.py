@@ -1,0 +1,1 @@
+"""What one client sees, holds, and shows wrongly."""

@@ -1,0 +1,136 @@
+"""For how long a client has been shown an older version of a tile's splats, and which version that is.
+
+Where the media replaces everything in every frame and the link carries a part of it, what is worth most is what has
+been stale for longest. Judged by this frame alone, the same tile would win every time, and the others never come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.tile_kinds import TileKind
+from cags_server.scene.library import SceneLibrary
+from cags_server.visibility.inventory import ClientInventory
+
+
+class VersionAge:
+    """For one client and one group of frames: the looks of each splat that it holds, or is being sent."""
+
+    def __init__(self, library: SceneLibrary) -> None:
+        self._library = library
+        self.clear()
+
+    def clear(self) -> None:
+        """The client holds nothing."""
+        self._gof = -1
+        self._claimed: tuple[tuple[int, int], ...] = ()
+        self._arrived = self._sent = np.zeros(0, np.int32)  # [capacity] number of the tile, -1: none
+
+    def held(self, tiles: Iterable[tuple[int, int]]) -> None:
+        """The client says that it holds these (media frame, tile) of an earlier session.
+
+        They are looked up when their group begins, and what the bundle does not have is passed over.
+        """
+        self._claimed = tuple(tiles)
+
+    def shown_with(self, frame: int, more: Iterable[tuple[int, int]]) -> NDArray[np.int32]:
+        """[capacity] the tile whose looks of a splat the client shows, or will with ``more`` (media frame, tile).
+
+        By tile numbers within the group of ``frame``; -1: it shows none. A new tile may bring, with what is seen of it,
+        splats that have been replaced since.
+        """
+        if not self._enters(frame):
+            return np.full(self._library.manifest.capacity[self._library.manifest.gof_of(frame)], -1, np.int32)
+        shown = self._sent.copy()
+        for key in more:
+            ids = self._library.tile_ids(*key)
+            shown[ids] = np.maximum(shown[ids], self._number(*key))
+        return shown
+
+    def sent(self, frame: int, tile: int) -> None:
+        """The looks of a tile's splats were queued; other kinds of tiles change no version."""
+        if self._is_looks(frame, tile) and self._enters(frame):
+            ids = self._library.tile_ids(frame, tile)
+            self._sent[ids] = np.maximum(self._sent[ids], self._number(frame, tile))
+
+    def settled(self, frame: int, tile: int, *, delivered: bool) -> None:
+        """They have arrived, or will not."""
+        if self._library.manifest.gof_of(frame) != self._gof or not self._is_looks(frame, tile):
+            return
+        ids, number = self._library.tile_ids(frame, tile), self._number(frame, tile)
+        if delivered:
+            self._arrived[ids] = np.maximum(self._arrived[ids], number)
+        else:
+            self._sent[ids] = np.where(self._sent[ids] == number, self._arrived[ids], self._sent[ids])
+
+    def lost(self, frame: int, tile: int) -> None:
+        """The client has given a tile up: what it showed of it is gone."""
+        manifest = self._library.manifest
+        known = frame < manifest.frames and manifest.gof_of(frame) == self._gof
+        if known and self._library.tile_map(frame).has((frame, tile)):
+            number = self._number(frame, tile)
+            for version in (self._arrived, self._sent):
+                version[version == number] = -1
+
+    def frames(self, at: int, frame: int, tile: int) -> float:
+        """Frames for which the splats of a tile of looks will have been stale when frame ``at`` is displayed, in the
+        mean.
+
+        1 at least: the tile is the next version of what the client holds.
+        """
+        ids = self._library.tile_ids(frame, tile)
+        if not len(ids) or not self._enters(frame):
+            return 1.0
+        tiles, shown = self._library.tile_map(frame), self._sent[ids]
+        # What was shown before a group begins is of the frame before it, at best.
+        since = np.where(shown >= 0, tiles.frames[shown], tiles.start - 1)
+        return max(at - float(since.mean()), 1.0)
+
+    def share_shown(self, frame: int, tile: int) -> float:
+        """Share of the splats of a tile of looks of which the client shows some version of this group of frames."""
+        ids = self._library.tile_ids(frame, tile)
+        if not len(ids) or not self._enters(frame):
+            return 1.0
+        return float((self._sent[ids] >= 0).mean())
+
+    def motion_frames(self, at: int, frame: int, tile: int, inventory: ClientInventory) -> float:
+        """Frames for which what a chunk of motion moves will have stood still when frame ``at`` is displayed; 1 at
+        least.
+
+        The chunk that the client follows holds at its end, which is right until the next one begins.
+        """
+        tiles = self._library.tile_map(frame)
+        number = tiles.number(frame, tile)
+        since = frame
+        for chunk in tiles.chunks_until(int(tiles.looks[number]), frame):
+            if chunk != number and inventory.depth(*tiles.key(chunk)):
+                break
+            since = int(tiles.frames[chunk])
+        return float(max(at - since, 1))
+
+    def _number(self, frame: int, tile: int) -> int:
+        return self._library.tile_map(frame).number(frame, tile)
+
+    def _is_looks(self, frame: int, tile: int) -> bool:
+        return self._library.entry(frame).tiles[tile].kind == TileKind.LOOKS
+
+    def _enters(self, frame: int) -> bool:
+        """Begin the group of ``frame`` if it is a later one; whether ``frame`` is of this group now."""
+        manifest = self._library.manifest
+        gof = manifest.gof_of(frame)
+        if gof > self._gof:
+            self._gof = gof
+            self._arrived = np.full(manifest.capacity[gof], -1, np.int32)
+            for key in self._held_of(gof):
+                ids = self._library.tile_ids(*key)
+                self._arrived[ids] = np.maximum(self._arrived[ids], self._number(*key))
+            self._sent = self._arrived.copy()
+        return gof == self._gof
+
+    def _held_of(self, gof: int) -> list[tuple[int, int]]:
+        frames = self._library.manifest.gof_frames(gof)
+        there = [key for key in self._claimed if key[0] in frames and self._library.tile_map(key[0]).has(key)]
+        return [key for key in there if self._is_looks(*key)]

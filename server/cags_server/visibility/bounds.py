@@ -1,0 +1,72 @@
+"""What a client may see before anything was rendered for it: tiles chosen by their bounds alone."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from cags_common.geometry import F32, F64, Camera
+from cags_server.scene.library import SceneLibrary
+from cags_server.scene.tile_map import Key, Numbers, TileMap
+
+VIEW_SLACK = 1.2
+"""How far outside the picture, in half widths, a tile still counts as in view: the viewer moves, splats have extent."""
+
+
+def opening_tiles(library: SceneLibrary, frame: int, camera: Camera) -> tuple[list[Key], list[Key]]:
+    """(media frame, tile) of what makes the picture of ``frame``: in view of ``camera``, nearest first, and the others.
+
+    In view are looks, each followed by the motion that it follows now, then the updates in force of their splats. Of
+    the others there are looks alone: their motion may be another when somebody turns to them, which brings it.
+    """
+    tiles, owned = library.tile_map(frame), library.owned(frame)
+    numbers = np.unique(owned.looks[owned.looks >= 0])
+    # A tile that its motion takes out of view is seen where its looks lie until that motion comes: both places count.
+    places = _bounds(tiles, numbers, frame), np.asarray(tiles.bounds[numbers])
+    distances = np.minimum(*(distances_in_view(place, camera) for place in places))
+    order = np.argsort(distances, kind="stable")
+    near = numbers[order[: np.isfinite(distances).sum()]]
+    in_view = [n for pair in zip(near.tolist(), tiles.chunk_at(near, frame).tolist(), strict=True) for n in pair]
+    if owned.updates is not None:
+        in_view += np.unique(owned.updates[:, np.isin(owned.looks, near)]).tolist()
+    hidden = np.setdiff1d(numbers, near)
+    return [tiles.key(n) for n in in_view if n >= 0], [tiles.key(int(n)) for n in hidden]
+
+
+def _bounds(tiles: TileMap, looks: Numbers, frame: int) -> F64:
+    """[m, 2, 3] bounds of tiles of looks where they are at ``frame``."""
+    chunks = tiles.chunk_at(looks, frame)
+    return np.asarray(tiles.bounds[np.where(chunks >= 0, chunks, looks)])
+
+
+def guessed_contribution(library: SceneLibrary, frame: int, camera: Camera, pixels: int) -> F32:
+    """[capacity] what each splat may contribute to a picture of ``pixels``, going by its tile's bounds alone.
+
+    Splats of tiles in view share the pixels by the inverse square of their tile's distance; nothing hides another.
+    """
+    owners = library.owners(frame)
+    numbers = np.unique(owners[owners >= 0])
+    distances = distances_in_view(_bounds(library.tile_map(frame), numbers, frame), camera)
+    shares = 1.0 / np.square(np.maximum(distances, camera.near))  # 0 for what is out of view
+    out = np.zeros(len(owners), np.float64)
+    held = owners >= 0
+    out[held] = shares[np.searchsorted(numbers, owners[held])]
+    total = out.sum()
+    return np.asarray(out * (pixels / total) if total > 0 else out, np.float32)
+
+
+def distances_in_view(bounds: F64, camera: Camera) -> F64:
+    """[n] distance of the nearest corner of each of ``bounds`` [n, 2, 3]; inf where no part of it can be in view.
+
+    Conservative: a tile is out of view only if all corners lie beyond the same side of the (slackened) frustum.
+    """
+    corners = np.stack([bounds[:, ends, range(3)] for ends in itertools.product((0, 1), repeat=3)], axis=1)
+    rotation, translation = camera.world_to_camera
+    points = corners @ rotation.T + translation
+    k = camera.intrinsics
+    slack_x, slack_y = VIEW_SLACK * k.width_px / (2 * k.fx_px), VIEW_SLACK * k.height_px / (2 * k.fy_px)
+    x, y, z = np.moveaxis(points, -1, 0)
+    sides = [z < camera.near, x > slack_x * z, x < -slack_x * z, y > slack_y * z, y < -slack_y * z]
+    beyond = np.any([side.all(axis=1) for side in sides], axis=0)
+    return np.asarray(np.where(beyond, np.inf, np.linalg.norm(points, axis=-1).min(axis=1)))

@@ -1,0 +1,151 @@
+"""Splats that a client still shows where they were, though they moved, ended, faded or changed while nobody told it.
+
+What is out of view is not sent. When the viewer turns there, the true scene may have nothing to see where the client
+still shows something, and nothing that is seen would ask for the tile that mends it. Tiles that the client shows, that
+are out of date and whose bounds, as the client shows them, are in view therefore count as visible with a small weight:
+bounds say nothing of what hides them, and :class:`StaleSplats` knows what was really seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32, F64, Camera
+from cags_common.tile_kinds import TileKind
+from cags_server.scene.library import LOOK_AHEAD, SceneLibrary
+from cags_server.scene.tile_map import Numbers, TileMap
+from cags_server.scene.visible_tiles import LONGEST_STAY, VisibleTile
+from cags_server.visibility.bounds import distances_in_view
+from cags_server.visibility.inventory import ClientInventory
+
+GHOST_SHARE = 0.1
+"""What a splat that may be a ghost counts for, against one that is seen."""
+
+
+def ghosts(
+    library: SceneLibrary, frame: int, camera: Camera, shown: NDArray[np.int32], inventory: ClientInventory
+) -> list[VisibleTile]:
+    """Tiles that end what ``camera`` may see of an older version than that of ``frame``; a splat weighs 1.
+
+    ``shown`` [capacity] is the tile whose looks of a splat the client shows, -1 where it shows none.
+    """
+    tiles, owners = library.tile_map(frame), library.owners(frame)
+    counts = np.bincount(shown[shown >= 0])
+    there = np.flatnonzero(counts).astype(np.int32)
+    found = _lacking_motion(tiles, there, frame, inventory)
+    late = np.flatnonzero((shown >= 0) & (owners >= 0) & (owners != shown))
+    pairs, sizes = np.unique(np.stack([shown[late], owners[late]]), axis=1, return_counts=True)
+    older, newer = pairs
+    in_view = _in_view(tiles, np.concatenate([there[found], older]), frame, camera, inventory)
+    following = tiles.chunk_at(older, frame)  # on its way, maybe, with the looks that it moves
+    there_soon = np.isfinite(distances_in_view(tiles.bounds[np.where(following >= 0, following, older)], camera))
+    in_view[len(found) :] |= there_soon
+    end = library.manifest.gof_frames(library.manifest.gof_of(frame))[-1]
+    standing = there[found][in_view[: len(found)]]
+    chunks = _chunks(tiles, standing, counts[standing].tolist(), frame, end)
+    replaced = zip(newer, sizes, in_view[len(found) :], strict=True)
+    return chunks + _newer(tiles, [(int(n), int(size)) for n, size, seen in replaced if seen], inventory)
+
+
+def merged(visible: Sequence[VisibleTile], more: Sequence[VisibleTile]) -> tuple[VisibleTile, ...]:
+    """``visible``, and those of ``more`` that are not among them, at a share of a visible splat's weight."""
+    known = {(tile.frame, tile.tile) for tile in visible}
+    looks = [tile for tile in visible if tile.kind == TileKind.LOOKS]
+    splats = sum(tile.count for tile in looks)
+    weight = GHOST_SHARE * (sum(tile.weight for tile in looks) / splats if splats else 1.0)
+    added = [
+        VisibleTile(t.frame, t.tile, t.count, weight * t.count, t.frames_left, t.kind, t.looks)
+        for t in more
+        if (t.frame, t.tile) not in known
+    ]
+    return (*visible, *added)
+
+
+def _lacking_motion(tiles: TileMap, looks: Numbers, frame: int, inventory: ClientInventory) -> NDArray[np.intp]:
+    """Rows of ``looks`` whose newest motion at ``frame`` the client lacks."""
+    chunks = tiles.chunk_at(looks, frame)
+    rows = np.flatnonzero(chunks >= 0)
+    return rows[[not inventory.depth(*tiles.key(int(chunks[row]))) for row in rows]] if len(rows) else rows
+
+
+def _in_view(
+    tiles: TileMap, looks: Numbers, frame: int, camera: Camera, inventory: ClientInventory
+) -> NDArray[np.bool_]:
+    """Whether each tile of ``looks`` may be in view of ``camera`` where the client shows it."""
+    shown = {int(n): shown_bounds(tiles, int(n), frame, inventory) for n in np.unique(looks)}
+    bounds = np.array([shown[int(n)] for n in looks], np.float64).reshape(-1, 2, 3)
+    return np.isfinite(distances_in_view(bounds, camera))
+
+
+def shown_bounds(tiles: TileMap, looks: int, frame: int, inventory: ClientInventory) -> F64:
+    """[2, 3] bounds of a tile of looks as a client shows it at ``frame``: by the newest motion that it has of it."""
+    held = (chunk for chunk in tiles.chunks_until(looks, frame) if inventory.depth(*tiles.key(chunk)))
+    bounds: F64 = tiles.bounds[next(held, looks)]
+    return bounds
+
+
+def _chunks(tiles: TileMap, looks: Numbers, splats: list[int], frame: int, end: int) -> list[VisibleTile]:
+    """The newest motion of each tile of ``looks``, of which so many ``splats`` are shown."""
+    after = tiles.chunk_after(looks, frame)
+    left = np.minimum(np.where(after >= 0, tiles.frames[after], end + 1) - frame, LONGEST_STAY).tolist()
+    rows = zip(tiles.chunk_at(looks, frame).tolist(), looks.tolist(), splats, left, strict=True)
+    return [
+        VisibleTile(*tiles.key(chunk), count, float(count), stays, TileKind.MOTION, tiles.key(of))
+        for chunk, of, count, stays in rows
+    ]
+
+
+def _newer(tiles: TileMap, replaced: list[tuple[int, int]], inventory: ClientInventory) -> list[VisibleTile]:
+    """Looks that replace what is shown: (number, splats) by the tile that they are shown from."""
+    splats: dict[int, int] = {}
+    for number, size in replaced:
+        splats[number] = splats.get(number, 0) + size
+    keys = {number: tiles.key(number) for number in splats}
+    return [
+        VisibleTile(*key, splats[number], float(splats[number]), LOOK_AHEAD)
+        for number, key in keys.items()
+        if not inventory.depth(*key)
+    ]
+
+
+class StaleSplats:
+    """The splats of one client that were seen in a version which has been replaced since.
+
+    Tiles are chosen by what is visible in the true scene. A splat that leaves the picture between two frames is no
+    longer visible, so its change would never be sent and the client would keep drawing it at its old place: a ghost.
+    Until the newest version of a splat and the motion that it follows are on their way, the splat counts for as much as
+    when it was last visible.
+    """
+
+    def __init__(self, library: SceneLibrary, visible_px: float) -> None:
+        self._library, self._visible_px = library, visible_px
+        self._gof = -1
+        self._ids: NDArray[np.intp] = np.zeros(0, np.intp)
+        self._values: F32 = np.zeros(0, np.float32)
+
+    def __len__(self) -> int:
+        return len(self._ids)
+
+    def added_to(self, contribution: F32, frame: int) -> F32:
+        """``contribution`` [capacity] at ``frame``, and for stale ones at least what they had."""
+        if not len(self._ids) or self._library.manifest.gof_of(frame) != self._gof:
+            return contribution
+        out = contribution.copy()
+        out[self._ids] = np.maximum(out[self._ids], self._values)
+        return out
+
+    def update(self, contribution: F32, frame: int, inventory: ClientInventory) -> None:
+        """After ``frame`` was planned: what was or had been seen, and is neither held nor on its way, is stale."""
+        seen = self.added_to(contribution, frame)
+        ids = np.flatnonzero(seen > self._visible_px)
+        numbers, where = np.unique(self._library.owners(frame)[ids], return_inverse=True)
+        tiles = self._library.tile_map(frame)
+        chunks = tiles.chunk_at(numbers, frame)
+        lacks = [n >= 0 and not inventory.depth(*tiles.key(n)) for n in numbers.tolist()]
+        stands = [n >= 0 and not inventory.depth(*tiles.key(n)) for n in chunks.tolist()]
+        stale = (np.array(lacks, bool) | np.array(stands, bool)) & (numbers >= 0)
+        ids = ids[stale[where]] if len(ids) else ids
+        self._gof, self._ids, self._values = self._library.manifest.gof_of(frame), ids, seen[ids]

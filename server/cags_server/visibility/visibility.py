@@ -1,0 +1,70 @@
+"""What one client sees of the scene: by its last reference render, or by tiles' bounds where there is none yet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cags_common.geometry import F32, Camera
+from cags_common.tile_kinds import TileKind
+from cags_server.scene.library import SceneLibrary
+from cags_server.scene.visible_tiles import VisibleTile
+from cags_server.visibility.age import VersionAge
+from cags_server.visibility.bounds import guessed_contribution
+from cags_server.visibility.ghosts import StaleSplats, ghosts, merged
+from cags_server.visibility.inventory import ClientInventory
+
+
+class Visibility:
+    """Of one client. A tile is visible from ``visible_px`` pixels of contribution on."""
+
+    def __init__(self, library: SceneLibrary, visible_px: float) -> None:
+        self.stale = StaleSplats(library, visible_px)
+        self._library, self._visible_px = library, visible_px
+        self._last: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
+
+    def rendered(self, frame: int, contribution: F32) -> None:
+        """The reference render of ``frame`` found ``contribution`` [capacity], pixels a splat."""
+        self._last = self._library.manifest.gof_of(frame), contribution
+
+    def tells_of(self, frame: int) -> bool:
+        """Whether the last render says what ``frame`` shows: not in another group of frames."""
+        return self._last is not None and self._last[0] == self._library.manifest.gof_of(frame)
+
+    def tiles(self, frame: int) -> tuple[VisibleTile, ...]:
+        """What the last render showed, at ``frame`` of its group."""
+        assert self._last is not None, "nothing was rendered"
+        return self._library.visible_tiles(frame, self.stale.added_to(self._last[1], frame), self._visible_px)
+
+    def guessed_tiles(self, frame: int, camera: Camera, pixels: int) -> tuple[VisibleTile, ...]:
+        """What a render of ``pixels`` pixels from ``camera`` would show, guessed from the tiles' bounds."""
+        return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
+
+    def with_ghosts(
+        self,
+        visible: tuple[VisibleTile, ...],
+        frame: int,
+        camera: Camera,
+        inventory: ClientInventory,
+        age: VersionAge,
+    ) -> tuple[VisibleTile, ...]:
+        """``visible`` at ``frame``, and what ends older versions that the client may show in view of ``camera``."""
+        found: dict[tuple[int, int], VisibleTile] = {}
+        coming = _new_looks(visible, inventory)
+        while True:  # what ends one version may bring others that have been replaced since
+            shown = age.shown_with(frame, coming)
+            more = ghosts(self._library, frame, camera, shown, inventory)
+            found |= {(tile.frame, tile.tile): tile for tile in more}
+            fresh = _new_looks(more, inventory) - coming
+            if not fresh:
+                return merged(visible, tuple(found.values()))
+            coming |= fresh
+
+    def served(self, frame: int, contribution: F32, inventory: ClientInventory) -> None:
+        """After the tiles of ``frame`` were chosen: what was seen, and is neither held nor on its way, is stale."""
+        self.stale.update(contribution, frame, inventory)
+
+
+def _new_looks(tiles: Iterable[VisibleTile], inventory: ClientInventory) -> set[tuple[int, int]]:
+    """(media frame, tile) of looks that the client has nothing of."""
+    keys = {(tile.frame, tile.tile) for tile in tiles if tile.kind == TileKind.LOOKS}
+    return {key for key in keys if not inventory.depth(*key)}

@@ -1,0 +1,39 @@
+"""The flags that the project's commands have, by their own help."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from functools import cache
+from importlib import import_module
+from importlib.metadata import distribution
+
+MODULES = {
+    e.name: e.value.partition(":")[0] for e in distribution("cags-stream").entry_points if e.group == "console_scripts"
+}
+FLAG = re.compile(r"(?<![\w/-])--[a-z][a-z0-9-]+")
+
+
+@cache
+def flags_of(command: str, part: str = "") -> frozenset[str]:
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+        import_module(MODULES[command]).main([*part.split(), "--help"])
+    found = frozenset(FLAG.findall(said.getvalue()))
+    assert found >= {"--help"}, f"{command} {part}"
+    return found
+
+
+@cache
+def parts() -> dict[str, tuple[str, ...]]:
+    from cags_bench.cli import SUBCOMMANDS as EXPERIMENTS
+    from cags_training.cli import SUBCOMMANDS as TRAININGS
+
+    return {"cags-bench": tuple(EXPERIMENTS), "cags-train": tuple(TRAININGS)}
+
+
+@cache
+def every_flag() -> frozenset[str]:
+    plain = [flags_of(command) for command in MODULES]
+    return frozenset().union(*plain, *(flags_of(c, part) for c, all_of in parts().items() for part in all_of))

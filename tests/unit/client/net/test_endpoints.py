@@ -1,0 +1,51 @@
+"""Addresses of several servers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cags_client.net import endpoints
+from cags_common.errors import NetworkError
+
+A, B = "ws://a:1/stream", "ws://b:2/stream"
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Addresses that were tried; those that hold ``a`` do not answer."""
+    tried: list[str] = []
+
+    async def connect(url: str, **_: Any) -> str:
+        tried.append(url)
+        if "//a" in url:
+            raise NetworkError(f"{url}: cannot connect")
+        return url
+
+    monkeypatch.setattr(endpoints.websocket, "connect", connect)
+    return tried
+
+
+async def test_the_first_server_that_answers_is_used_and_asked_first_after_a_loss(asked: list[str]) -> None:
+    servers = endpoints.Endpoints(f"{A}, {B}")
+    assert await servers.first() == B
+    assert asked == [A, B]
+    assert await servers.again(1) == B
+    with pytest.raises(NetworkError):
+        await servers.again(2)
+    assert await servers.again(3) == B
+
+
+async def test_if_none_answers_the_last_ones_reason_is_given(asked: list[str]) -> None:
+    with pytest.raises(NetworkError, match="//a2"):
+        await endpoints.Endpoints("ws://a1/stream,ws://a2/stream").first()
+    assert asked == ["ws://a1/stream", "ws://a2/stream"]
+
+
+@pytest.mark.parametrize(
+    "url", ["", "http://a/stream", "ws://a/stream,", "a:80", "ws://a:99999/x", "ws://[::1/x", "ws://a:0/x"]
+)
+def test_what_is_no_address_is_refused(url: str) -> None:
+    with pytest.raises(NetworkError, match="no stream address"):
+        endpoints.addresses(url)

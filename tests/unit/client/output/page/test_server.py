@@ -1,0 +1,294 @@
+"""The page server, spoken to over real sockets on loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+from collections.abc import AsyncIterator
+from typing import Any
+
+import aiohttp
+import pytest
+
+from cags_client.output.page import LiveView, ViewSettings
+from cags_client.output.page.open_page import SLOW_WRITE_S, SLOW_WRITES
+from cags_client.output.page.shaper_control import ShaperControl
+from cags_client.output.page.video import RAW
+from cags_common.errors import ConfigError, NetworkError
+from cags_common.geometry import Pose
+from support.live_page import FRAMES, BallShow
+
+
+@pytest.fixture
+async def show() -> AsyncIterator[BallShow]:
+    async with BallShow() as running:
+        yield running
+
+
+@pytest.fixture
+async def client() -> AsyncIterator[aiohttp.ClientSession]:
+    async with aiohttp.ClientSession() as session:
+        yield session
+
+
+class Visitor:
+    """A page without a browser."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self.socket = socket
+
+    async def say(self, **fields: Any) -> None:
+        await self.socket.send_str(json.dumps(fields))
+
+    async def told(self, kind: str) -> dict[str, Any]:
+        """The next text of a kind."""
+        while True:
+            message = await self.socket.receive(timeout=10)
+            assert message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), message
+            if message.type is aiohttp.WSMsgType.TEXT and json.loads(message.data)["type"] == kind:
+                return dict(json.loads(message.data))
+
+    async def frame(self, *, acknowledge: bool = True) -> dict[str, Any]:
+        """Header of the next frame; its payloads' sizes are checked."""
+        while True:
+            message = await self.socket.receive(timeout=10)
+            assert message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), message
+            if message.type is not aiohttp.WSMsgType.BINARY:
+                continue
+            (length,) = struct.unpack_from(">I", message.data)
+            header = dict(json.loads(message.data[4 : 4 + length]))
+            listed = sum(item["bytes"] for item in header["pictures"] + header["overlays"]["grids"])
+            assert len(message.data) == 4 + length + listed
+            if acknowledge:
+                await self.say(type="shown", number=header["number"], key=False)
+            return header
+
+
+async def visit(client: aiohttp.ClientSession, show: BallShow, **hello: Any) -> Visitor:
+    visitor = Visitor(await client.ws_connect(show.view.url + "live"))
+    await visitor.say(type="hello", **{"h264": True, **hello})
+    return visitor
+
+
+async def test_a_visitor_is_told_the_scene_and_sees_frames(show: BallShow, client: aiohttp.ClientSession) -> None:
+    visitor = await visit(client, show)
+    scene = await visitor.told("scene")
+    assert (scene["name"], scene["frames"], scene["shaper"]) == ("bobbing balls", FRAMES, False)
+    assert "truth" in scene["pictures"]
+    first = await visitor.frame()
+    assert [p["name"] for p in first["pictures"]] == ["restored"]
+    assert first["pictures"][0]["key"]
+    assert first["pictures"][0]["codec"].startswith("avc1.")
+    second = await visitor.frame()
+    assert second["number"] == first["number"] + 1
+    assert not second["pictures"][0]["key"]
+    assert second["stages_ms"]["raster"] > 0
+
+
+async def test_without_webcodecs_pictures_are_jpeg(show: BallShow, client: aiohttp.ClientSession) -> None:
+    visitor = await visit(client, show, h264=False)
+    assert (await visitor.frame())["pictures"][0]["codec"] == "jpeg"
+
+
+async def test_a_page_on_this_machine_takes_pictures_as_they_are(
+    show: BallShow, client: aiohttp.ClientSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    visitor = await visit(client, show, raw=True)
+    picture = (await visitor.frame())["pictures"][0]
+    assert (picture["codec"], picture["bytes"]) == ("i420", picture["width"] * picture["height"] * 3 // 2)
+    monkeypatch.setattr("cags_client.output.page.server.on_this_machine", lambda peer: False)
+    elsewhere = await visit(client, show, raw=True)
+    assert (await elsewhere.frame())["pictures"][0]["codec"].startswith("avc1.")
+
+
+async def test_a_line_that_cannot_carry_pictures_as_they_are_gets_them_coded(
+    show: BallShow, client: aiohttp.ClientSession
+) -> None:
+    visitor = await visit(client, show, raw=True)
+    assert (await visitor.frame())["pictures"][0]["codec"] == "i420"
+    (page,) = show.view._pages.values()
+    for seconds in (1.0, 1.0, 1.0, 1.0, 0.001, 1.0):  # no five in a row
+        page.wrote(seconds)
+    assert page.kind == RAW
+    for _ in range(SLOW_WRITES):
+        page.wrote(2 * SLOW_WRITE_S)
+    while (picture := (await visitor.frame())["pictures"][0])["codec"] == "i420":
+        pass
+    assert picture["key"]
+
+
+async def test_pictures_and_overlays_come_as_asked(show: BallShow, client: aiohttp.ClientSession) -> None:
+    visitor = await visit(client, show)
+    overlays = ["occlusion", "confidence", "detail", "tiles", "reference", "score"]
+    await visitor.say(type="look", pictures=["truth", "depth"], overlays=overlays)
+    header = await visitor.frame()
+    while header["pictures"][0]["name"] != "truth":
+        header = await visitor.frame()
+    assert [picture["name"] for picture in header["pictures"]] == ["truth", "depth"]
+    assert [grid["name"] for grid in header["overlays"]["grids"]] == ["occlusion", "confidence", "detail"]
+    assert header["overlays"]["tiles"]
+    assert header["overlays"]["reference"]
+    assert header["stats"]["psnr_restored_db"] > header["stats"]["psnr_distorted_db"]
+
+
+async def test_overlays_that_are_off_cost_nothing(show: BallShow, client: aiohttp.ClientSession) -> None:
+    visitor = await visit(client, show)
+    for _ in range(3):
+        await visitor.frame()
+    assert (show.controls.truths, show.controls.details) == (0, 0)
+
+
+async def test_a_page_that_does_not_draw_is_not_sent_more(show: BallShow, client: aiohttp.ClientSession) -> None:
+    visitor = await visit(client, show)
+    await visitor.frame(acknowledge=False)
+    last = await visitor.frame(acknowledge=False)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.4):
+            await visitor.frame()
+    await visitor.say(type="shown", number=last["number"], key=True)
+    assert (await visitor.frame())["pictures"][0]["key"]
+
+
+async def test_the_pose_of_the_page_is_the_pose_of_the_picture(show: BallShow, client: aiohttp.ClientSession) -> None:
+    visitor = await visit(client, show)
+    await visitor.frame()
+    await visitor.say(type="pose", number=5, position=[0, 0, -6], rotation=[1, 0, 0, 0])
+    while (header := await visitor.frame())["pose"] != 5:
+        pass
+    assert header["camera"]["position"] == [0, 0, -6]
+    assert show.view.poses.pose_at(0) == Pose((0, 0, -6), (1, 0, 0, 0))
+    await visitor.say(type="action", action="release")
+    while (await visitor.told("state"))["held"]:  # states told before the release may still be on their way
+        pass
+
+
+async def test_transport_and_settings_reach_the_client(show: BallShow, client: aiohttp.ClientSession) -> None:
+    visitor = await visit(client, show)
+    await visitor.told("state")
+    await visitor.say(type="action", action="pause")
+    await visitor.say(type="action", action="seek", value=900)
+    await visitor.say(type="action", action="rate", value=0.5)
+    await visitor.say(type="action", action="loop", value=0)
+    await visitor.say(type="setting", name="restorer", value="none")
+    await visitor.say(type="setting", name="resolution", value="half")
+    await visitor.say(type="setting", name="exactness", value="exact")
+    while (state := await visitor.told("state"))["exactness"] != "exact":
+        pass
+    assert state == {**state, "playing": False, "loop": False, "rate": 0.5, "restorer": "none", "resolution": "half"}
+    assert show.controls.frame == FRAMES - 1
+
+
+async def test_wishes_that_cannot_be_met_are_answered(show: BallShow, client: aiohttp.ClientSession) -> None:
+    visitor = await visit(client, show)
+    for name in ("restorer", "exactness", "resolution"):
+        await visitor.say(type="setting", name=name, value="magic")
+        assert f"{name} = 'magic' must be one of" in (await visitor.told("error"))["text"]
+    await visitor.say(type="setting", name="delay_ms", value=10)
+    assert "--shaper-control" in (await visitor.told("error"))["text"]
+
+
+async def test_nonsense_closes_the_line_with_a_reason(show: BallShow, client: aiohttp.ClientSession) -> None:
+    socket = await client.ws_connect(show.view.url + "live")
+    await socket.send_str("nonsense")
+    message = await socket.receive(timeout=10)
+    assert message.type is aiohttp.WSMsgType.CLOSE
+    assert message.data == 1008
+    assert "JSON" in (message.extra or "")
+    early = await client.ws_connect(show.view.url + "live")
+    await early.send_str(json.dumps({"type": "action", "action": "play"}))
+    assert "hello" in ((await early.receive(timeout=10)).extra or "")
+
+
+@pytest.mark.parametrize("path", ["", "index.html", "style.css", "favicon.svg", "js/main.js", "js/camera.js"])
+async def test_assets_are_served_with_strict_headers(show: BallShow, client: aiohttp.ClientSession, path: str) -> None:
+    async with client.get(show.view.url + path) as response:
+        assert response.status == 200
+        assert "default-src 'none'" in response.headers["Content-Security-Policy"]
+        assert response.headers["X-Content-Type-Options"] == "nosniff"
+        assert "http://" not in (await response.text()).replace("http://www.w3.org/2000/svg", "")
+
+
+@pytest.mark.parametrize("path", ["none.js", "js/none.js", "js/..%2Findex.html", "..%2F..%2Flive.py", "js"])
+async def test_nothing_else_is_served(show: BallShow, client: aiohttp.ClientSession, path: str) -> None:
+    async with client.get(show.view.url + path) as response:
+        assert response.status == 404
+
+
+async def test_foreign_hosts_and_origins_are_refused(show: BallShow, client: aiohttp.ClientSession) -> None:
+    async with client.get(show.view.url, headers={"Host": "evil.example"}) as response:
+        assert response.status == 403
+    with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+        await client.ws_connect(show.view.url + "live", origin="http://evil.example")
+    assert refused.value.status == 403
+
+
+async def test_a_taken_port_is_one_clear_line(show: BallShow) -> None:
+    port = int(show.view.url.rstrip("/").rpartition(":")[2])
+    second = LiveView(ViewSettings(view_port=port), show.view.poses)
+    with pytest.raises(NetworkError, match=f"view_port {port}"):
+        await second.start()
+    await second.stop()
+
+
+async def test_the_address_is_one_that_a_browser_here_can_open(show: BallShow, client: aiohttp.ClientSession) -> None:
+    for host, named in (("::1", "http://[::1]:"), ("0.0.0.0", "http://127.0.0.1:"), ("localhost", "http://127.0.0.1:")):
+        view = LiveView(ViewSettings(view_host=host, view_port=0), show.view.poses)
+        assert (await view.start()).startswith(named)
+        try:
+            async with client.get(view.url) as response:
+                assert response.status == 200
+        finally:
+            await view.stop()
+
+
+async def test_the_shaper_is_asked_over_its_control_port(client: aiohttp.ClientSession) -> None:
+    asked: list[dict[str, Any]] = []
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while line := await reader.readline():
+            asked.append(json.loads(line))
+            refused = asked[-1].get("delay_ms") == 7
+            reply = {"ok": False, "error": "seven"} if refused else {"ok": True, "capacity_mbps": 9.0}
+            writer.write(json.dumps(reply).encode() + b"\n")
+        writer.close()
+
+    server = await asyncio.start_server(answer, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    async with BallShow(ViewSettings(view_port=0, shaper_control=f"127.0.0.1:{port}")) as show:
+        visitor = await visit(client, show)
+        assert (await visitor.told("scene"))["shaper"]
+        assert (await visitor.told("shaper"))["capacity_mbps"] == 9.0
+        await visitor.say(type="setting", name="cap_mbps", value=4)
+        await visitor.say(type="setting", name="delay_ms", value=7)
+        assert "seven" in (await visitor.told("error"))["text"]
+        assert {"cap_mbps": 4.0} in asked
+    server.close()
+    await server.wait_closed()
+
+
+async def test_a_dead_shaper_is_named() -> None:
+    with pytest.raises(NetworkError, match="shaper control 127"):
+        await ShaperControl("127.0.0.1:1").ask()
+    with pytest.raises(ConfigError, match="HOST:PORT"):
+        ShaperControl("nowhere")
+
+
+async def test_a_page_that_takes_nothing_does_not_keep_pictures_from_the_others(
+    show: BallShow, client: aiohttp.ClientSession, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("cags_client.output.page.server.SLOW_PAGE_S", 0.2)
+    stalled = await visit(client, show)
+    await stalled.frame()
+    (socket,) = show.view._pages
+
+    async def hang(data: bytes) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(socket, "send_bytes", hang)
+    other = await visit(client, show)
+    async with asyncio.timeout(5):
+        for _ in range(20):
+            await other.frame()
+    assert socket not in show.view._pages
+    assert "was let go" in caplog.text

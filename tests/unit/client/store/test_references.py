@@ -1,0 +1,214 @@
+"""The reference video: pictures in order, what a gap does, and which picture a frame gets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cags_client.store.references import KEPT, Received, References
+from cags_common.errors import DecodeError
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.video.h264 import H264Encoder
+from cags_protocol.messages import ReferenceFrame, ReferenceKind
+
+VIEW = Intrinsics.of_fov(64, 48, 1.2, 1.0)
+
+
+class Video:
+    """A server's reference video: a grey level a picture."""
+
+    def __init__(self) -> None:
+        self._encoder, self._seq = H264Encoder(VIEW.width_px, VIEW.height_px, 30), 0
+
+    def picture(
+        self, frame: int, *, idr: bool = False, view: Intrinsics = VIEW, basis: int = 1
+    ) -> tuple[ReferenceFrame, memoryview, int]:
+        self._seq += 1
+        grey = np.full((VIEW.height_px, VIEW.width_px, 3), 0.1 + 0.03 * frame, np.float32)
+        unit = self._encoder.encode(grey, idr=idr or self._seq == 1)
+        message = ReferenceFrame(frame, self._seq, Pose.identity(), view, idr or self._seq == 1)
+        return message, memoryview(unit), basis
+
+
+def grey(references: References, frame: int, max_age: int = 0) -> float | None:
+    picture = references.newest(frame, max_age)
+    return None if picture is None or picture.coded is None else float(picture.coded.mean())
+
+
+def test_pictures_belong_to_their_frames() -> None:
+    references, video = References(), Video()
+    for frame in range(3):
+        assert references.add(*video.picture(frame))
+        assert references.last_decoded == frame + 1
+    for frame in range(3):
+        assert grey(references, frame) == pytest.approx(0.1 + 0.03 * frame, abs=0.01)
+    assert grey(references, 4, max_age=1) is None
+    assert grey(references, 4, max_age=2) == pytest.approx(0.16, abs=0.01), "the newest that is not too old"
+    assert grey(references, -1, max_age=9) is None, "never one of a frame to come"
+
+
+def test_after_a_gap_nothing_is_shown_until_a_picture_stands_alone() -> None:
+    references, video = References(), Video()
+    assert references.add(*video.picture(0))
+    video.picture(1)  # lost
+    assert not references.add(*video.picture(2))
+    assert not references.add(*video.picture(3)), "in order again, but of pictures that are not there"
+    assert grey(references, 3, max_age=2) is None
+    assert references.last_decoded == 1
+    assert references.add(*video.picture(4, idr=True))
+    assert references.add(*video.picture(5))
+    assert grey(references, 5) == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_late_picture_does_no_harm() -> None:
+    references, video = References(), Video()
+    assert references.add(*video.picture(0))
+    late = video.picture(1)
+    assert not references.add(*video.picture(2))
+    assert references.add(*video.picture(3, idr=True))
+    assert references.add(*late), "no reason to ask for another IDR"
+    assert grey(references, 1) is None
+    assert references.add(*video.picture(4)), "the decoder was not disturbed"
+
+
+def test_a_picture_of_another_size_than_it_says_is_refused() -> None:
+    references, video = References(), Video()
+    with pytest.raises(DecodeError, match="reference 1 is 64x48, said 32x24"):
+        references.add(*video.picture(0, view=Intrinsics.of_fov(32, 24, 1.2, 1.0)))
+    assert references.newest(0, 9) is None
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x00\x00\x01"], ids=["empty", "no picture"])
+def test_after_damage_the_video_waits_for_an_idr(damage: bytes) -> None:
+    references, video = References(), Video()
+    assert references.add(*video.picture(0))
+    message, _, basis = video.picture(1)
+    with pytest.raises(DecodeError):
+        references.add(message, memoryview(damage), basis)
+    assert not references.add(*video.picture(2)), "it would be coded against a picture that is not there"
+    assert references.add(*video.picture(3, idr=True))
+
+
+def test_pictures_are_bounded_and_forgotten_on_a_jump_while_the_video_goes_on() -> None:
+    references, video = References(), Video()
+    for frame in range(KEPT + 2):
+        assert references.add(*video.picture(frame))
+    assert grey(references, 1, max_age=1) is None
+    assert grey(references, 2) is not None
+    references.reset()
+    assert references.newest(KEPT + 1, KEPT) is None
+    assert references.add(*video.picture(KEPT + 2))
+
+
+def test_another_servers_video_begins_anew_and_the_pictures_stay() -> None:
+    references, video = References(), Video()
+    for frame in range(3):
+        assert references.add(*video.picture(frame))
+    references.restart()
+    assert references.last_decoded == 0
+    assert grey(references, 2) is not None
+    other = Video()
+    other.picture(3)  # the first of the other's, lost
+    assert not references.add(*other.picture(4))
+    assert references.add(*other.picture(5, idr=True))
+
+
+def nothing(frame: int, basis: int, seq: int = 0) -> tuple[ReferenceFrame, memoryview, int]:
+    message = ReferenceFrame(frame, seq, Pose.identity(), VIEW, kind=ReferenceKind.NOTHING.value, basis=basis)
+    return message, memoryview(b""), basis
+
+
+def difference(video: Video, frame: int, basis: int) -> tuple[ReferenceFrame, memoryview, int]:
+    message, unit, _ = video.picture(frame, basis=basis)
+    return replace(message, kind=ReferenceKind.DIFFERENCE.value, basis=basis, knee=0.06), unit, basis
+
+
+def test_what_says_nothing_is_a_reference_without_a_picture_and_leaves_the_video_whole() -> None:
+    references, video = References(), Video()
+    assert references.add(*video.picture(0))
+    assert references.add(*nothing(1, basis=4, seq=1))
+    assert references.add(*video.picture(2)), "no gap"
+    silent = references.newest(1, 0)
+    assert silent is not None
+    assert (silent.coded, silent.picture, silent.basis) == (None, None, 4)
+    message, _, basis = nothing(3, basis=5)
+    with pytest.raises(DecodeError, match="frame 3 says nothing in 2 bytes"):
+        references.add(message, memoryview(b"ab"), basis)
+
+
+def test_correctors_and_aligners_get_what_is_theirs() -> None:
+    references, video = References(), Video()
+    assert references.add(*video.picture(0))
+    assert references.add(*difference(video, 1, basis=3))
+    picture, lacking = (references.newest(frame, 0) for frame in range(2))
+    assert picture is not None
+    assert lacking is not None
+    assert picture.coded is not None
+    assert (picture.compared(picture.coded).picture, lacking.difference.picture) == (True, False)
+    assert lacking.difference.knee == 0.06
+    assert picture.picture is not None
+    assert lacking.picture is None
+    assert (picture.assumes, lacking.assumes) == (False, True)
+
+
+def test_the_next_basis_is_the_least_that_waits_and_pictures_assume_none() -> None:
+    references, video = References(), Video()
+    assert references.next_basis(0, 0, 10) is None
+    assert references.add(*difference(video, 5, basis=3))
+    assert references.add(*difference(video, 6, basis=4))
+    assert references.next_basis(4, 0, 10) == 3
+    assert references.next_basis(5, 1, 10) == 4, "the first has been used"
+    assert references.next_basis(6, 2, 10) is None
+    assert references.add(*video.picture(7, basis=9))
+    assert references.next_basis(6, 2, 10) is None
+    assert references.add(*nothing(8, basis=7))
+    assert references.next_basis(6, 2, 10) == 7
+
+
+def test_of_a_picture_nothing_counts_that_coding_may_have_left() -> None:
+    references, video = References(), Video()
+    message, unit, basis = video.picture(0)
+    assert references.add(replace(message, error=1e-4), unit, basis)
+    received = references.newest(0, 0)
+    assert received is not None
+    assert received.coded is not None
+    close, far = received.coded + np.float32(0.01), received.coded + np.float32(0.3)
+    np.testing.assert_allclose(received.compared(close).coded, close, atol=1e-6)
+    np.testing.assert_allclose(received.compared(far).coded, received.coded, atol=0.001)
+
+
+def received(coded: np.ndarray, error: float) -> Received:
+    camera = Camera(VIEW, Pose.identity())
+    return Received(0, 1, 1, camera, ReferenceKind.PICTURE, coded.astype(np.float32), error=error)
+
+
+def test_a_picture_says_nothing_where_it_differs_by_no_more_than_coding_has_left() -> None:
+    rng = np.random.default_rng(0)
+    own = rng.uniform(0.2, 0.8, (VIEW.height_px, VIEW.width_px, 3)).astype(np.float32)
+    noisy = own + rng.normal(0, 0.01, own.shape)
+    noisy[:, 40:] += 0.2  # here something is lacking
+    compared = received(noisy, error=0.01**2).compared(own)
+    assert compared.picture
+    assert np.abs(compared.coded - own)[:, :30].max() < 0.01, "less than a third of the noise stays"
+    assert np.abs(compared.coded - own)[:, :30].std() < 0.003
+    assert np.allclose(compared.coded[:, 45:], noisy[:, 45:], atol=0.01)
+
+
+def test_a_picture_without_loss_counts_whole() -> None:
+    rng = np.random.default_rng(1)
+    own, truth = rng.random((2, VIEW.height_px, VIEW.width_px, 3)).astype(np.float32)
+    assert np.allclose(received(truth, error=0.0).compared(own).coded, truth, atol=1e-6)
+
+
+def test_the_next_references_say_how_far_to_show() -> None:
+    references, video = References(), Video()
+    for frame, basis in ((3, 5), (4, 6), (5, 8)):
+        message, unit, _ = video.picture(frame)
+        references.add(replace(message, kind="difference"), unit, basis)
+    assert references.next_basis(3, after=1, max_age=2) == 6, "that of frame 3 was used, the next one stands on 6"
+    assert references.next_basis(5, after=3, max_age=2) is None
+    message, unit, _ = video.picture(6)
+    references.add(message, unit, 9)
+    assert references.next_basis(5, after=3, max_age=2) is None, "a picture assumes nothing"

@@ -1,0 +1,79 @@
+"""Motion and updates beside looks, whatever the policy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cags_common.tile_kinds import TileKind
+from cags_server.ratecontrol import Decision, Observation, TileView, create_rate_policy
+from cags_server.ratecontrol.base import UNBOUNDED_BYTES
+
+FRAME = 20
+LOOKS = TileView(0, 0, 1, 50, (400, 60, 60, 60), weight=50.0, frames_left=30.0)
+CHUNK = TileView(18, 1, 0, 50, (100, 150), weight=50.0, frames_left=8.0, stale_frames=2.0, kind=TileKind.MOTION)
+UPDATE = TileView(19, 2, 0, 10, (50, 0, 40, 0), weight=10.0, frames_left=20.0, kind=TileKind.UPDATE)
+POLICIES = ["utility", "paper", "buffer"]
+
+
+def decide(policy: str, budget: int, *tiles: TileView) -> Decision:
+    return create_rate_policy(policy).decide(Observation(FRAME, budget, tiles, (2.0, 2.0, 2.0), 10))
+
+
+def levels(decision: Decision) -> dict[tuple[int, int], tuple[int, int]]:
+    return {(u.frame, u.tile): (u.from_lod, u.to_lod) for u in decision.upgrades}
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_with_room_for_all_everything_goes(policy: str) -> None:
+    sent = levels(decide(policy, UNBOUNDED_BYTES, LOOKS, CHUNK, UPDATE))
+    assert sent == {(0, 0): (1, 4), (18, 1): (0, 2), (19, 2): (0, 4)}
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_motion_of_which_more_is_seen_than_of_its_looks_goes_with_them(policy: str) -> None:
+    """Ghosts count for the one and not for the other."""
+    lacking, looks = replace(CHUNK, after=(0, 0), visible=80), replace(LOOKS, depth=0)
+    assert set(levels(decide(policy, UNBOUNDED_BYTES, lacking, looks))) == {(0, 0), (18, 1)}
+
+
+@pytest.mark.parametrize("policy", ["utility", "paper"])
+def test_what_stands_still_is_moved_before_what_is_there_is_refined(policy: str) -> None:
+    assert levels(decide(policy, 115, LOOKS, CHUNK)) == {(18, 1): (0, 1)}
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("budget", [0, 105, 300, 410, 425, 520, 525, 600, 10_000])
+def test_motion_never_goes_without_its_looks(policy: str, budget: int) -> None:
+    lacking = replace(CHUNK, after=(0, 0))
+    order = [(u.frame, u.tile) for u in decide(policy, budget, lacking, replace(LOOKS, depth=0)).upgrades]
+    assert (18, 1) not in order or order.index((0, 0)) < order.index((18, 1))
+
+
+def test_motion_of_looks_that_nobody_plans_stays() -> None:
+    assert decide("utility", 10_000, replace(CHUNK, after=(0, 0))).upgrades == ()
+
+
+def test_the_longer_something_stands_still_the_sooner_it_is_moved() -> None:
+    other = replace(CHUNK, tile=5, stale_frames=9.0)
+    assert levels(decide("utility", 115, CHUNK, other)) == {(18, 5): (0, 1)}
+
+
+def test_chunks_of_later_frames_come_after_those_of_now_and_before_idle() -> None:
+    later = [replace(CHUNK, frame=FRAME + ahead, stale_frames=1.0) for ahead in (8, 2, 5)]
+    order = [u.frame for u in decide("utility", 10_000, *later, CHUNK).upgrades]
+    assert order == [18, FRAME + 2, FRAME + 5, FRAME + 8]
+
+
+def test_a_chunk_that_is_larger_than_one_frames_budget_is_saved_for() -> None:
+    large = replace(CHUNK, frame=FRAME + 4, lod_bytes=(900, 100), weight=5_000.0)
+    assert decide("utility", 500, LOOKS, large).upgrades == (), "the budget is kept until it suffices"
+    assert levels(decide("utility", 950, LOOKS, large)) == {(FRAME + 4, 1): (0, 1)}
+
+
+def test_what_begins_later_need_not_arrive_before_the_display() -> None:
+    later, now = replace(CHUNK, frame=FRAME + 3), CHUNK
+    for tile, sent in ((later, 1), (now, 0)):
+        observation = Observation(FRAME, 1000, (tile,), (), 10, timely_bytes=20)
+        assert len(create_rate_policy("utility").decide(observation).upgrades) == sent

@@ -1,0 +1,152 @@
+import threading
+
+import numpy as np
+import pytest
+
+from cags_common.errors import BundleError
+from cags_server.scene.source_scenes import IDLE_SCENES, SourceScenes
+from support.server_scene import FakeReader, FakeScene
+
+
+class Renderer:
+    """Counts how often splats are loaded."""
+
+    name = "counting"
+
+    def __init__(self) -> None:
+        self.loads = 0
+
+    def load(self, splats):
+        self.loads += 1
+        return FakeScene(splats)
+
+
+def depth_of(scene: FakeScene, row: int) -> float:
+    return float(scene._splats.means[row, 2])
+
+
+def test_a_scene_rolls_forward_without_being_loaded_again() -> None:
+    renderer = Renderer()
+    scenes = SourceScenes(FakeReader(), renderer)
+    for frame in range(6):
+        with scenes.at(frame) as scene:
+            assert depth_of(scene, 0) == pytest.approx(3 + 0.01 * frame)
+    assert renderer.loads == 1
+
+
+def test_going_back_or_to_another_group_loads_anew() -> None:
+    renderer = Renderer()
+    scenes = SourceScenes(FakeReader(), renderer)
+    for frame in (3, 1, 7):
+        with scenes.at(frame):
+            pass
+    assert renderer.loads == 3
+
+
+def test_two_users_of_one_frame_share_and_of_two_frames_do_not() -> None:
+    renderer = Renderer()
+    scenes = SourceScenes(FakeReader(), renderer)
+    with scenes.at(1) as one, scenes.at(1) as same, scenes.at(2) as other:
+        assert one is same
+        assert other is not one
+        assert depth_of(one, 0) == pytest.approx(3.01)
+    assert renderer.loads == 2
+
+
+def test_frames_that_change_nothing_share_one_scene() -> None:
+    class Still(FakeReader):
+        def source_delta(self, frame):
+            delta = super().source_delta(frame)
+            if frame in self.manifest.gof_starts:
+                return delta
+            return type(delta)(delta.ids[:0], delta.splats.take(slice(0, 0)), delta.removed[:0])
+
+    renderer = Renderer()
+    scenes = SourceScenes(Still(), renderer)
+    with scenes.at(1) as one, scenes.at(5) as five:
+        assert one is five
+
+
+def test_removed_splats_are_transparent() -> None:
+    scenes = SourceScenes(FakeReader(), Renderer())
+    with scenes.at(1):
+        pass
+    with scenes.at(2) as scene:
+        assert scene._splats.logit_opacities[39] < -10
+        assert scene._splats.logit_opacities[38] > 0
+
+
+def test_idle_scenes_are_bounded() -> None:
+    scenes = SourceScenes(FakeReader(frames=40, gof=2), Renderer())
+    for frame in range(0, 40, 2):
+        with scenes.at(frame):
+            pass
+    assert len(scenes) <= IDLE_SCENES
+
+
+@pytest.mark.parametrize(("goal", "unreadable"), [(2, 0), (2, 1), (9, 9)])
+def test_a_frame_that_cannot_be_read_leaves_nothing_half_loaded(goal, unreadable) -> None:
+    class Broken(FakeReader):
+        fail = True
+
+        def source(self, frame):
+            self.refuse(frame)
+            return super().source(frame)
+
+        def source_delta(self, frame):
+            self.refuse(frame)
+            return super().source_delta(frame)
+
+        def refuse(self, frame):
+            if self.fail and frame == unreadable:
+                raise BundleError("gof_0000.bin: cut short")
+
+    reader = Broken(frames=12, gof=12)
+    scenes = SourceScenes(reader, Renderer())
+    with pytest.raises(BundleError), scenes.at(goal):
+        pass
+    assert len(scenes) == 0
+    reader.fail = False
+    with scenes.at(goal) as scene:
+        assert depth_of(scene, 0) == pytest.approx(3 + goal / 100)
+
+
+def test_a_loop_reads_its_first_frames_once() -> None:
+    class Counting(FakeReader):
+        def __init__(self):
+            super().__init__(frames=12, gof=12)
+            self.read = []
+
+        def source_delta(self, frame):
+            self.read.append(frame)
+            return super().source_delta(frame)
+
+        def source(self, frame):
+            self.read.append(frame)
+            return super().source(frame)
+
+    reader = Counting()
+    scenes = SourceScenes(reader, Renderer())
+    for frame in (1, 11, 1, 11, 2):
+        with scenes.at(frame) as scene:
+            assert depth_of(scene, 0) == pytest.approx(3 + frame / 100)
+    assert len(reader.read) == len(set(reader.read))
+
+
+def test_many_threads_see_their_own_frame() -> None:
+    scenes = SourceScenes(FakeReader(frames=12, gof=12), Renderer())
+    wrong: list[int] = []
+
+    def watch(start: int) -> None:
+        rng = np.random.default_rng(start)
+        for frame in sorted(rng.integers(0, 12, 30).tolist()):
+            with scenes.at(frame) as scene:
+                if abs(depth_of(scene, 0) - (3 + 0.01 * frame)) > 1e-5:
+                    wrong.append(frame)
+
+    threads = [threading.Thread(target=watch, args=(i,)) for i in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []

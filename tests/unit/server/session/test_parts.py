@@ -1,0 +1,97 @@
+"""Timeline, clock, inventory."""
+
+import pytest
+
+from cags_protocol.messages import Control, TileLayers
+from cags_server.session.clock import ClientClock
+from cags_server.session.timeline import Timeline
+from cags_server.visibility.inventory import ClientInventory
+
+
+def layers(first: int, end: int, tile: int = 2, frame: int = 1) -> TileLayers:
+    return TileLayers(frame, tile, first, end, (1,) * (end - first), (0,) * (end - first))
+
+
+def test_frames_follow_the_rate() -> None:
+    timeline = Timeline(30.0, 100).controlled(Control("play", 10, 1_000_000, 2.0))
+    assert timeline.playing
+    assert timeline.display_us(3) == 1_050_000
+    assert timeline.media_frame(3) == 13
+    assert timeline.media_frame(90) is None
+
+
+def test_a_loop_starts_again_after_the_last_frame() -> None:
+    timeline = Timeline(30.0, 10).controlled(Control("play", 8, 0, loop=True))
+    assert [timeline.media_frame(t) for t in range(4)] == [8, 9, 0, 1]
+
+
+def test_a_seek_beyond_the_end_goes_to_the_last_frame_and_keeps_playing() -> None:
+    playing = Timeline(30.0, 10).controlled(Control("play", 0, 0))
+    sought = playing.controlled(Control("seek", 99, 5))
+    assert (sought.frame, sought.playing) == (9, True)
+    assert not sought.controlled(Control("pause", 9, 6)).playing
+
+
+def test_the_clock_offset_is_the_least_delayed_message_of_the_last_ten_seconds() -> None:
+    clock = ClientClock()
+    for sent, delay in ((0, 30_000), (100_000, 5_000), (200_000, 80_000)):
+        clock.observe(sent, sent + 7_000_000 + delay)
+    assert clock.offset_us == 7_005_000
+    assert clock.to_client(clock.to_server(123)) == 123
+    clock.observe(20_000_000, 27_050_000)
+    assert clock.offset_us == 7_050_000
+
+
+def test_a_guess_is_believed_only_until_something_is_known() -> None:
+    """Once a Control's display time, which lies ahead of its sending, stuck as the smallest offset for ten seconds."""
+    clock = ClientClock()
+    clock.guess(250_000, 7_000_000)
+    assert clock.offset_us == 6_750_000
+    clock.observe(0, 7_010_000)
+    clock.guess(300_000, 7_020_000)
+    assert clock.offset_us == 7_010_000
+
+
+def test_depth_counts_layers_held_or_on_their_way() -> None:
+    inventory = ClientInventory()
+    assert inventory.depth(1, 2) == 0
+    inventory.queued(layers(0, 1))
+    inventory.queued(layers(1, 4))
+    assert (inventory.depth(1, 2), inventory.delivered_depth(1, 2)) == (4, 0)
+    inventory.delivered(layers(0, 1))
+    assert inventory.delivered_depth(1, 2) == 1
+
+
+def test_dropped_layers_leave_a_gap_that_is_filled_again() -> None:
+    inventory = ClientInventory()
+    for first, end in ((0, 1), (1, 3), (3, 5)):
+        inventory.queued(layers(first, end))
+    inventory.delivered(layers(0, 1))
+    inventory.delivered(layers(3, 5))
+    inventory.dropped(layers(1, 3))
+    assert inventory.depth(1, 2) == 1
+    assert inventory.holds(1, 2, 4)
+    inventory.queued(layers(1, 3))
+    assert inventory.depth(1, 2) == 5
+
+
+def test_evictions_and_forgetting() -> None:
+    inventory = ClientInventory()
+    inventory.delivered(layers(0, 6))
+    inventory.delivered(layers(0, 6, frame=9))
+    inventory.reduced(1, 2, 2)
+    inventory.reduced(5, 5, 0)  # never held: nothing happens
+    assert inventory.depth(1, 2) == 2
+    inventory.keep(5, 10)
+    assert (inventory.depth(1, 2), inventory.depth(9, 2)) == (0, 6)
+    inventory.clear()
+    assert len(inventory) == 0
+
+
+@pytest.mark.parametrize("mask_of", [(0,), (0, 1), (0, 2), (1,)])
+def test_runs_are_counted_from_lod_zero(mask_of: tuple[int, ...]) -> None:
+    inventory = ClientInventory()
+    for lod in mask_of:
+        inventory.delivered(layers(lod, lod + 1))
+    expected = next(lod for lod in range(9) if lod not in mask_of)
+    assert inventory.depth(1, 2) == expected

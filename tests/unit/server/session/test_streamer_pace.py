@@ -1,0 +1,280 @@
+"""When frames are planned: ahead of their display, late, skipped, and while a picture is still being rendered."""
+
+from dataclasses import replace
+
+import pytest
+
+from cags_protocol import events as ev
+from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_server.session.schedule import MAX_LEAD_STRETCH
+from support.server_scene import SETTINGS
+from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
+
+
+def test_frames_are_planned_a_lead_before_their_display_in_the_servers_clock() -> None:
+    rig = Rig()
+    rig.play()
+    lead_us = SETTINGS.lead_frames * PERIOD_US
+    assert rig.streamer.next_due_us() == pytest.approx(OFFSET_US + 300_000 - lead_us, abs=1)
+    rig.step()
+    assert rig.streamer.next_due_us() == pytest.approx(OFFSET_US + 300_000 + PERIOD_US - lead_us, abs=1)
+
+
+def test_late_frames_are_skipped_but_ended() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    out = rig.step(late_us=int(2.5 * PERIOD_US))
+    assert [r.frame for r in of(ReferenceFrame, out)] == [3]
+    assert [e.frame for e in of(FrameEnd, out)] == [2, 3, 4]
+    assert rig.streamer.stats.frames_skipped == 2
+
+
+def test_a_late_reference_is_sent_as_long_as_it_serves_and_the_next_is_planned_earlier() -> None:
+    rig = Rig(resumes=())  # who comes back is not greeted: nothing is known of the renderer's pace
+    rig.play()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    out = rig.streamer.finish(job.run(), due + 300_000)
+    assert [r.frame for r in of(ReferenceFrame, out)] == [0]
+    assert rig.streamer.stats.records[0].reference_late
+    lead = rig.streamer._viewer.clock.to_server(round(300_000 + PERIOD_US)) - rig.streamer.next_due_us()
+    assert 300_000 < lead <= 3 * SETTINGS.lead_frames * PERIOD_US
+
+
+@pytest.mark.parametrize(("took_us", "leads"), [(20_000, 1.0), (60_000_000, MAX_LEAD_STRETCH)])
+def test_a_slow_renderer_is_asked_earlier_but_not_ever_earlier(took_us: int, leads: float) -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer._schedule.pace.observe(took_us, 1000, 1e9)
+    assert rig.streamer._schedule.lead_us(rtt_us=0) == pytest.approx(leads * SETTINGS.lead_frames * PERIOD_US, rel=1e-6)
+
+
+def test_a_reference_too_late_for_anything_is_not_sent() -> None:
+    rig = Rig()
+    rig.play()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    out = rig.streamer.finish(job.run(), due + 900_000)
+    assert of(ReferenceFrame, out) == []
+    assert rig.streamer.stats.references_late == 1
+    assert [r.idr for r in of(ReferenceFrame, rig.step())] == [True]
+
+
+def test_at_a_low_rate_media_does_not_wait_a_whole_frame_for_a_slow_job() -> None:
+    rig = Rig()
+    rig.poses(0, 20_000)
+    rig.control("play", rate=1 / 6)
+    rig.step()
+    due = rig.streamer.next_due_us()
+    assert rig.streamer.begin(due) is not None
+    lead_us = SETTINGS.lead_frames * PERIOD_US
+    assert 0 < rig.streamer.next_due_us() - due <= lead_us / 2, "the rendered frame still reaches its display"
+    out = rig.streamer.catch_up(rig.streamer.next_due_us())
+    assert [e.frame for e in of(FrameEnd, out)] == [2]
+    following_us = rig.streamer.next_due_us() - (due + 6 * PERIOD_US)
+    assert 0 < following_us <= lead_us / 3, "and so does the next"
+
+
+def test_one_job_at_a_time_and_a_failed_one_does_not_end_the_stream() -> None:
+    rig = Rig()
+    rig.play()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    assert rig.streamer.begin(due + 100_000) is None
+    rig.streamer.abandon(job)
+    assert of(ReferenceFrame, rig.step())[0].idr
+
+
+def test_frames_skipped_across_a_group_are_ended_too() -> None:
+    rig = Rig()
+    rig.play()
+    for _ in range(4):
+        rig.step()
+    out = rig.step(late_us=int(3.5 * PERIOD_US))
+    assert [r.frame for r in of(ReferenceFrame, out)] == [7]
+    assert [e.frame for e in of(FrameEnd, out)] == [5, 6, 7, 8]
+
+
+def test_without_any_pose_planning_starts_with_the_control_and_skips_nothing() -> None:
+    """Once the display time of a Control was believed to be its time of sending, and frames were skipped."""
+    rig = Rig()
+    rig.control("play", at_us=300_000)
+    job = rig.streamer.begin(OFFSET_US + 10_000)
+    assert job is not None
+    assert (job.plan.frame, job.plan.ticks_covered) == (0, 1)
+
+
+def test_media_goes_on_while_a_picture_is_being_rendered() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    assert rig.streamer.catch_up(due + 1000) == []
+    blind = []
+    for k in (2, 2, 3):
+        blind += rig.streamer.catch_up(round(due + (k + 0.1) * PERIOD_US))
+    assert rig.streamer.catch_up(round(due + 3.1 * PERIOD_US)) == []
+    rig.deliver(blind)
+    assert [e.frame for e in of(FrameEnd, blind)] == [2, 3, 4]
+    assert {3, 4} <= {t.frame for t in of(TileLayers, blind)}
+    assert of(ReferenceFrame, blind) == []
+    late = rig.streamer.finish(job.run(), round(due + 3.5 * PERIOD_US))
+    assert [r.frame for r in of(ReferenceFrame, late)] == [1]
+    assert of(TileLayers, late) == []
+    assert [record.frame for record in rig.streamer.stats.records] == [0, 1, 2, 3], "each frame once"
+    assert [record.reference_bytes > 0 for record in rig.streamer.stats.records] == [True, True, False, False]
+    rendered = rig.streamer.stats.records[1]
+    assert (rendered.predicted, rendered.margins) == (job.plan.predicted.pose, job.plan.margins)
+    assert [r.frame for r in of(ReferenceFrame, rig.step())] == [4]
+
+
+@pytest.mark.parametrize("ahead", [1, 3])
+def test_frames_between_two_references_get_tiles_and_ends_without_a_reference(ahead: int) -> None:
+    """With tiles several frames ahead every frame was taken for one of which nothing had been seen, and rendered."""
+    rig = Rig(replace(SETTINGS, reference_every=3, tiles_ahead=ahead), gof=12)
+    rig.play()
+    kinds = []
+    for _ in range(6):
+        due = rig.streamer.next_due_us()
+        assert rig.streamer.catch_up(due - 1) == []
+        out = rig.streamer.catch_up(due)
+        rig.deliver(out)
+        kinds.append("between" if out else "render")
+        if not out:
+            out = rig.step()
+        assert of(FrameEnd, out)[-1].frame == len(kinds) - 1 + ahead
+        assert bool(of(ReferenceFrame, out)) == (kinds[-1] == "render")
+    assert kinds == ["render", "between", "between"] * 2
+    assert rig.streamer.stats.references_late == 0
+    rig.streamer.on_event(ev.KeyframeRequested(99), 0)
+    assert of(ReferenceFrame, rig.step())[0].idr
+
+
+def test_a_new_group_is_entered_without_a_render_when_its_frames_cannot_wait_longer() -> None:
+    rig = Rig()
+    rig.play()
+    for _ in range(4):
+        rig.step()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    rig.deliver(rig.streamer.catch_up(rig.streamer.next_due_us()))
+    overdue_us = rig.streamer.next_due_us() - round(due + PERIOD_US)
+    assert PERIOD_US < overdue_us <= SETTINGS.lead_frames * PERIOD_US / 2 + 1, "a render would choose better"
+    assert rig.streamer.catch_up(round(due + 2 * PERIOD_US)) == []
+    blind = rig.streamer.catch_up(rig.streamer.next_due_us())
+    rig.deliver(blind)
+    assert [e.frame for e in of(FrameEnd, blind)] == [6]
+    assert {(t.frame, t.tile) for t in of(TileLayers, blind) if t.from_lod == 0} == {(6, k) for k in range(4)}
+    late = rig.streamer.finish(job.run(), round(due + 3.5 * PERIOD_US))
+    assert [r.frame for r in of(ReferenceFrame, late)] == [4]
+    again = rig.step()
+    assert not [t for t in of(TileLayers, again) if t.frame == 6 and t.from_lod == 0], "held"
+
+
+def test_the_first_render_of_a_session_holds_no_frame_up() -> None:
+    """With all cores rendering, the first frames of sixteen clients once came after their display."""
+    rig = Rig()
+    rig.play()
+    due = rig.streamer.next_due_us()
+    job = rig.streamer.begin(due)
+    out = []
+    for frame in range(4):
+        wake_us = rig.streamer.next_due_us()
+        assert wake_us < OFFSET_US + 300_000 + frame * PERIOD_US, "before the display"
+        some = rig.streamer.catch_up(wake_us)
+        rig.deliver(some)
+        out += some
+    assert [e.frame for e in of(FrameEnd, out)] == [1, 2, 3, 4]
+    assert {t.frame for t in of(TileLayers, out)} >= {1, 2, 3, 4}
+    assert rig.streamer.stats.frames == 4
+    assert [r.frame for r in of(ReferenceFrame, rig.streamer.finish(job.run(), due + 50_000))] == [0]
+
+
+def test_a_viewer_who_jumps_back_while_a_render_is_out_is_given_a_beginning() -> None:
+    rig = Rig()
+    rig.play()
+    for _ in range(4):
+        rig.step()
+    job = rig.streamer.begin(rig.streamer.next_due_us())
+    rig.control("seek", 1, 700_000)
+    blind = rig.streamer.catch_up(rig.streamer.next_due_us())
+    assert {(t.frame, t.tile) for t in of(TileLayers, blind) if t.frame == 0} == {(0, k) for k in range(4)}
+    assert [e.frame for e in of(FrameEnd, blind)] == [0, 1, 2]
+    assert rig.streamer.finish(job.run(), OFFSET_US) == [], "of the play before the seek"
+
+
+def test_only_frames_that_the_client_displays_are_rendered_and_planned() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 600), OFFSET_US)
+    due, rendered, ends = rig.streamer.next_due_us(), [], []
+    for _ in range(5):
+        out = rig.step()
+        rendered += [r.frame for r in of(ReferenceFrame, out)]
+        ends.append([e.frame for e in of(FrameEnd, out)])
+    assert rendered == [0, 2, 4, 5, 7]
+    assert ends == [[1, 2], [3, 4], [5], [6, 7], [8, 9]]
+    assert [r.ticks_covered for r in rig.streamer.stats.records] == [1, 2, 2, 1, 2], "each earns the bytes of its time"
+    assert rig.streamer.next_due_us() - due == pytest.approx(9 * PERIOD_US, abs=2)
+
+
+def test_a_client_that_displays_every_frame_again_is_planned_every_frame_at_once() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 250), OFFSET_US)
+    rig.step()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US), OFFSET_US)
+    assert [r.frame for r in of(ReferenceFrame, rig.step())] == [1]
+
+
+def test_late_renders_of_a_slow_client_are_of_frames_that_it_displays() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 500), OFFSET_US)
+    rig.step()
+    assert [r.frame for r in of(ReferenceFrame, rig.step(late_us=int(3.5 * PERIOD_US)))] == [4]
+
+
+def test_a_slow_client_is_served_blind_at_its_own_frames_too() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 500), OFFSET_US)
+    rig.step()
+    due = rig.streamer.next_due_us()
+    assert rig.streamer.begin(due) is not None
+    ends = []
+    for k in range(3, 8):
+        ends += [e.frame for e in of(FrameEnd, rig.streamer.catch_up(round(due + k * PERIOD_US)))]
+    assert ends == [3, 4, 5, 6, 7, 8]
+
+
+def test_the_last_frame_of_a_clip_is_planned_in_any_case() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 250), OFFSET_US)
+    rendered = [r.frame for _ in range(4) for r in of(ReferenceFrame, rig.step())]
+    assert rendered == [0, 4, 8, 11]
+    assert rig.streamer.next_due_us() is None
+
+
+def test_a_late_render_of_a_slow_client_does_not_go_past_the_end() -> None:
+    rig = Rig()
+    rig.play()
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 250), OFFSET_US)
+    rig.step()
+    assert [r.frame for r in of(ReferenceFrame, rig.step(late_us=int(9.5 * PERIOD_US)))] == [11]
+    assert rig.streamer.next_due_us() is None
+
+
+def test_frames_are_counted_on_through_a_loop() -> None:
+    rig = Rig()
+    rig.poses(0, 20_000)
+    rig.control("play", loop=True)
+    rig.streamer.on_event(ev.PosesReceived((), OFFSET_US, 400), OFFSET_US)
+    planned = []
+    for _ in range(10):
+        rig.step()
+        planned.append(rig.streamer.stats.records[-1].tick)
+    assert planned == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23]

@@ -1,0 +1,85 @@
+"""What a client is shown an old version of, and for how long."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cags_server.visibility.age import VersionAge
+from support.server_scene import library
+
+GROUP = range(6)
+"""Frames of the scene's first group; splats change in some of them."""
+
+TILES = [(frame, tile.tile) for frame in GROUP for tile in library().entry(frame).tiles]
+"""(media frame, tile)."""
+
+CHANGED = next(key for key in TILES if key[0] > 0)
+
+
+def test_the_next_version_of_what_is_held_replaces_one_frame() -> None:
+    age = VersionAge(library())
+    for key in TILES:
+        if key[0] == 0:
+            age.sent(*key)
+    assert age.frames(CHANGED[0], *CHANGED) == CHANGED[0]
+    age.sent(*CHANGED)
+    assert age.frames(CHANGED[0] + 2, *CHANGED) == 2.0
+    assert age.frames(CHANGED[0], *CHANGED) == 1.0
+
+
+def test_what_was_dropped_was_never_shown() -> None:
+    age = VersionAge(library())
+    before = age.frames(5, *CHANGED)
+    age.sent(*CHANGED)
+    age.settled(*CHANGED, delivered=False)
+    assert age.frames(5, *CHANGED) == before
+    age.sent(*CHANGED)
+    age.settled(*CHANGED, delivered=True)
+    age.sent(*CHANGED)
+    age.settled(*CHANGED, delivered=False)
+    assert age.frames(5, *CHANGED) == 5 - CHANGED[0], "it has arrived once"
+
+
+def test_a_group_of_frames_begins_with_what_was_shown_before_it() -> None:
+    age, start = VersionAge(library()), library().manifest.gof_starts[1]
+    age.sent(*CHANGED)
+    tile = library().entry(start).tiles[0].tile
+    assert age.frames(start + 2, start, tile) == 3.0
+    age.settled(*CHANGED, delivered=True)
+    assert age.frames(start + 2, start, tile) == 3.0, "ids of another group"
+    assert age.frames(start + 2, *CHANGED) == 1.0, "nothing is known of a group that has passed"
+    age.clear()
+    assert age.frames(CHANGED[0], *CHANGED) == CHANGED[0] + 1
+
+
+def test_what_a_client_holds_of_an_earlier_session_has_arrived() -> None:
+    age = VersionAge(library())
+    age.held([CHANGED])
+    assert age.frames(CHANGED[0] + 2, *CHANGED) == 2.0
+    age.sent(*CHANGED)
+    age.settled(*CHANGED, delivered=False)
+    assert age.frames(CHANGED[0] + 2, *CHANGED) == 2.0
+
+
+def test_what_the_bundle_does_not_have_cannot_be_held() -> None:
+    """A client that named a frame beyond the clip's end ended its session with an error of the server's."""
+    frames, tiles = library().manifest.frames, len(library().entry(0).tiles)
+    age = VersionAge(library())
+    age.held([(frames, 0), (2**31 - 1, 0), (0, tiles), (0, 2**16 - 1), (CHANGED[0], 2**16 - 1)])
+    assert age.frames(CHANGED[0], *CHANGED) == CHANGED[0] + 1
+    assert age.frames(frames - 1, library().manifest.gof_starts[-1], 0) >= 1.0
+
+
+@given(st.lists(st.tuples(st.sampled_from(TILES), st.sampled_from(["sent", "delivered", "dropped"])), max_size=25))
+def test_it_never_exceeds_the_time_since_the_group_began(steps: list[tuple[tuple[int, int], str]]) -> None:
+    age = VersionAge(library())
+    for key, what in steps:
+        if what == "sent":
+            age.sent(*key)
+        else:
+            age.settled(*key, delivered=what == "delivered")
+        ages = np.array([age.frames(5, *each) for each in TILES])
+        assert (ages >= 1.0).all() and (ages <= 6.0).all()
+        assert what != "sent" or age.frames(5, *key) <= max(5 - key[0], 1)

@@ -1,0 +1,48 @@
+"""Which tiles a frame shows that gets no reference render of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cags_common.geometry import Camera, Pose
+from cags_server.visibility.inventory import ClientInventory
+from cags_server.visibility.visibility import Visibility
+from support.server_scene import hello, library
+
+LEAST = 0.02
+
+
+def seen(*ids: int) -> np.ndarray:
+    """Contributions [40] of the scene's splats: 1 for those in view."""
+    out = np.zeros(40, np.float32)
+    out[list(ids)] = 1.0
+    return out
+
+
+def test_a_render_tells_of_its_own_group_of_frames_alone() -> None:
+    sight = Visibility(library(), LEAST)
+    assert not sight.tells_of(0)
+    sight.rendered(2, seen(8))
+    assert sight.tells_of(0) and sight.tells_of(5) and not sight.tells_of(6)
+    assert [(tile.frame, tile.tile) for tile in sight.tiles(2)] == [(0, 0)]
+    sight.rendered(7, seen(8))
+    assert not sight.tells_of(5)
+
+
+def test_a_splat_that_left_the_picture_while_it_changed_stays_in_visibility() -> None:
+    sight = Visibility(library(), LEAST)
+    sight.rendered(3, seen(3, 8))
+    sight.served(3, seen(3, 8), ClientInventory())  # nothing is held yet: both are owed
+    sight.rendered(4, seen(35))
+    shown = {(tile.frame, tile.tile) for tile in sight.tiles(4)}
+    assert len(shown) > 1, "more than the tile that is in the picture"
+    sight.rendered(6, seen(35))
+    assert len(sight.tiles(6)) == 1, "another group has other splats"
+
+
+def test_without_a_render_the_tiles_bounds_say_what_is_in_view() -> None:
+    sight = Visibility(library(), LEAST)
+    ahead = Camera(hello().intrinsics, Pose.identity(), 0.1)
+    behind = Camera(hello().intrinsics, Pose.looking_at((0, 0, 0), (0, 0, -3), (0, -1, 0)), 0.1)
+    assert len(sight.guessed_tiles(0, ahead, 64 * 48)) == 4
+    assert sight.guessed_tiles(0, behind, 64 * 48) == ()
