@@ -147,7 +147,7 @@ def _busy(rng: random.Random, pair: Pair, number: int) -> None:
     pair.queue(Outgoing(m.Mark(number + 1, rng.random() < 0.2)), reference(number, number + 1, rng.randrange(1, 5_000)))
     pair.queue(Outgoing(m.FrameEnd(number), b"\7" * rng.randrange(4)))
     if rng.random() < 0.2:
-        pair.server.notice("slow", "the link is slow", now_us=pair.now_us)
+        pair.client.receive(encode(m.Notice("slow", "the link is slow")), now_us=pair.now_us)
     samples = [
         m.PoseSample(pair.now_us + k, Pose((0.1 * k, 1.0, -2.0), (0.5, 0.5, 0.5, 0.5)))
         for k in range(rng.choice([1, 2, 70]))

@@ -1,5 +1,5 @@
 /**
- * What is held of one group of frames; as `cags_common.store.gof_store`. Tiles are decoded when they arrive;
+ * What is held of one group of frames; as `cags_common.store.gof_buffer`. Tiles are decoded when they arrive;
  * {@link GofStore.commit} makes them visible, all of a frame's at once. What is shown depends on what came up to a mark
  * and on the frame alone.
  */
