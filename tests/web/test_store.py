@@ -21,11 +21,15 @@ from support.store_scripts import Recorder, Step, text
 Ends: TypeAlias = Sequence[tuple[int, np.ndarray]]
 
 CLIPS, ORDERS = 12, 25
+FEW_CLIPS, FEW_ORDERS = 3, 15
 CAMERA = Camera(Intrinsics(400, 300, 300.0, 300.0, 200.0, 150.0), Pose((0.0, 0.0, -20.0), (1.0, 0.0, 0.0, 0.0)), 0.2)
 
 
-def test_three_hundred_random_orders_with_marks_jumps_and_new_connections(tmp_path: Path) -> None:
-    scripts = [_script(seed, order, tmp_path / f"{seed}") for seed in range(CLIPS) for order in range(ORDERS)]
+@pytest.mark.parametrize(
+    ("clips", "orders"), [(FEW_CLIPS, FEW_ORDERS), pytest.param(CLIPS, ORDERS, marks=pytest.mark.slow)]
+)
+def test_random_orders_with_marks_jumps_and_new_connections(clips: int, orders: int, tmp_path: Path) -> None:
+    scripts = [_script(seed, order, tmp_path / f"{seed}") for seed in range(clips) for order in range(orders)]
     run_tests("store", tmp_path, scripts=scripts)
 
 
