@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import functools
 import importlib.util
 import json
@@ -17,6 +18,8 @@ import pytest
 WEB = Path(__file__).resolve().parents[2] / "web"
 LEAST_VERSION = 24
 """Node runs TypeScript as it is from here on."""
+
+PATIENCE_S = 100
 
 
 @functools.cache
@@ -50,8 +53,9 @@ def why_not() -> str:
     return ""
 
 
-def run_tests(name: str, folder: Path, **vectors: Any) -> None:
+def run_tests(name: str, folder: Path, **vectors: Any) -> str:
     """Run ``web/tests/core/NAME.test.ts`` with ``vectors`` (JSON-able) as files in ``folder``; fails with its output.
+    Returns the lines of results that it printed.
 
     Skips, with one line that says why, where node cannot be had.
     """
@@ -65,3 +69,22 @@ def run_tests(name: str, folder: Path, **vectors: Any) -> None:
     )
     if ran.returncode:
         pytest.fail(f"{name}: {ran.stdout[-6000:]}\n{ran.stderr[-3000:]}", pytrace=False)
+    return "\n".join(line for line in ran.stdout.splitlines() if line.startswith("RESULT"))
+
+
+async def run_script(name: str, folder: Path, **environment: str) -> None:
+    """As :func:`run_tests`, beside servers of the event loop, with an ``environment`` instead of vectors."""
+    process = await asyncio.create_subprocess_exec(
+        *(*node(), "--test", "--test-reporter=spec", str(WEB / "tests" / "core" / f"{name}.test.ts")),
+        cwd=WEB,
+        env={**os.environ, "CAGS_VECTORS": str(folder), **environment},
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+    )
+    talk = asyncio.create_task(process.communicate())
+    done, _ = await asyncio.wait([talk], timeout=PATIENCE_S)
+    if not done:
+        process.kill()
+    output, _ = await talk
+    if process.returncode:
+        pytest.fail(f"{name}: {output.decode()[-6000:]}", pytrace=False)

@@ -14,7 +14,7 @@ from cags_common.bundle.manifest import Manifest
 from cags_common.codecs import TileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera
-from cags_common.store.gof_store import Committed, GofStore
+from cags_common.store.gof_buffer import Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 
@@ -71,7 +71,7 @@ class Recorder:
         after = {"none": True} if moved is None else self._shown(*moved)
         self.steps.append({"op": "move", "frame": frame, "share": share, **after})
 
-    def _shown(self, gof: GofStore, committed: Committed) -> Step:
+    def _shown(self, gof: GofBuffer, committed: Committed) -> Step:
         held = sorted([t.frame, t.tile, t.lods] for t in self.store.held())
         mean = gof.shown.lod_mean(self._camera) if self._camera else math.nan
         return {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -17,12 +18,18 @@ from support.small_motion import moving, random_frames, written
 from support.small_store import CAPACITY, books, manifest
 from support.store_scripts import Recorder, Step, text
 
+Ends: TypeAlias = Sequence[tuple[int, np.ndarray]]
+
 CLIPS, ORDERS = 12, 25
+FEW_CLIPS, FEW_ORDERS = 3, 15
 CAMERA = Camera(Intrinsics(400, 300, 300.0, 300.0, 200.0, 150.0), Pose((0.0, 0.0, -20.0), (1.0, 0.0, 0.0, 0.0)), 0.2)
 
 
-def test_three_hundred_random_orders_with_marks_jumps_and_new_connections(tmp_path: Path) -> None:
-    scripts = [_script(seed, order, tmp_path / f"{seed}") for seed in range(CLIPS) for order in range(ORDERS)]
+@pytest.mark.parametrize(
+    ("clips", "orders"), [(FEW_CLIPS, FEW_ORDERS), pytest.param(CLIPS, ORDERS, marks=pytest.mark.slow)]
+)
+def test_random_orders_with_marks_jumps_and_new_connections(clips: int, orders: int, tmp_path: Path) -> None:
+    scripts = [_script(seed, order, tmp_path / f"{seed}") for seed in range(clips) for order in range(orders)]
     run_tests("store", tmp_path, scripts=scripts)
 
 
@@ -65,7 +72,11 @@ def _wrapped(info: bytes, codebooks: bytes, steps: list[Step]) -> Step:
 
 def _removed(rng: np.random.Generator) -> np.ndarray:
     some = rng.random() < 0.3
-    return np.sort(rng.permutation(CAPACITY)[: int(rng.integers(1, 3))]).astype(np.int32) if some else np.zeros(0, np.int32)
+    return (
+        np.sort(rng.permutation(CAPACITY)[: int(rng.integers(1, 3))]).astype(np.int32)
+        if some
+        else np.zeros(0, np.int32)
+    )
 
 
 def _damaged(rng: np.random.Generator, messages: list[Arrival]) -> list[Arrival]:
@@ -81,7 +92,11 @@ def _damaged(rng: np.random.Generator, messages: list[Arrival]) -> list[Arrival]
 
 
 def _play(
-    record: Recorder, rng: np.random.Generator, messages: list[Arrival], ends: Sequence[tuple[int, np.ndarray]], frames: int
+    record: Recorder,
+    rng: np.random.Generator,
+    messages: list[Arrival],
+    ends: Sequence[tuple[int, np.ndarray]],
+    frames: int,
 ) -> None:
     """Everything comes, in any order and mostly in batches, while frames are shown by marks or without."""
     events: list[object] = [*messages, *ends]

@@ -130,7 +130,7 @@ export interface FrameRequest {
   readonly changedSince?: ChangedSince;
 }
 
-/** See `cags_client.changes`: since the reference of media frame `frame`, which assumes mark `basis` (undefined: changes
+/** See `cags_client.frame.changes`: since the reference of media frame `frame`, which assumes mark `basis` (undefined: changes
  * do not matter, only motion), as a reference of `focalPx` at the view `camera` would see it. */
 export interface ChangedSince {
   readonly frame: number;

@@ -2,6 +2,7 @@
 import { Draco } from "./decode/draco.ts";
 import { Kernels } from "./decode/kernels.ts";
 import { LiveSource } from "./source/live.ts";
+import { StaticSource } from "./source/static.ts";
 import type { Answer, Request } from "./source/remote.ts";
 import type { Decoders } from "./source/scene.ts";
 import type { SceneSource } from "./seam.ts";
@@ -38,7 +39,8 @@ function tell(answer: Answer): void {
 
 async function connect(request: Extract<Request, { ask: "connect" }>): Promise<void> {
   try {
-    source = new LiveSource(await load());
+    const decoders = await load();
+    source = /^wss?:/.test(request.url) ? new LiveSource(decoders) : new StaticSource(decoders);
     source.connect(request.url, request.options, (event) => tell({ tell: "event", event }));
   } catch (error) {
     const message = error instanceof Error ? error.message : String(error);

@@ -1,4 +1,5 @@
-"""Compile the codec and motion kernels to WebAssembly: ``python web/wasm/build.py [OUT]`` writes ``web/dist/kernels.wasm``.
+"""Compile the codec and motion kernels to WebAssembly: ``python web/wasm/build.py [OUT]``, by default
+``web/dist/kernels.wasm``.
 
 The compiler is clang as the PyPI package ``ziglang`` carries it, with a C++ library for WASI. The sources are those of
 the native library; ``browser.cpp`` adds what a browser needs. Products and sums are never fused, as there: the module

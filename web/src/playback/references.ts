@@ -1,6 +1,6 @@
 /**
  * References matched to the frames that are shown, and the mark up to which a frame is shown; as
- * `cags_client.references` and `ClientPipeline._basis_at`. `P` is what the page makes of a reference: a decoded picture.
+ * `cags_client.store.references` and `ClientPipeline._basis_at`. `P` is what the page makes of a reference: a decoded picture.
  */
 import type { Reference } from "../seam.ts";
 

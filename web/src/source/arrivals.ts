@@ -1,4 +1,4 @@
-/** Media that has come over the wire and waits for its decoder, in order; as `cags_client.arrivals` and `.actions`. */
+/** Media that has come over the wire and waits for its decoder, in order; as `cags_client.playback`. */
 import type { SessionEvent } from "../wire/session.ts";
 import type { HeldTile } from "../wire/messages.ts";
 

@@ -1,4 +1,4 @@
-/** What has changed since a reference was made, as `cags_client.changes`: there it says nothing that could be relied on. */
+/** What has changed since a reference was made, as `cags_client.frame.changes`: there it says nothing that could be relied on. */
 import type { Camera, ChangedSince } from "../seam.ts";
 import { worldToCamera } from "../wire/geometry.ts";
 

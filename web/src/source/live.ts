@@ -1,6 +1,6 @@
 /**
  * A scene from a server, over a WebSocket: joins, decodes, acknowledges, and comes back after a loss with an inventory of
- * what is held, so that nothing of it is sent again. The counterpart of `cags_client.player`, without the display.
+ * what is held, so that nothing of it is sent again. The counterpart of `cags_client.playback.player`, without the display.
  */
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import { readManifest, sceneInfo } from "../decode/manifest.ts";

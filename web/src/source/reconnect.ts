@@ -1,4 +1,4 @@
-/** When a dropped connection is opened again, as `cags_client.reconnect`: at once first, then ever more seldom. */
+/** When a dropped connection is opened again, as `cags_client.net.reconnect`: at once first, then ever more seldom. */
 
 const FIRST_DELAY_US = 50_000;
 const MAX_DELAY_US = 1_000_000;

@@ -1,5 +1,5 @@
 /**
- * What is held of one group of frames; as `cags_common.store.gof_store`. Tiles are decoded when they arrive;
+ * What is held of one group of frames; as `cags_common.store.gof_buffer`. Tiles are decoded when they arrive;
  * {@link GofStore.commit} makes them visible, all of a frame's at once. What is shown depends on what came up to a mark
  * and on the frame alone.
  */
@@ -125,9 +125,7 @@ export class GofStore {
 
   /** Show the splats on display where they are at `time`, after the frame that was committed; the rows that moved. */
   move(time: number): Int32Array {
-    const touched = new Uint8Array(this.buffer.capacity);
-    for (const rows of this.buffer.move(time)) for (const row of rows) if (row >= 0) touched[row] = 2;
-    return where(touched, 2);
+    return gathered(this.buffer.move(time));
   }
 
   /** The rows that change by it; motion changes none before all of it is evaluated. */
@@ -271,4 +269,21 @@ function where(flags: Uint8Array, wanted: number): Int32Array {
   const out = new Int32Array(count);
   for (let i = 0, to = 0; i < flags.length; i++) if (flags[i] === wanted) out[to++] = i;
   return out;
+}
+
+/** Rows of several tiles, no row of two of them, without those that are -1; ascending. */
+function gathered(parts: readonly Int32Array[]): Int32Array {
+  const out = new Int32Array(parts.reduce((sum, rows) => sum + rows.length, 0));
+  let count = 0;
+  let ascending = true;
+  for (const rows of parts) {
+    for (let i = 0; i < rows.length; i++) {
+      const row = rows[i]!;
+      if (row < 0) continue;
+      if (count && row < out[count - 1]!) ascending = false;
+      out[count++] = row;
+    }
+  }
+  const rows = out.subarray(0, count);
+  return ascending ? rows : rows.sort();
 }

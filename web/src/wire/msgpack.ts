@@ -198,12 +198,14 @@ class Writer {
   }
 
   private byte(value: number): void {
-    this.data[this.room(1)] = value;
+    const at = this.room(1); // first: it may replace the memory
+    this.data[at] = value;
   }
 
   private float(value: number): void {
     this.byte(0xcb);
-    this.view.setFloat64(this.room(8), value);
+    const at = this.room(8);
+    this.view.setFloat64(at, value);
   }
 
   private integer(value: number): void {
@@ -221,23 +223,28 @@ class Writer {
       this.byte(value);
     } else if (value <= 0xffff) {
       this.byte(0xcd);
-      this.view.setUint16(this.room(2), value);
+      const at = this.room(2);
+      this.view.setUint16(at, value);
     } else {
       this.byte(0xce);
-      this.view.setUint32(this.room(4), value);
+      const at = this.room(4);
+      this.view.setUint32(at, value);
     }
   }
 
   private signed(value: number): void {
     if (value >= -0x80) {
       this.byte(0xd0);
-      this.view.setInt8(this.room(1), value);
+      const at = this.room(1);
+      this.view.setInt8(at, value);
     } else if (value >= -0x8000) {
       this.byte(0xd1);
-      this.view.setInt16(this.room(2), value);
+      const at = this.room(2);
+      this.view.setInt16(at, value);
     } else {
       this.byte(0xd2);
-      this.view.setInt32(this.room(4), value);
+      const at = this.room(4);
+      this.view.setInt32(at, value);
     }
   }
 
@@ -257,7 +264,8 @@ class Writer {
       this.byte(0xd9);
       this.byte(size);
     } else this.head(size, 0, -1, 0xda);
-    this.data.set(bytes, this.room(size));
+    const at = this.room(size);
+    this.data.set(bytes, at);
   }
 
   private bytes(value: Uint8Array): void {
@@ -266,17 +274,20 @@ class Writer {
       this.byte(0xc4);
       this.byte(size);
     } else this.head(size, 0, -1, 0xc5);
-    this.data.set(value, this.room(size));
+    const at = this.room(size);
+    this.data.set(value, at);
   }
 
   private head(size: number, short: number, most: number, long: number): void {
     if (size <= most) return this.byte(short | size);
     if (size <= 0xffff) {
       this.byte(long);
-      this.view.setUint16(this.room(2), size);
+      const at = this.room(2);
+      this.view.setUint16(at, size);
     } else {
       this.byte(long + 1);
-      this.view.setUint32(this.room(4), size);
+      const at = this.room(4);
+      this.view.setUint32(at, size);
     }
   }
 }
