@@ -28,11 +28,11 @@ _INSTEAD = f"""<!doctype html><html lang="en"><meta charset="utf-8"><meta name="
 
 
 def add_page(app: web.Application) -> None:
-    """Serve the page at ``/`` and its parts under ``/viewer/``."""
+    """Serve the page at ``/`` and its parts beside it."""
     app.router.add_get("/", partial(_file, name="index.html"))
     for name in cags_web.FILES:
         if name != "index.html":
-            app.router.add_get(f"/viewer/{name}", partial(_file, name=name))
+            app.router.add_get(f"/{name}", partial(_file, name=name))
 
 
 def why_missing() -> str | None:

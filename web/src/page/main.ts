@@ -37,6 +37,18 @@ interface Bundle {
   readonly fps: number;
 }
 
+/** Where the scene lies that this page was published with; undefined: it comes from the page's own server. */
+const PUBLISHED = document.querySelector<HTMLMetaElement>('meta[name="cags-source"]')?.content;
+/** Until a published scene says what it is. */
+const NOWHERE: Bundle = {
+  name: "",
+  up: [0, 1, 0],
+  focus_centre: [0, 0, 0],
+  focus_radius: 1,
+  fps: 30,
+  bounds: [[-1, -1, -1], [1, 1, 1]],
+};
+
 class Viewer {
   player: Player | null = null;
   renderer: Renderer | null = null;
@@ -85,7 +97,7 @@ class Viewer {
     this.player = null;
     this.#messages.say("Connecting");
     try {
-      const bundle = await this.#bundle();
+      const bundle = PUBLISHED ? NOWHERE : await this.#bundle();
       if (!bundle) return;
       this.#title(bundle.name);
       this.#chroma ??= await finestChroma();
@@ -132,12 +144,7 @@ class Viewer {
   #join(bundle: Bundle): void {
     const [width, height] = pixelsOf(innerWidth, innerHeight, devicePixelRatio, this.#place.size);
     this.#angles = anglesOf(width, height);
-    const place = { up: bundle.up, focusCentre: bundle.focus_centre, focusRadius: bundle.focus_radius, bounds: bundle.bounds };
-    this.camera = new ViewCamera(place);
-    this.#home();
-    if (this.#place.pose) this.camera.place(this.#place.pose);
-    this.setMode(this.#place.mode ?? (kept("camera") as Mode | undefined) ?? "orbit");
-    this.#gestures.drive(this.camera);
+    this.#stand({ up: bundle.up, focusCentre: bundle.focus_centre, focusRadius: bundle.focus_radius, bounds: bundle.bounds });
     const source = connectWorker(new Worker(new URL("worker.js", import.meta.url), { type: "module" }));
     const startFrame = Math.floor((this.#place.seconds ?? 0) * bundle.fps + 1e-6);
     const view = (): { pose: Pose; intrinsics: Intrinsics } => ({ pose: this.camera!.pose, intrinsics: this.intrinsics });
@@ -149,7 +156,7 @@ class Viewer {
     });
     this.player = player;
     source.connect(
-      new URL("stream", location.href.replace(/^http/, "ws")).href,
+      PUBLISHED ? new URL(PUBLISHED, location.href).href : new URL("stream", location.href.replace(/^http/, "ws")).href,
       {
         ...view(),
         startFrame,
@@ -174,7 +181,20 @@ class Viewer {
     };
   }
 
+  /** Begin at the first view of a scene, or where the link says. */
+  #stand(scene: Pick<SceneInfo, "up" | "focusCentre" | "focusRadius" | "bounds">): void {
+    this.camera = new ViewCamera(scene);
+    this.#home();
+    if (this.#place.pose) this.camera.place(this.#place.pose);
+    this.setMode(this.#place.mode ?? (kept("camera") as Mode | undefined) ?? "orbit");
+    this.#gestures.drive(this.camera);
+  }
+
   #onInfo(info: SceneInfo): void {
+    if (PUBLISHED) {
+      this.#title(info.name);
+      this.#stand(info);
+    }
     embed.tell("ready", { name: info.name, seconds: info.frames / info.fps });
   }
 
