@@ -90,9 +90,13 @@ def _logits(values: Mapping[str, F32]) -> F32:
 
 
 def alpha_logits(alpha: F32) -> F32:
-    """Opacity logits of drawn opacities, kept inside (0, 1)."""
+    """Opacity logits of drawn opacities, kept inside (0, 1).
+
+    Logarithms are taken of doubles and then rounded: single-precision ones differ between processors and libraries, and
+    servers, players and browsers have to show the same.
+    """
     inside = np.clip(alpha, np.float32(_MIN_ALPHA), np.float32(1 - _MIN_ALPHA))
-    logits: F32 = np.log(inside / (1 - inside))
+    logits: F32 = np.log((inside / (1 - inside)).astype(np.float64)).astype(np.float32)
     return logits
 
 

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,8 @@ EXAMPLES = """\
   cags-encode frames/ clip.cags --scheduler tcp://10.0.0.5:8786    on the workers of a dask cluster
   cags-encode --inspect clip.cags --plot clip.png          frames, levels, codebooks, quality
   cags-encode --verify s3://bucket/clip                    every CRC, everything decoded
-  cags-encode --export clip.cags 12:5 frame12.ply          frame 12 at LoD 5, for other viewers"""
+  cags-encode --export clip.cags 12:5 frame12.ply          frame 12 at LoD 5, for other viewers
+  cags-encode --publish clip.cags site/                    page and bundle for any web host"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -53,6 +55,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar=("BUNDLE", "FRAME[:LOD]", "FILE"),
         help="write one frame as .ply, .compressed.ply, .spz, .sog or .splat",
     )
+    looking.add_argument(
+        "--publish",
+        nargs=2,
+        metavar=("BUNDLE", "FOLDER"),
+        help="write the viewer's page and the bundle, ready for any web host that serves ranges, to a new folder",
+    )
     parser.add_argument("--plot", metavar="FILE", help="with --inspect: draw it as .png, .svg or .pdf")
     add_settings(parser, CommandSettings)
     return parser
@@ -60,19 +68,21 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(argv: Sequence[str]) -> None:
     arguments = _parser().parse_args(argv)
-    looks = arguments.inspect or arguments.verify or arguments.export
+    looks = arguments.inspect or arguments.verify or arguments.export or arguments.publish
     if arguments.plot and not arguments.inspect:
         raise ConfigError("--plot draws what --inspect BUNDLE finds; give that too")
     if looks and (arguments.scene or arguments.out):
-        raise ConfigError(f"{arguments.scene!r}: --inspect, --verify and --export take no scene to encode")
+        raise ConfigError(f"{arguments.scene!r}: --inspect, --verify, --export and --publish take no scene to encode")
     if looks and (given := given_flags(arguments, CommandSettings)):
-        raise ConfigError(f"--{given[0]} is for encoding: --inspect, --verify and --export leave it out")
+        raise ConfigError(f"--{given[0]} is for encoding: --inspect, --verify, --export and --publish leave it out")
     if arguments.inspect:
         _inspect(arguments.inspect, arguments.plot, as_json=arguments.json)
     elif arguments.verify:
         _verify(arguments.verify, as_json=arguments.json)
     elif arguments.export:
         _export(*arguments.export, as_json=arguments.json)
+    elif arguments.publish:
+        _publish(*arguments.publish, as_json=arguments.json)
     else:
         _encode(arguments)
 
@@ -137,6 +147,18 @@ def _export(url: str, place: str, file: str, *, as_json: bool) -> None:
     splats, name = export(url, place, Path(file))
     found = {"bundle": url, "place": place, "file": file, "format": name, "splats": splats}
     _say(found, f"{file}: {splats} splats as {name}", as_json=as_json)
+
+
+def _publish(url: str, folder: str, *, as_json: bool) -> None:
+    from cags_encoder.bundles.publish import built_page, publish
+
+    written = publish(url, Path(folder), built_page())
+    text = (
+        f"{folder}: {written.files} files, {written.bytes / 1e6:.1f} MB; upload them to any web host that serves ranges"
+    )
+    if not written.page:
+        text += "; the viewer's page is not built here and not among them"
+    _say(asdict(written), text, as_json=as_json)
 
 
 def _say(found: dict[str, Any], text: str, *, as_json: bool) -> None:

@@ -49,6 +49,7 @@ def _serve(argv: Sequence[str]) -> None:
     from cags_server.http.app import App, serve
     from cags_server.http.console import sessions_table
     from cags_server.http.memory import share_arenas
+    from cags_server.http.page import browsed, why_missing
     from cags_server.scene.library import SceneLibrary
     from cags_server.session.policies import check_choices
 
@@ -62,12 +63,18 @@ def _serve(argv: Sequence[str]) -> None:
         scheme = "wss" if settings.tls_cert else "ws"
         line = json.dumps({"ready": True, "host": host, "port": port, "scheme": scheme})
         address = f"{scheme}://{host_port(host, port)}/stream"
+        watch = f"{'https' if settings.tls_cert else 'http'}://{host_port(browsed(host), port)}/"
         print(line if arguments.json else f"serving {settings.bundle} on {address}", flush=True)
+        if not arguments.json:
+            print(f"watch it in a browser: {watch}" if missing is None else missing, flush=True)
         for note in notes:
             logging.getLogger(__name__).info(note)
         if watched(headless=arguments.headless or arguments.json):
             shown.enter_context(live_table(lambda: sessions_table(address, app.sessions())))
 
+    missing = why_missing()
+    if missing is not None and arguments.json:
+        logging.getLogger(__name__).warning(missing)
     notes: list[str] = []  # told once the server listens: what keeps it from that is one line
     if settings.host not in ("127.0.0.1", "::1", "localhost") and not settings.token:
         logging.getLogger(__name__).warning(

@@ -26,6 +26,18 @@ FLAGS = (
     "--force-color-profile=srgb",
 )
 
+WEBGPU_FLAGS = (
+    "--enable-unsafe-webgpu",
+    "--enable-features=Vulkan",
+    "--use-vulkan=swiftshader",
+    "--use-webgpu-adapter=swiftshader",
+    "--use-angle=swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-vulkan-surface",
+    "--disable-gpu-watchdog",
+)
+"""WebGPU with canvases on the software adapter that Chromium brings; a canvas is read, not screenshot."""
+
 
 def require_browser() -> tuple[str, str]:
     """Paths of Chromium and its driver; skips the test where either is absent."""
@@ -39,15 +51,22 @@ def require_browser() -> tuple[str, str]:
 
 @contextmanager
 def chromium(
-    profile: Path, *, width: int = 1440, height: int = 1000, phone: bool = False, theme: str = "dark"
+    profile: Path,
+    *,
+    width: int = 1440,
+    height: int = 1000,
+    phone: bool = False,
+    theme: str = "dark",
+    webgpu: bool = False,
 ) -> Iterator[Any]:
-    """A running headless browser with an empty profile."""
+    """A running headless browser with an empty profile; ``webgpu`` gives it a software adapter."""
     from selenium import webdriver
 
     browser, driver = require_browser()
     options = webdriver.ChromeOptions()
     options.binary_location = browser
-    for flag in (*FLAGS, f"--window-size={width},{height}", f"--user-data-dir={profile}"):
+    flags = tuple(flag for flag in FLAGS if not (webgpu and flag == "--disable-gpu")) + WEBGPU_FLAGS * webgpu
+    for flag in (*flags, f"--window-size={width},{height}", f"--user-data-dir={profile}"):
         options.add_argument(flag)
     if phone:
         metrics = {"width": width, "height": height, "pixelRatio": 2.0, "touch": True}

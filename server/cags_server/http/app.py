@@ -39,6 +39,7 @@ from cags_server.http.client_task import ClientTask, now_us
 from cags_server.http.event_file import EventFile
 from cags_server.http.memory import FreedMemory
 from cags_server.http.metrics import Totals, exposition
+from cags_server.http.page import add_page
 from cags_server.http.status import SessionBook, page
 from cags_server.http.waiting_list import WaitingList
 from cags_server.records import StreamStats, write_session
@@ -79,10 +80,11 @@ class App:
         self._empty.set()
 
     def web_app(self) -> web.Application:
-        """Routes: health, readiness, metrics, the operator's page, the bundle's public manifest, and the stream."""
+        """Routes: the viewer, health, readiness, metrics, the operator's page, the public manifest, and the stream."""
         app = web.Application(
             middlewares=([] if self._acceptor is None else [self._acceptor.middleware()]) + [self._guard()]
         )
+        add_page(app)
         app.router.add_get("/healthz", self._health)
         app.router.add_get("/readyz", self._ready)
         app.router.add_get("/metrics", self._metrics)

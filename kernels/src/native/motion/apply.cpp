@@ -1,6 +1,6 @@
 // Tiles at a time: doubles in the order of the numpy definition, so that both give the same bits.
 #include "motion/cags_motion.h"
-#include "support/calls.h"
+#include "support/guarded.h"
 #include "support/thread_pool.h"
 
 #include <algorithm>

@@ -1,7 +1,7 @@
 // Trees of residuals, both ways. Sums of untrusted numbers wrap, as numpy's do: unsigned arithmetic.
 #include "motion/lattice.h"
 #include "motion/symbols.h"
-#include "support/calls.h"
+#include "support/guarded.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,10 +1,9 @@
-// What calls of the C interface share: memory that is kept between them, and their status.
+// What calls of the C interface share: memory that is kept between them, and their status (guarded.h).
 #pragma once
-#include "cags_kernels.h"
+#include "support/guarded.h"
 
 #include <memory>
 #include <mutex>
-#include <new>
 #include <vector>
 
 namespace cags {
@@ -42,17 +41,5 @@ class Lease {
   }
   std::unique_ptr<Scratch> scratch_;
 };
-
-template <typename Body>
-int32_t guarded(const Body& body) {
-  try {
-    body();
-    return CAGS_OK;
-  } catch (const std::bad_alloc&) {
-    return CAGS_OUT_OF_MEMORY;
-  } catch (...) {
-    return CAGS_FAILED;
-  }
-}
 
 }  // namespace cags

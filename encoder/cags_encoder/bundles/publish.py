@@ -1,0 +1,88 @@
+"""A bundle as a folder for any web host: the viewer's page, a manifest, and files whose names say what they hold.
+
+Files are named by their CRC-32, so that hosts and browsers may keep them for ever; only ``index.html`` and
+``manifest.json`` are looked at anew. Source frames, which no player needs, stay behind. Layout: ``docs/bundle.md``.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zlib
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
+from cags_common.bundle.store import UrlStore
+from cags_common.errors import ConfigError
+
+MAX_BLOB_BYTES = 2**28
+PAGE_SUFFIXES = {".html", ".js", ".css", ".svg", ".wasm"}
+
+SOURCE_TAG = '<meta name="cags-source" content="./" />'
+"""Tells the page where its scene is: beside it, and not behind a server's WebSocket."""
+
+
+@dataclass(frozen=True)
+class Published:
+    """What was written."""
+
+    folder: str
+    files: int
+    bytes: int
+    page: bool
+    """Whether the viewer's page is there; else the folder is for a page elsewhere."""
+
+
+def publish(url: str, folder: Path, page: Path | None) -> Published:
+    """Write the bundle at ``url`` to ``folder``, with the built viewer in ``page`` (None: there is none).
+
+    Raises :class:`ConfigError` for a folder that holds something, and :class:`cags_common.errors.BundleError` for what
+    is no bundle.
+    """
+    if folder.exists() and any(folder.iterdir()):
+        raise ConfigError(f"publish = {folder}: holds files already; give an empty or a new folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    store = UrlStore(url)
+    data = store.read_all("manifest.json", MAX_MANIFEST_BYTES)
+    Manifest.from_json(data)
+    table: dict[str, Any] = json.loads(data)
+    for group in table["gofs"]:
+        tiles = group["tiles"]
+        tiles["name"] = _named(store.read(tiles["name"], 0, tiles["size_bytes"]), "gof", folder)
+        group["source"] = tiles
+    table["published"] = {"codebooks": _named(store.read_all("codebooks.bin", MAX_BLOB_BYTES), "codebooks", folder)}
+    if page is not None:
+        _copy_page(page, folder)
+    (folder / "manifest.json").write_text(json.dumps(table, separators=(",", ":"), sort_keys=True))
+    written = [path for path in folder.rglob("*") if path.is_file()]
+    return Published(str(folder), len(written), sum(path.stat().st_size for path in written), page is not None)
+
+
+def _named(data: bytes, kind: str, folder: Path) -> str:
+    """Write ``data`` under a name that its content gives; the name."""
+    name = f"{kind}-{zlib.crc32(data):08x}-{len(data):x}.bin"
+    (folder / name).write_bytes(data)
+    return name
+
+
+def built_page() -> Path | None:
+    """The folder of the built viewer; None where it is not built or not installed."""
+    try:
+        folder = import_module("cags_web").page_folder()
+    except ImportError:
+        return None
+    return None if folder is None else Path(folder)
+
+
+def _copy_page(page: Path, folder: Path) -> None:
+    """The page's files; its HTML says that the scene lies beside it."""
+    for path in sorted(page.iterdir()):
+        if path.is_file() and path.suffix in PAGE_SUFFIXES:
+            shutil.copyfile(path, folder / path.name)
+    index = folder / "index.html"
+    index.write_text(
+        index.read_text(encoding="utf-8").replace("<head>", f"<head>\n    {SOURCE_TAG}", 1), encoding="utf-8"
+    )

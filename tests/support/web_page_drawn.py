@@ -1,0 +1,54 @@
+"""Run as a process of its own, for a driver is chosen once: draws what a page says that it shows (see web_page.py)."""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+from typing import Any
+
+import numpy as np
+
+from cags_common.bundle import BundlePlayer, BundleReader
+from cags_common.correction import Reference
+from cags_common.geometry import F32, Camera, Intrinsics, Pose
+from cags_common.raster.base import RenderOptions
+from cags_common.video.h264 import H264Decoder
+from cags_gpu.correct import shown
+from cags_gpu.raster import GpuRasteriser
+
+
+def camera_of(values: dict[str, Any]) -> Camera:
+    i, pose = values["intrinsics"], values["pose"]
+    intrinsics = Intrinsics(i["widthPx"], i["heightPx"], i["fxPx"], i["fyPx"], i["cxPx"], i["cyPx"])
+    return Camera(intrinsics, Pose(tuple(pose["position"]), tuple(pose["rotation"])), values["near"])
+
+
+def floats(text: str, *shape: int) -> F32:
+    return np.frombuffer(base64.b64decode(text), np.float32).reshape(shape)
+
+
+def reference_of(values: dict[str, Any]) -> Reference | None:
+    given = values["reference"]
+    if given is None:
+        return None
+    camera = camera_of(given["camera"])
+    coded = floats(given["coded"], camera.height_px, camera.width_px, 3)
+    if values["idr"]:  # decodes by itself: the browser's picture must be FFmpeg's
+        own = H264Decoder().decode(base64.b64decode(values["unit"]))
+        assert own is not None and np.abs(own - coded).max() < 2e-7, "the reference was decoded otherwise"
+    return Reference(coded, camera, given["picture"], given["knee"])
+
+
+def main() -> None:
+    values = json.load(sys.stdin)
+    camera = camera_of(values["camera"])
+    with BundleReader.open(values["bundle"]) as reader:
+        splats = BundlePlayer(reader).frame(values["frame"]).splats
+    veto = values["veto"] and floats(values["veto"], -(-camera.height_px // 16), -(-camera.width_px // 16))
+    options = RenderOptions(max_sh_degree=values["degree"], displayed=True)
+    picture = shown(GpuRasteriser().load(splats), camera, options, reference_of(values), veto=veto)
+    sys.stdout.buffer.write(picture.tobytes())
+
+
+main()

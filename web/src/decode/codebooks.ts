@@ -1,0 +1,164 @@
+/** Codebooks of Scalable Vector Quantisation, as `cags_common.svq`: rows that layered codes stand for. */
+import { DecodeError } from "../bytes/errors.ts";
+import { gunzip } from "../bytes/inflate.ts";
+import { ATTRIBUTE_DIMS } from "./splats.ts";
+
+const MAGIC = "CAGSCB01";
+const HALF = 1;
+const MAX_BASE_BITS = 8;
+export const MAX_LAYER_BITS = 8;
+const MAX_STAGE_BITS = 16;
+const MAX_CODEBOOK_BYTES = 16 * 2 ** 20;
+const ATTRIBUTES = [...ATTRIBUTE_DIMS.keys()];
+
+/** One attribute's layered codebook: a tree, and optionally a second one that refines its leaves. */
+export class Codebook {
+  readonly attribute: string;
+  readonly dim: number;
+  readonly layerBits: readonly number[];
+  /** `tables[k]` [rows, dim] holds what codes of k + 1 layers stand for. */
+  readonly tables: readonly Float32Array[];
+  /** Layers of the first tree. */
+  readonly firstStage: number;
+  /** [leaves, dim]: the unit of the second tree's rows. */
+  readonly spreads: Float32Array | undefined;
+
+  constructor(attribute: string, layerBits: number[], tables: Float32Array[], firstStage: number, spreads?: Float32Array) {
+    this.attribute = attribute;
+    this.dim = ATTRIBUTE_DIMS.get(attribute)!;
+    this.layerBits = layerBits;
+    this.tables = tables;
+    this.firstStage = firstStage;
+    this.spreads = spreads;
+    if (layerBits.some((bits) => bits < 1 || bits > MAX_LAYER_BITS)) outside(attribute, layerBits);
+  }
+
+  /** Number of layers above the base. */
+  get enhancementLayers(): number {
+    return this.layerBits.length - 1;
+  }
+
+  /** Bits of a code that holds the first `layers` layers. */
+  codeBits(layers: number): number {
+    return this.layerBits.slice(0, layers).reduce((a, b) => a + b, 0);
+  }
+
+  /** Bits of the second tree in a code of `layers` layers. */
+  belowBits(layers: number): number {
+    const second = this.spreads !== undefined && layers > this.firstStage;
+    return second ? this.codeBits(layers) - this.codeBits(this.firstStage) : 0;
+  }
+
+  /** Values [n, dim] of codes [n] that hold the first `layers` layers' bits. */
+  lookup(codes: Uint32Array, layers: number): Float32Array<ArrayBuffer> {
+    const { dim } = this;
+    const table = this.tables[layers - 1]!;
+    const out = new Float32Array(codes.length * dim);
+    const below = this.belowBits(layers);
+    if (!below) {
+      codes.forEach((code, i) => out.set(table.subarray(code * dim, code * dim + dim), i * dim));
+      return out;
+    }
+    const leaves = this.tables[this.firstStage - 1]!;
+    for (let i = 0, to = 0; i < codes.length; i++) {
+      const leaf = (codes[i]! >>> below) * dim;
+      const row = (codes[i]! & ((1 << below) - 1)) * dim;
+      for (let d = 0; d < dim; d++) out[to++] = Math.fround(table[row + d]! * this.spreads![leaf + d]!) + leaves[leaf + d]!;
+    }
+    return out;
+  }
+}
+
+function outside(attribute: string, bits: readonly number[]): never {
+  throw new DecodeError(`codebook '${attribute}': layers of ${bits} bits are outside the allowed range`);
+}
+
+/** The codebooks of a bundle by attribute, in coding order. Raises {@link DecodeError} for anything else. */
+export function readCodebooks(data: Uint8Array): Map<string, Codebook> {
+  const magic = String.fromCharCode(...data.subarray(0, MAGIC.length));
+  if (magic !== MAGIC) throw new DecodeError(`codebooks: do not begin with ${MAGIC} (another version?)`);
+  const body = new Cursor(gunzip(data.subarray(MAGIC.length), MAX_CODEBOOK_BYTES, "codebooks"));
+  const count = body.byte();
+  if (count > ATTRIBUTES.length) throw new DecodeError(`codebooks: ${count} of them for ${ATTRIBUTES.length} attributes`);
+  const books = Array.from({ length: count }, () => readBook(body));
+  body.finish();
+  const byName = new Map(books.map((book) => [book.attribute, book]));
+  if (byName.size !== count) throw new DecodeError("codebooks: an attribute appears twice");
+  return new Map(ATTRIBUTES.filter((name) => byName.has(name)).map((name) => [name, byName.get(name)!]));
+}
+
+function readBook(body: Cursor): Codebook {
+  const [index, flags, tree, above] = [body.byte(), body.byte(), body.byte(), body.byte()];
+  const attribute = ATTRIBUTES[index];
+  if (attribute === undefined || flags & ~HALF) {
+    throw new DecodeError(`codebooks: attribute number ${index} with flags ${flags} is unknown`);
+  }
+  const bits = [...body.take(tree + above)];
+  const stages = [bits.slice(0, tree), bits.slice(tree)];
+  const sums = stages.map((stage) => stage.reduce((a, b) => a + b, 0));
+  if (!tree || bits.includes(0) || bits[0]! > MAX_BASE_BITS || Math.max(...sums) > MAX_STAGE_BITS) outside(attribute, bits);
+  const half = (flags & HALF) > 0;
+  const tables = stages.flatMap((stage) => readStage(body, stage, attribute, half));
+  if (!above) return new Codebook(attribute, bits, tables, bits.length);
+  return new Codebook(attribute, bits, tables, tree, readValues(body, 2 ** sums[0]!, attribute, half));
+}
+
+function readStage(body: Cursor, layerBits: number[], attribute: string, half: boolean): Float32Array[] {
+  const dim = ATTRIBUTE_DIMS.get(attribute)!;
+  const tables: Float32Array[] = [];
+  let table = new Float32Array(dim);
+  for (const bits of layerBits) {
+    const rows = (table.length / dim) << bits;
+    const wider = new Float32Array(rows * dim);
+    for (let row = 0; row < rows; row++) wider.set(table.subarray((row >> bits) * dim, ((row >> bits) + 1) * dim), row * dim);
+    const mask = body.take((rows + 7) >> 3);
+    const fresh: number[] = [];
+    for (let row = 0; row < rows; row++) if ((mask[row >> 3]! >> (row & 7)) & 1) fresh.push(row);
+    const values = readValues(body, fresh.length, attribute, half);
+    fresh.forEach((row, i) => wider.set(values.subarray(i * dim, (i + 1) * dim), row * dim));
+    tables.push((table = wider));
+  }
+  return tables;
+}
+
+function readValues(body: Cursor, rows: number, attribute: string, half: boolean): Float32Array {
+  const count = rows * ATTRIBUTE_DIMS.get(attribute)!;
+  const bytes = body.take(count * (half ? 2 : 4));
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
+  const out = new Float32Array(count);
+  for (let i = 0; i < count; i++) out[i] = half ? halfFloat(view.getUint16(2 * i, true)) : view.getFloat32(4 * i, true);
+  if (!out.every(Number.isFinite)) throw new DecodeError(`codebook '${attribute}': holds a value that is not finite`);
+  return out;
+}
+
+function halfFloat(word: number): number {
+  const sign = word & 0x8000 ? -1 : 1;
+  const exponent = (word >> 10) & 31;
+  const fraction = word & 1023;
+  if (exponent === 31) return fraction ? NaN : sign * Infinity;
+  return sign * (exponent ? 2 ** (exponent - 25) * (1024 + fraction) : 2 ** -24 * fraction);
+}
+
+/** Reads bytes in order and never past the end. */
+class Cursor {
+  private readonly data: Uint8Array;
+  private at = 0;
+
+  constructor(data: Uint8Array) {
+    this.data = data;
+  }
+
+  take(size: number): Uint8Array {
+    if (size > this.data.length - this.at) throw new DecodeError(`codebooks: cut short at byte ${this.data.length}`);
+    this.at += size;
+    return this.data.subarray(this.at - size, this.at);
+  }
+
+  byte(): number {
+    return this.take(1)[0]!;
+  }
+
+  finish(): void {
+    if (this.at !== this.data.length) throw new DecodeError(`codebooks: ${this.data.length - this.at} bytes too many`);
+  }
+}

@@ -1,0 +1,132 @@
+/** What a decoder holds of one tile of looks, as `cags_common.tile_state`. */
+import { DecodeError } from "../bytes/errors.ts";
+import type { Dequantiser } from "./dequantise.ts";
+import type { LodLayer } from "./manifest.ts";
+import { type PackedCodes, unpackInto } from "./packing.ts";
+import type { Splats } from "./splats.ts";
+import { type BaseTile, decodeLayer } from "./tiles.ts";
+
+/** Units of motion by splat: metres, and of a quaternion's imaginary part. */
+export interface Steps {
+  readonly moves: Float32Array;
+  readonly turns: Float32Array;
+}
+
+/** One tile: its base, and enhancement layers that may come in any order. */
+export class LooksTile {
+  readonly kind = "looks";
+  /** Units of the splats' motion; undefined in bundles without any. */
+  readonly steps: Steps | undefined;
+  private readonly base: BaseTile;
+  private readonly dequantiser: Dequantiser;
+  private readonly order: readonly LodLayer[];
+  private codes: Uint32Array | undefined;
+  private fresh: Map<string, PackedCodes[]>;
+  private depth: Map<string, number>;
+  private waiting: Map<string, PackedCodes>;
+
+  /** `tables` are units of motion by the base code of scale. */
+  constructor(base: BaseTile, dequantiser: Dequantiser, order: readonly LodLayer[], tables: Steps | undefined) {
+    this.base = base;
+    this.dequantiser = dequantiser;
+    this.order = order;
+    this.fresh = new Map([...base.layers].map(([name, layer]) => [name, [layer]]));
+    this.depth = new Map([...dequantiser.books.keys()].map((name) => [name, 0]));
+    this.waiting = new Map();
+    this.steps = tables && stepsOf(base, tables);
+  }
+
+  get length(): number {
+    return this.base.ids.length;
+  }
+
+  /** Ids [n], ascending. */
+  get ids(): Int32Array {
+    return this.base.ids;
+  }
+
+  /** Positions [n, 3]. */
+  get means(): Float32Array {
+    return this.base.means;
+  }
+
+  /** Highest LoD up to which everything has come. */
+  get lod(): number {
+    const missing = this.order.findIndex((item) => this.depth.get(item.attribute)! < item.layer);
+    return missing < 0 ? this.order.length : missing;
+  }
+
+  /** Take LoD `lod` >= 1; whether a depth rose. Raises {@link DecodeError}. */
+  addLayer(lod: number, payload: Uint8Array): boolean {
+    const item = this.order[lod - 1];
+    if (!item) throw new DecodeError(`tile: LoD ${lod} is outside 1 to ${this.order.length}`);
+    if (item.layer <= this.depth.get(item.attribute)!) return false;
+    const bits = this.dequantiser.books.get(item.attribute)!.layerBits[item.layer]!;
+    this.waiting.set(`${item.attribute}/${item.layer}`, decodeLayer(payload, this.length, bits));
+    return this.absorb(item.attribute);
+  }
+
+  /** Another state of what has come; what is added to one of the two does not change the other. */
+  fork(): LooksTile {
+    const other = Object.create(LooksTile.prototype) as LooksTile;
+    Object.assign(other, this);
+    other.fresh = new Map([...this.fresh].map(([name, parts]) => [name, [...parts]]));
+    other.depth = new Map(this.depth);
+    other.waiting = new Map(this.waiting);
+    return other;
+  }
+
+  /** Another state, of LoDs 0 .. `lods` - 1 alone, all of which have come. */
+  reduced(lods: number): LooksTile {
+    const other = this.fork();
+    other.waiting.clear();
+    const codes = this.codes?.slice();
+    let row = 0;
+    for (const [name, held] of this.depth) {
+      const book = this.dequantiser.books.get(name)!;
+      const kept = this.order.slice(0, Math.max(lods - 1, 0)).filter((item) => item.attribute === name);
+      const depth = Math.max(0, ...kept.map((item) => item.layer));
+      const merged = held + 1 - this.fresh.get(name)!.length; // layers that the codes hold
+      other.fresh.set(name, this.fresh.get(name)!.slice(0, Math.max(depth + 1 - merged, 0)));
+      other.depth.set(name, depth);
+      const shift = book.layerBits.slice(depth + 1, merged).reduce((a, b) => a + b, 0);
+      if (codes && shift) {
+        const part = codes.subarray(row * this.length, (row + 1) * this.length);
+        part.forEach((code, i) => (part[i] = code >>> shift));
+      }
+      row++;
+    }
+    other.codes = codes;
+    return other;
+  }
+
+  /** The tile's splats [n] at the depths there are. */
+  dequantise(): Splats {
+    const fresh = [...this.fresh].map(([name, parts]) => ({ first: this.depth.get(name)! + 1 - parts.length, parts }));
+    const { splats, codes } = this.dequantiser.run(this.base.means, this.codes, fresh);
+    this.codes = codes;
+    this.fresh = new Map([...this.fresh.keys()].map((name) => [name, []]));
+    return splats;
+  }
+
+  private absorb(attribute: string): boolean {
+    const before = this.depth.get(attribute)!;
+    for (let at = before; ; at++) {
+      const key = `${attribute}/${at + 1}`;
+      const part = this.waiting.get(key);
+      if (!part) {
+        this.depth.set(attribute, at);
+        return at > before;
+      }
+      this.waiting.delete(key);
+      this.fresh.get(attribute)!.push(part);
+    }
+  }
+}
+
+function stepsOf(base: BaseTile, tables: Steps): Steps {
+  const codes = new Uint32Array(base.ids.length);
+  unpackInto(base.layers.get("scale")!, codes);
+  const look = (table: Float32Array): Float32Array => Float32Array.from(codes, (code) => table[code]!);
+  return { moves: look(tables.moves), turns: look(tables.turns) };
+}

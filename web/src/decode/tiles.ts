@@ -1,0 +1,97 @@
+/** Base layers and enhancement layers of tiles of looks, as `cags_common.tiles`. */
+import { DecodeError } from "../bytes/errors.ts";
+import { unsqueeze } from "../bytes/inflate.ts";
+import { type Codebook, MAX_LAYER_BITS } from "./codebooks.ts";
+import type { Dequantiser } from "./dequantise.ts";
+import type { Draco } from "./draco.ts";
+import { decodeIds, MAX_SPLATS, type PackedCodes, packedBytes } from "./packing.ts";
+
+export const BASE_VERSION = 2;
+export const MAX_TILE_SPLATS = 65_536;
+const MAX_POSITION_BITS = 22;
+const MAX_POSITION = 1e30;
+const HEADER_BYTES = 32;
+const ID_RANGE = 1;
+
+/** What LoD 0 of a tile holds. */
+export interface BaseTile {
+  readonly ids: Int32Array;
+  readonly means: Float32Array;
+  /** Attribute -> n base codes, in coding order. */
+  readonly layers: ReadonlyMap<string, PackedCodes>;
+}
+
+interface Header {
+  readonly splats: number;
+  readonly firstId: number | undefined;
+  readonly idBytes: number;
+  readonly dracoBytes: number;
+  readonly origin: readonly [number, number, number];
+  readonly step: number;
+}
+
+/** Decode LoD 0. Raises {@link DecodeError} for damaged payloads. */
+export function decodeBase(payload: Uint8Array, dequantiser: Dequantiser, draco: Draco): BaseTile {
+  const { books } = dequantiser;
+  const head = readHeader(payload, books.size);
+  const ids = readIds(payload, head);
+  const first = HEADER_BYTES + head.idBytes;
+  const layers = baseLayers(payload.subarray(first + head.dracoBytes), head.splats, books);
+  if (!head.splats) return { ids, means: new Float32Array(0), layers };
+  const cells = draco.points(payload.subarray(first, first + head.dracoBytes), head.splats);
+  const means = dequantiser.positions(cells, head.origin, head.step);
+  if (!means.every(Number.isFinite)) throw new DecodeError("tile: a position is not finite");
+  return { ids, means, layers };
+}
+
+/** One enhancement layer: `count` codes of `bits` bits. Raises {@link DecodeError}. */
+export function decodeLayer(payload: Uint8Array, count: number, bits: number): PackedCodes {
+  if (bits < 1 || bits > MAX_LAYER_BITS || count > MAX_TILE_SPLATS) {
+    throw new DecodeError(`layer: ${count} codes of ${bits} bits are outside the allowed range`);
+  }
+  return { data: unsqueeze(payload, packedBytes(count, bits), "layer"), bits };
+}
+
+function baseLayers(data: Uint8Array, count: number, books: ReadonlyMap<string, Codebook>): Map<string, PackedCodes> {
+  const sizes = [...books.values()].map((book) => packedBytes(count, book.layerBits[0]!));
+  const packed = unsqueeze(data, sizes.reduce((a, b) => a + b, 0), "tile: base codes");
+  let at = 0;
+  return new Map([...books.values()].map((book, i) => {
+    const part = packed.subarray(at, (at += sizes[i]!));
+    return [book.attribute, { data: part, bits: book.layerBits[0]! }];
+  }));
+}
+
+function readHeader(payload: Uint8Array, attributes: number): Header {
+  if (payload.length < HEADER_BYTES) throw new DecodeError(`tile: ${payload.length} bytes are too few for a base layer`);
+  const v = new DataView(payload.buffer, payload.byteOffset, HEADER_BYTES);
+  const [version, flags, bits, columns] = [v.getUint8(0), v.getUint8(1), v.getUint8(2), v.getUint8(3)];
+  const [splats, idField, dracoBytes] = [v.getUint32(4, true), v.getUint32(8, true), v.getUint32(12, true)];
+  const origin = [v.getFloat32(16, true), v.getFloat32(20, true), v.getFloat32(24, true)] as const;
+  const step = v.getFloat32(28, true);
+  if (version !== BASE_VERSION || flags & ~ID_RANGE) {
+    throw new DecodeError(`tile: base layer of version ${version}, flags ${flags}; this program reads ${BASE_VERSION}`);
+  }
+  const [firstId, idBytes] = flags & ID_RANGE ? [idField, 0] : [undefined, idField];
+  if (splats > MAX_TILE_SPLATS || bits > MAX_POSITION_BITS || idBytes + dracoBytes > payload.length - HEADER_BYTES) {
+    const claims = `${splats} splats, ${bits} position bits, ${idBytes} bytes of ids and ${dracoBytes} of positions`;
+    throw new DecodeError(`tile: claims ${claims}; beyond bounds`);
+  }
+  if (firstId !== undefined && firstId > MAX_SPLATS - splats) {
+    throw new DecodeError(`tile: first id ${firstId} is beyond ${MAX_SPLATS} splats`);
+  }
+  if (columns !== attributes) throw new DecodeError(`tile: has ${columns} attributes, the codebooks ${attributes}`);
+  const reach = Math.max(...origin.map(Math.abs)) + step * 2 ** bits;
+  if (![...origin, step].every(Number.isFinite) || step < 0 || reach > MAX_POSITION) {
+    throw new DecodeError(`tile: its position grid is not finite or reaches beyond ${MAX_POSITION}`);
+  }
+  return { splats, firstId, idBytes, dracoBytes, origin, step };
+}
+
+function readIds(payload: Uint8Array, head: Header): Int32Array {
+  const { firstId, splats } = head;
+  if (firstId !== undefined) return Int32Array.from({ length: splats }, (_, i) => firstId + i);
+  const ids = decodeIds(payload.subarray(HEADER_BYTES, HEADER_BYTES + head.idBytes), "tile ids");
+  if (ids.length !== splats) throw new DecodeError(`tile: has ${ids.length} ids for ${splats} splats`);
+  return ids;
+}

@@ -1,0 +1,182 @@
+/** Updates: attributes that changed, of splats that are there; as `cags_common.updates`. */
+import { DecodeError } from "../bytes/errors.ts";
+import { unsqueeze } from "../bytes/inflate.ts";
+import type { Codebook } from "./codebooks.ts";
+import type { LodLayer } from "./manifest.ts";
+import { decodeIds, type PackedCodes, packedBytes, unpackInto } from "./packing.ts";
+import { alphaLogit, type Column, SH_REST_ATTRIBUTES } from "./splats.ts";
+import { decodeLayer, MAX_TILE_SPLATS } from "./tiles.ts";
+
+export const UPDATE_VERSION = 3;
+const HEAD_BYTES = 16;
+const PLAIN: ReadonlyMap<string, Column> = new Map([
+  ["scale", "log_scales"], ["opacity", "logit_opacities"], ["alpha", "logit_opacities"], ["sh0", "sh0"],
+]);
+
+/** Columns that updates may change. */
+export const UPDATE_COLUMNS = ["log_scales", "logit_opacities", "sh0", "sh_rest"] as const;
+export type UpdateColumn = (typeof UPDATE_COLUMNS)[number];
+
+/** Column -> ids [m] and values [m, ...]. */
+export type UpdateValues = ReadonlyMap<UpdateColumn, { readonly ids: Int32Array; readonly values: Float32Array }>;
+
+/** An update as far as it has come; layers may come in any order. */
+export class UpdateTile {
+  readonly kind = "update";
+  readonly ids: Int32Array;
+  private readonly books: ReadonlyMap<string, Codebook>;
+  private readonly order: readonly LodLayer[];
+  /** Attribute -> ids of the splats of which it changed. */
+  private readonly changed: Map<string, Int32Array>;
+  private codes: Map<string, Uint32Array>;
+  private depth: Map<string, number>;
+  private waiting = new Map<string, PackedCodes>();
+
+  /** Decode LoD 0. Raises {@link DecodeError}. */
+  constructor(payload: Uint8Array, books: ReadonlyMap<string, Codebook>, order: readonly LodLayer[]) {
+    this.books = books;
+    this.order = order;
+    const { ids, attributes, maskBytes, rest } = readIds(payload);
+    if (attributes !== books.size) throw new DecodeError(`update: has ${attributes} attributes, the codebooks ${books.size}`);
+    this.ids = ids;
+    this.changed = readMasks(rest.subarray(0, maskBytes), ids, books);
+    this.codes = readCodes(rest.subarray(maskBytes), this.changed, books);
+    this.depth = new Map([...books.keys()].map((name) => [name, 1]));
+  }
+
+  get length(): number {
+    return this.ids.length;
+  }
+
+  /** Highest LoD up to which everything has come; what nothing changed of has nothing to come. */
+  get lod(): number {
+    const missing = this.order.findIndex(
+      (item) => this.codes.get(item.attribute)!.length > 0 && this.depth.get(item.attribute)! <= item.layer,
+    );
+    return missing < 0 ? this.order.length : missing;
+  }
+
+  /** Take LoD `lod` >= 1; whether the values changed. Raises {@link DecodeError}. */
+  addLayer(lod: number, payload: Uint8Array): boolean {
+    const item = this.order[lod - 1];
+    if (!item) throw new DecodeError(`update: LoD ${lod} is outside 1 to ${this.order.length}`);
+    const count = this.codes.get(item.attribute)!.length;
+    if (!count || item.layer < this.depth.get(item.attribute)!) return false;
+    const bits = this.books.get(item.attribute)!.layerBits[item.layer]!;
+    this.waiting.set(`${item.attribute}/${item.layer}`, decodeLayer(payload, count, bits));
+    return this.absorb(item.attribute);
+  }
+
+  /** Another state of what has come; what is added to one of the two does not change the other. */
+  fork(): UpdateTile {
+    const other = Object.create(UpdateTile.prototype) as UpdateTile;
+    Object.assign(other, this);
+    other.codes = new Map(this.codes);
+    other.depth = new Map(this.depth);
+    other.waiting = new Map(this.waiting);
+    return other;
+  }
+
+  /** Another state, of LoDs 0 .. `lods` - 1 alone, all of which have come. */
+  reduced(lods: number): UpdateTile {
+    const other = this.fork();
+    other.waiting.clear();
+    for (const [name, held] of this.depth) {
+      const kept = this.order.slice(0, Math.max(lods - 1, 0)).filter((item) => item.attribute === name);
+      const depth = Math.min(1 + Math.max(0, ...kept.map((item) => item.layer)), held);
+      const shift = this.books.get(name)!.layerBits.slice(depth, held).reduce((a, b) => a + b, 0);
+      other.depth.set(name, depth);
+      other.codes.set(name, this.codes.get(name)!.map((code) => code >>> shift));
+    }
+    return other;
+  }
+
+  /** What changes, at the depths there are. */
+  values(): UpdateValues {
+    const out = new Map<UpdateColumn, { ids: Int32Array; values: Float32Array }>();
+    for (const [name, book] of this.books) {
+      const column = PLAIN.get(name) as UpdateColumn | undefined;
+      const codes = this.codes.get(name)!;
+      if (!column || !codes.length) continue;
+      let values = book.lookup(codes, this.depth.get(name)!);
+      if (name === "alpha") values = values.map(alphaLogit);
+      out.set(column, { ids: this.changed.get(name)!, values });
+    }
+    const bands = SH_REST_ATTRIBUTES.filter((name) => this.books.has(name));
+    if (bands.length && this.codes.get(bands[0]!)!.length) out.set("sh_rest", this.harmonics(bands));
+    return out;
+  }
+
+  private harmonics(bands: readonly string[]): { ids: Int32Array; values: Float32Array } {
+    const parts = bands.map((name) => this.books.get(name)!.lookup(this.codes.get(name)!, this.depth.get(name)!));
+    const dims = bands.map((name) => this.books.get(name)!.dim);
+    const width = dims.reduce((a, b) => a + b, 0);
+    const count = parts[0]!.length / dims[0]!;
+    const values = new Float32Array(count * width);
+    let offset = 0;
+    parts.forEach((part, band) => {
+      const dim = dims[band]!;
+      for (let i = 0; i < count; i++) values.set(part.subarray(i * dim, (i + 1) * dim), i * width + offset);
+      offset += dim;
+    });
+    return { ids: this.changed.get(bands[0]!)!, values };
+  }
+
+  private absorb(name: string): boolean {
+    const before = this.depth.get(name)!;
+    for (let at = before; ; at++) {
+      const key = `${name}/${at}`;
+      const part = this.waiting.get(key);
+      if (!part) {
+        this.depth.set(name, at);
+        return at > before;
+      }
+      this.waiting.delete(key);
+      const codes = this.codes.get(name)!.slice();
+      unpackInto(part, codes);
+      this.codes.set(name, codes);
+    }
+  }
+}
+
+function readIds(payload: Uint8Array): { ids: Int32Array; attributes: number; maskBytes: number; rest: Uint8Array } {
+  if (payload.length < HEAD_BYTES) throw new DecodeError(`update: ${payload.length} bytes are too few`);
+  const v = new DataView(payload.buffer, payload.byteOffset, HEAD_BYTES);
+  const [version, attributes] = [v.getUint8(0), v.getUint8(1)];
+  const [splats, idBytes, maskBytes] = [v.getUint32(4, true), v.getUint32(8, true), v.getUint32(12, true)];
+  if (version !== UPDATE_VERSION || splats > MAX_TILE_SPLATS || idBytes + maskBytes > payload.length - HEAD_BYTES) {
+    throw new DecodeError(`update: version ${version}, ${splats} splats, ${idBytes} bytes of ids; beyond bounds`);
+  }
+  const ids = decodeIds(payload.subarray(HEAD_BYTES, HEAD_BYTES + idBytes), "update's ids");
+  if (ids.length !== splats) throw new DecodeError(`update: has ${ids.length} ids for ${splats} splats`);
+  return { ids, attributes, maskBytes, rest: payload.subarray(HEAD_BYTES + idBytes) };
+}
+
+function readMasks(data: Uint8Array, ids: Int32Array, books: ReadonlyMap<string, Codebook>): Map<string, Int32Array> {
+  const row = (ids.length + 7) >> 3;
+  const bits = unsqueeze(data, row * books.size, "update: masks");
+  const names = [...books.keys()];
+  const out = new Map(names.map((name, i) => {
+    const mask = bits.subarray(i * row, (i + 1) * row);
+    return [name, ids.filter((_, k) => (mask[k >> 3]! >> (k & 7)) & 1)];
+  }));
+  const bands = names.filter((name) => (SH_REST_ATTRIBUTES as readonly string[]).includes(name)).map((name) => out.get(name)!);
+  if (bands.some((band) => band.length !== bands[0]!.length || band.some((id, i) => id !== bands[0]![i]))) {
+    throw new DecodeError("update: bands of harmonics change for different splats");
+  }
+  return out;
+}
+
+function readCodes(
+  data: Uint8Array, changed: ReadonlyMap<string, Int32Array>, books: ReadonlyMap<string, Codebook>,
+): Map<string, Uint32Array> {
+  const list = [...books.values()];
+  const sizes = list.map((book) => packedBytes(changed.get(book.attribute)!.length, book.layerBits[0]!));
+  const packed = unsqueeze(data, sizes.reduce((a, b) => a + b, 0), "update: base codes");
+  let at = 0;
+  return new Map(list.map((book, i) => {
+    const codes = new Uint32Array(changed.get(book.attribute)!.length);
+    unpackInto({ data: packed.subarray(at, (at += sizes[i]!)), bits: book.layerBits[0]! }, codes);
+    return [book.attribute, codes];
+  }));
+}

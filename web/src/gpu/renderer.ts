@@ -1,0 +1,255 @@
+/**
+ * The client's whole frame: changed rows uploaded, splats drawn with their depth, what the reference says is lacking
+ * sampled by depth and added, the picture put on a canvas. `cags_gpu/correct.py` makes the same bytes.
+ */
+
+import type { Camera, FrameUpdate } from "../seam.ts";
+import { placementOf } from "./camera.ts";
+import { Gpu } from "./device.ts";
+import { bufferBytes, build, type Counts, encode, prepare } from "./graph.ts";
+import { CORRECTION, type DrawOptions, type Exactness, footprintOf, type Footprint } from "./layout.ts";
+import { Presenter } from "./presenter.ts";
+import { frameFlags, type Named, ResidentScene, type Target } from "./scene.ts";
+import { Workspace } from "./workspace.ts";
+
+const CELL_PX = 8;
+/** Side of the cells of a veto. */
+export const VETO_CELL_PX = 16;
+
+/** See `cags_common.correction.CorrectSettings`. */
+const CORRECT = { depthTolerance: 0.03, slopeCells: 1, borderPx: 3, holeAlpha: 0.3 } as const;
+
+/** A decoded reference. */
+export interface CodedReference {
+  /** [h, w, 3] in [0, 1]. Not changed afterwards: what was made of it is kept. */
+  readonly coded: Float32Array<ArrayBuffer>;
+  readonly camera: Camera;
+  /** A picture of the scene, from which the client's own view is subtracted; else a companded difference. */
+  readonly picture: boolean;
+  readonly knee: number;
+}
+
+/** How to draw a frame. */
+export interface FrameOptions {
+  readonly exactness: Exactness;
+  readonly footprint: Footprint;
+  readonly maxShDegree: number;
+  readonly reference?: CodedReference | undefined;
+  /** [ceil(H / 16), ceil(W / 16)]: how much of the correction's confidence is taken away, 0 to 1. */
+  readonly veto?: Float32Array<ArrayBuffer> | undefined;
+}
+
+export interface FrameTimes {
+  /** Bytes that went to the device since the frame before. */
+  readonly uploadBytes: number;
+  /** Entries (splat, tile) drawn. */
+  readonly entries: number;
+  /** From submission until the device was done, milliseconds. */
+  readonly gpuMs: number;
+  /** How often the frame was drawn: more than once where buffers had to grow. */
+  readonly attempts: number;
+}
+
+/** What the buffers of the reference hold, and what it was made under. */
+type Held = { readonly reference: CodedReference; readonly under: string } | null;
+
+/** Draws on one canvas. One frame at a time. */
+export class Renderer {
+  readonly gpu: Gpu;
+  readonly #workspace: Workspace;
+  readonly #presenter: Presenter;
+  readonly #counted: GPUBuffer;
+  #scene: ResidentScene | null = null;
+  #sceneNumber = -1;
+  #uploaded = 0;
+  #held: Held = null;
+  #shown: { target: Target; width: number; height: number } | null = null;
+
+  private constructor(gpu: Gpu, canvas: HTMLCanvasElement) {
+    this.gpu = gpu;
+    this.#workspace = new Workspace(gpu);
+    this.#presenter = new Presenter(gpu, canvas);
+    this.#counted = gpu.device.createBuffer({ size: 16, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
+  }
+
+  /** Throws {@link UnsupportedError}. `onLost` is told when the device goes away by itself. */
+  static async make(canvas: HTMLCanvasElement, onLost: (reason: string) => void): Promise<Renderer> {
+    const gpu = await Gpu.make(onLost);
+    const everything = { motion: true, looks: true, colour: true };
+    const frame = { ...frameFlags({ exactness: "balanced" }), floats: false };
+    await prepare(gpu, [["update", everything], ["update", { motion: true, looks: false, colour: false }], ["hash", {}], ["project", frame], ["draw", frame], ["plain", frame], ["expand", frame], ["correct", frame]]);
+    return new Renderer(gpu, canvas);
+  }
+
+  destroy(): void {
+    this.gpu.destroy();
+  }
+
+  /** Upload what a media frame changed. Throws {@link TooLargeError}. */
+  update(update: FrameUpdate): void {
+    if (!this.#scene || update.scene !== this.#sceneNumber) {
+      this.#scene?.destroy();
+      this.#scene = this.#shown = null;
+      if (update.capacity) this.#scene = new ResidentScene(this.#workspace, update);
+      this.#sceneNumber = update.scene;
+      this.#held = null;
+    }
+    this.#uploaded += this.#scene?.change(update.patches) ?? 0;
+  }
+
+  /** Draw and present; resolves once the picture is on the canvas. */
+  async draw(camera: Camera, options: FrameOptions): Promise<FrameTimes> {
+    const begun = performance.now();
+    const { widthPx, heightPx } = camera.intrinsics;
+    this.#presenter.resize(widthPx, heightPx);
+    if (!this.#scene) {
+      this.#presenter.clear();
+      return { uploadBytes: 0, entries: 0, gpuMs: 0, attempts: 0 };
+    }
+    const uploadBytes = this.#uploaded;
+    this.#uploaded = 0;
+    for (let attempts = 1; ; attempts++) {
+      const { target, wanted, held } = await this.#submitted(this.#scene, camera, options);
+      if (!this.#workspace.grow(wanted)) continue;
+      this.#scene.submitted();
+      this.#held = held;
+      this.#shown = { target, width: widthPx, height: heightPx };
+      this.#presenter.present(target.get("shown"), widthPx);
+      return { uploadBytes, entries: wanted, gpuMs: performance.now() - begun, attempts };
+    }
+  }
+
+  /** The picture that was drawn last, as it is shown: [H, W, 4], 8 bits a channel. */
+  async pixels(): Promise<{ width: number; height: number; rgba: Uint8ClampedArray<ArrayBuffer> }> {
+    if (!this.#shown) throw new Error("nothing was drawn yet");
+    const { target, width, height } = this.#shown;
+    const { device } = this.gpu;
+    const size = 4 * width * height;
+    const copy = device.createBuffer({ size, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
+    const encoder = device.createCommandEncoder();
+    encoder.copyBufferToBuffer(target.get("shown"), 0, copy, 0, size);
+    device.queue.submit([encoder.finish()]);
+    await copy.mapAsync(GPUMapMode.READ);
+    const rgba = new Uint8ClampedArray(copy.getMappedRange().slice(0));
+    copy.destroy();
+    return { width, height, rgba };
+  }
+
+  /** Record, submit, and wait for the number of entries that the frame wanted. */
+  async #submitted(
+    scene: ResidentScene,
+    camera: Camera,
+    options: FrameOptions,
+  ): Promise<{ target: Target; wanted: number; held: Held }> {
+    const { device } = this.gpu;
+    this.#workspace.reserve(scene.count, 0, options.exactness === "exact"); // before anything refers to its buffers
+    const encoder = device.createCommandEncoder();
+    encoder.clearBuffer(this.#workspace.get("state"));
+    const target = scene.record(encoder, camera, drawing(options));
+    const held = this.#finish(encoder, scene, target, camera, options);
+    encoder.copyBufferToBuffer(this.#workspace.get("state"), 0, this.#counted, 0, 16);
+    device.queue.submit([encoder.finish()]);
+    await this.#counted.mapAsync(GPUMapMode.READ);
+    const wanted = new Uint32Array(this.#counted.getMappedRange())[3];
+    this.#counted.unmap();
+    return { target, wanted, held };
+  }
+
+  /** What follows the drawing: the picture as it is, or with what the reference says is lacking. */
+  #finish(
+    encoder: GPUCommandEncoder,
+    scene: ResidentScene,
+    target: Target,
+    camera: Camera,
+    options: FrameOptions,
+  ): Held {
+    const { reference, veto } = options;
+    this.gpu.device.queue.writeBuffer(target.correction, 0, correctionJob(camera, reference, veto !== undefined));
+    const own: Named = { correction: target.correction, shown: target.get("shown") };
+    const flags = { floats: false };
+    const { version } = this.#workspace;
+    if (!reference) {
+      const steps = target.steps(version, "plain", () =>
+        build(this.gpu, "plain", target.counts, flags, (name) => own[name] ?? target.get(name)),
+      );
+      encode(encoder, steps);
+      return this.#held;
+    }
+    const counts = { ...target.counts, ...referenceCounts(camera, reference.camera) };
+    const kept = Object.entries(bufferBytes("reference", counts)).map(([name, size]) => [name, scene.kept(name, size)]);
+    const named: Named = { ...own, ...Object.fromEntries(kept), veto: target.get("veto_cells") };
+    if (veto) this.gpu.device.queue.writeBuffer(named.veto, 0, veto);
+    const held = this.#expand(encoder, scene, target, camera, { options, reference, counts, named });
+    const key = `correct ${reference.camera.intrinsics.widthPx}x${reference.camera.intrinsics.heightPx} ${counts.sampled_x} ${scene.keptVersion}`;
+    const steps = target.steps(version, key, () =>
+      build(this.gpu, "correct", counts, flags, (name) => named[name] ?? target.get(name)),
+    );
+    encode(encoder, steps);
+    return held;
+  }
+
+  /** What the reference says is lacking, once a reference; of a picture anew when the splats changed. */
+  #expand(
+    encoder: GPUCommandEncoder,
+    scene: ResidentScene,
+    target: Target,
+    camera: Camera,
+    made: { options: FrameOptions; reference: CodedReference; counts: Counts; named: Named },
+  ): Held {
+    const { options, reference, counts, named } = made;
+    const seen = reference.picture ? JSON.stringify([scene.changes, camera.intrinsics, options.exactness, options.maxShDegree]) : "";
+    const under = `${scene.keptVersion} ${seen}`;
+    if (this.#held?.reference === reference && this.#held.under === under) return this.#held;
+    this.gpu.device.queue.writeBuffer(named.coded, 0, reference.coded);
+    let own = target;
+    if (reference.picture) {
+      const footprint = footprintOf(camera.intrinsics, reference.camera.intrinsics);
+      own = scene.record(encoder, reference.camera, { ...drawing(options), footprint }, "own");
+    }
+    const bound: Named = { ...named, own: own.get("picture") }; // of a difference it is bound and not read
+    encode(encoder, build(this.gpu, "expand", counts, {}, (name) => bound[name]));
+    return { reference, under };
+  }
+}
+
+function drawing(options: FrameOptions): DrawOptions {
+  const { footprint, exactness, maxShDegree } = options;
+  return { footprint, exactness, maxShDegree, voidAlpha: CORRECT.holeAlpha, displayed: true };
+}
+
+function referenceCounts(client: Camera, reference: Camera): Counts {
+  const { widthPx, heightPx } = reference.intrinsics;
+  const { stride } = placementOf(client, reference);
+  return {
+    sampled_x: Math.ceil(client.intrinsics.widthPx / stride),
+    sampled_y: Math.ceil(client.intrinsics.heightPx / stride),
+    reference_x: widthPx,
+    reference_y: heightPx,
+    reference_pixels: widthPx * heightPx,
+    reference_places: 2 * (widthPx + 1) * (heightPx + 1),
+  };
+}
+
+function correctionJob(camera: Camera, reference: CodedReference | undefined, vetoed: boolean): ArrayBuffer {
+  const { widthPx, heightPx } = camera.intrinsics;
+  const size = [widthPx, heightPx];
+  if (!reference) return CORRECTION.pack({ size });
+  const { rows, cellPx, stride } = placementOf(camera, reference.camera);
+  return CORRECTION.pack({
+    m0: rows[0],
+    m1: rows[1],
+    m2: rows[2],
+    size,
+    reference: [reference.camera.intrinsics.widthPx, reference.camera.intrinsics.heightPx],
+    cell: cellPx,
+    stride,
+    tolerance: CORRECT.depthTolerance,
+    slope_cells: CORRECT.slopeCells,
+    border: CORRECT.borderPx,
+    hole_alpha: CORRECT.holeAlpha,
+    knee: reference.knee,
+    grid: [Math.ceil(widthPx / CELL_PX), Math.ceil(heightPx / CELL_PX)],
+    kind: reference.picture ? 1 : 0,
+    veto_cell: vetoed ? VETO_CELL_PX : 0,
+  });
+}

@@ -1,0 +1,127 @@
+/** Where the splats of tiles are at a time: by the motion kernel, as `cags_common.motion.apply`, to the same bits. */
+import { check, type Kernels } from "../decode/kernels.ts";
+import type { Steps } from "../decode/looks.ts";
+import type { Chunk } from "./chunk.ts";
+
+/** Opacity logit of a splat that is not there: every rasteriser culls it. */
+export const ABSENT_LOGIT = -30;
+
+const TILE_BYTES = 80;
+const fround = Math.fround;
+
+/** Addresses in the kernels' memory of columns by id. */
+export interface MovingColumns {
+  readonly means: number;
+  readonly quats: number;
+  readonly logits: number;
+}
+
+/** One tile's part of {@link moveRows}: copies in the kernels' memory, to be disposed of. A splat belongs to one tile at
+ * most; `rows` [n] are those of the splats in the arrays by id, -1 where they are not the tile's any more. */
+export class MovingTile {
+  /** Frames from the chunk's first. */
+  time = 0;
+  readonly chunk: Chunk;
+  readonly rows: Int32Array;
+  readonly steps: Steps;
+  private readonly kernels: Kernels;
+  private readonly blocks: number[] = [];
+  private readonly structure = new DataView(new ArrayBuffer(TILE_BYTES));
+
+  constructor(kernels: Kernels, chunk: Chunk, rows: Int32Array, steps: Steps) {
+    this.kernels = kernels;
+    this.chunk = chunk;
+    this.rows = rows;
+    this.steps = steps;
+    const { blocks, fades } = chunk;
+    const [moveUnits, turnUnits] = units(chunk, steps);
+    const s = this.structure;
+    [chunk.splats, chunk.span, 0, blocks?.size ?? 0, fades ? 1 : 0].forEach((value, i) => s.setInt32(4 * i, value, true));
+    s.setFloat64(40, blocks?.unit ?? 0, true);
+    const arrays = [rows, chunk.moves, chunk.turns, moveUnits, turnUnits, blocks?.shifts, blocks?.turns, chunk.lives];
+    arrays.forEach((array, i) => s.setUint32(48 + 4 * i, array ? this.keep(array) : 0, true));
+  }
+
+  /** Write what the kernel takes to `at`. */
+  writeTo(at: number): void {
+    const { time, sample, share } = momentOf(this.chunk, this.time);
+    this.structure.setInt32(8, sample, true);
+    this.structure.setFloat64(24, time, true);
+    this.structure.setFloat64(32, share, true);
+    this.kernels.u8(at, TILE_BYTES).set(new Uint8Array(this.structure.buffer));
+  }
+
+  /** Free the copies. */
+  dispose(): void {
+    for (const at of this.blocks) this.kernels.free(at);
+    this.blocks.length = 0;
+  }
+
+  private keep(array: Int32Array | Float32Array | Uint8Array): number {
+    const at = this.kernels.block(array);
+    this.blocks.push(at);
+    return at;
+  }
+}
+
+/** Evaluate the splats of `tiles`: from rows of `from` to the same rows of `into`, columns by id of `capacity` rows. */
+export function moveRows(kernels: Kernels, tiles: readonly MovingTile[], capacity: number, from: MovingColumns, into: MovingColumns): void {
+  kernels.scoped((scope) => {
+    const [given, arrays] = [scope.take(TILE_BYTES * tiles.length), scope.take(32)];
+    tiles.forEach((tile, i) => tile.writeTo(given + TILE_BYTES * i));
+    kernels.view(arrays, 8).setBigInt64(0, BigInt(capacity), true);
+    kernels.u32(arrays + 8, 6).set([from.means, from.quats, from.logits, into.means, into.quats, into.logits]);
+    check("cags_motion_rows", kernels.calls.cags_motion_rows(given, tiles.length, arrays, 1));
+  });
+  const [before, after] = [kernels.f32(from.logits, capacity), kernels.f32(into.logits, capacity)];
+  for (const tile of tiles) if (tile.chunk.fades) fade(tile, before, after);
+}
+
+/** Opacity logits after fades, of those that are there: the kernel leaves them alone, for it has no logarithm. */
+function fade(tile: MovingTile, before: Float32Array, after: Float32Array): void {
+  const { chunk, rows } = tile;
+  const { time } = momentOf(chunk, tile.time);
+  for (let i = 0; i < rows.length; i++) {
+    const row = rows[i]!;
+    if (row < 0) continue;
+    const there = !chunk.lives || chunk.lives[i]! > time || chunk.lives[i] === chunk.span + 1;
+    after[row] = there ? faded(chunk.fades![2 * i]!, chunk.fades![2 * i + 1]!, time, before[row]!) : ABSENT_LOGIT;
+  }
+}
+
+function faded(centre: number, width: number, time: number, logit: number): number {
+  if (!Number.isFinite(width)) return logit;
+  const away = (time - centre) / width;
+  const opacity = Math.exp(-0.5 * away * away) / (1 + Math.exp(-logit));
+  const inside = Math.min(Math.max(opacity, 1e-9), 1 - 1e-7);
+  return fround(Math.log(inside / (1 - inside)));
+}
+
+/** Finest units [n] of the chunk's positions and rotations: those of the tile, halved. */
+function units(chunk: Chunk, steps: Steps): [Float32Array, Float32Array] {
+  const [moves, turns] = chunk.finer.map((halvings) => 0.5 ** halvings) as [number, number];
+  return [steps.moves.map((step) => step * moves), steps.turns.map((step) => step * turns)];
+}
+
+/** `time` frames from the chunk's first, held within its span: `share` of the way from `sample` to the next. */
+function momentOf(chunk: Chunk, time: number): { time: number; sample: number; share: number } {
+  const held = Math.min(Math.max(time, 0), chunk.span);
+  const sample = Math.min(Math.floor(held), chunk.span - 1);
+  return { time: held, sample, share: held - sample };
+}
+
+/** Frames after a chunk's first from which on nothing changes. */
+export function endOf(chunk: Chunk): number {
+  return endsAll(chunk) ? mostOf(chunk.lives!) : chunk.span;
+}
+
+/** Whether no splat of a chunk outlives its span. */
+export function endsAll(chunk: Chunk): boolean {
+  return chunk.lives !== undefined && mostOf(chunk.lives) <= chunk.span;
+}
+
+function mostOf(lives: Uint8Array): number {
+  let most = 0;
+  for (const life of lives) if (life > most) most = life;
+  return most;
+}

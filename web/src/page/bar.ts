@@ -1,0 +1,123 @@
+/** The controls along the bottom, and their keys. */
+
+import { MODES, type Mode } from "../player/camera.ts";
+import type { Player } from "../player/player.ts";
+import { keep, kept, the } from "./dom.ts";
+import { setIcon } from "./icons.ts";
+
+/** Controls go after so long without a hand on them, while the clip plays. */
+const IDLE_MS = 3500;
+
+export interface BarWishes {
+  toggle(): void;
+  seek(frame: number): void;
+  mode(mode: Mode): void;
+  home(): void;
+  share(): void;
+  snapshot(): void;
+}
+
+export class Bar {
+  readonly #stage = the("stage");
+  readonly #bar = the("bar");
+  readonly #play = the("play");
+  readonly #time = the<HTMLInputElement>("time");
+  readonly #clock = the("clock");
+  readonly #inspect = the("inspect");
+  readonly #inspector = the("inspector");
+  readonly #wishes: BarWishes;
+  #dragged = false;
+  #touchedMs = 0;
+
+  constructor(wishes: BarWishes) {
+    this.#wishes = wishes;
+    setIcon(this.#play, "pause");
+    for (const name of ["home", "share", "snapshot", "inspect", "full"] as const) setIcon(the(name), name);
+    this.#play.addEventListener("click", () => wishes.toggle());
+    the("home").addEventListener("click", () => wishes.home());
+    the("share").addEventListener("click", () => wishes.share());
+    the("snapshot").addEventListener("click", () => wishes.snapshot());
+    the("full").addEventListener("click", () => fullScreen());
+    this.#inspect.addEventListener("click", () => this.inspect(this.#inspector.hidden));
+    for (const button of this.#modes()) button.addEventListener("click", () => wishes.mode(button.dataset.mode as Mode));
+    this.#time.addEventListener("input", () => (this.#dragged = true));
+    this.#time.addEventListener("change", () => {
+      this.#dragged = false;
+      wishes.seek(Number(this.#time.value));
+    });
+    for (const kind of ["pointermove", "pointerdown", "keydown", "touchstart"]) addEventListener(kind, () => this.#touch(), { passive: true });
+    this.inspect(kept("inspect") === "1");
+  }
+
+  /** Whether the instruments are open. */
+  get inspecting(): boolean {
+    return !this.#inspector.hidden;
+  }
+
+  inspect(open: boolean): void {
+    this.#inspector.hidden = !open;
+    this.#inspect.setAttribute("aria-expanded", String(open));
+    keep("inspect", open ? "1" : "0");
+  }
+
+  setMode(mode: Mode): void {
+    for (const button of this.#modes()) button.setAttribute("aria-checked", String(button.dataset.mode === mode));
+  }
+
+  /** Show the state of play. */
+  update(player: Player): void {
+    const { info, playing } = player;
+    if (!info) return;
+    this.#bar.toggleAttribute("data-still", info.frames === 1);
+    setIcon(this.#play, playing ? "pause" : "play");
+    this.#play.setAttribute("aria-label", playing ? "Pause" : "Play");
+    this.#time.max = String(info.frames - 1);
+    const frame = this.#dragged ? Number(this.#time.value) : Math.round(player.seconds * info.fps);
+    if (!this.#dragged) this.#time.value = String(frame);
+    const text = `${clock(frame / info.fps)} / ${clock(info.frames / info.fps)}`;
+    if (this.#clock.textContent !== text) this.#clock.textContent = text;
+    this.#time.setAttribute("aria-valuetext", text);
+    const idle = playing && !player.waiting && !this.inspecting && performance.now() - this.#touchedMs > IDLE_MS;
+    this.#stage.toggleAttribute("data-idle", idle);
+  }
+
+  /** Whether a key was one of the bar's. */
+  key(event: KeyboardEvent, player: Player | null): boolean {
+    if (event.ctrlKey || event.metaKey || event.altKey) return false;
+    const wishes: Record<string, () => void> = {
+      Space: () => this.#wishes.toggle(),
+      KeyF: () => fullScreen(),
+      KeyI: () => this.inspect(!this.inspecting),
+      KeyH: () => this.#wishes.home(),
+      KeyL: () => this.#wishes.share(),
+      KeyP: () => this.#wishes.snapshot(),
+      Comma: () => player && this.#wishes.seek(player.frame - 1),
+      Period: () => player && this.#wishes.seek(player.frame + 1),
+      Escape: () => this.inspect(false),
+    };
+    MODES.forEach((mode, i) => (wishes[`Digit${i + 1}`] = () => this.#wishes.mode(mode)));
+    const wish = wishes[event.code];
+    wish?.();
+    return wish !== undefined;
+  }
+
+  #modes(): HTMLElement[] {
+    return [...the("modes").querySelectorAll<HTMLElement>("button")];
+  }
+
+  #touch(): void {
+    this.#touchedMs = performance.now();
+    this.#stage.removeAttribute("data-idle");
+  }
+}
+
+function fullScreen(): void {
+  if (document.fullscreenElement) void document.exitFullscreen();
+  else void document.documentElement.requestFullscreen?.().catch(() => undefined);
+}
+
+function clock(seconds: number): string {
+  const tenths = Math.floor(seconds * 10 + 1e-6);
+  const [minutes, rest] = [Math.floor(tenths / 600), tenths % 600];
+  return `${minutes}:${String(Math.floor(rest / 10)).padStart(2, "0")}.${rest % 10}`;
+}

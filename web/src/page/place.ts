@@ -1,0 +1,53 @@
+/** What a link says: time, pose, camera mode and how to begin; kept behind the #, which no server sees. */
+
+import type { Pose } from "../seam.ts";
+import { MODES, type Mode } from "../player/camera.ts";
+import { canonical } from "../player/vectors.ts";
+
+export interface Place {
+  /** Seconds of the clip. */
+  readonly seconds?: number;
+  readonly pose?: Pose;
+  readonly mode?: Mode;
+  /** Whether to play at once. */
+  readonly playing?: boolean;
+  readonly loop?: boolean;
+  /** Of a server that asks for one. */
+  readonly token?: string;
+  /** Pixels to draw at, whatever the window's size. */
+  readonly size?: readonly [number, number];
+}
+
+export function placeOf(hash: string): Place {
+  const given = new URLSearchParams(hash.replace(/^#/, ""));
+  const numbers = (name: string, count: number): number[] | undefined => {
+    const parts = (given.get(name) ?? "").split(",").map(Number);
+    return given.has(name) && parts.length === count && parts.every(Number.isFinite) ? parts : undefined;
+  };
+  const [seconds] = numbers("t", 1) ?? [];
+  const pose = numbers("pose", 7);
+  const size = given.get("size")?.match(/^(\d{1,4})x(\d{1,4})$/);
+  const mode = MODES.find((known) => known === given.get("camera"));
+  const token = given.get("token");
+  return {
+    ...(seconds === undefined ? {} : { seconds: Math.max(0, seconds) }),
+    ...(pose ? { pose: poseOf(pose) } : {}),
+    ...(mode ? { mode } : {}),
+    ...(given.has("paused") ? { playing: false } : {}),
+    ...(given.has("once") ? { loop: false } : {}),
+    ...(token ? { token } : {}),
+    ...(size ? { size: [Math.max(16, Number(size[1])), Math.max(16, Number(size[2]))] as const } : {}),
+  };
+}
+
+/** A pose of seven numbers: position, then quaternion `wxyz`. */
+export function poseOf([x, y, z, qw, qx, qy, qz]: readonly number[]): Pose {
+  return { position: [x, y, z], rotation: canonical([qw, qx, qy, qz]) };
+}
+
+/** The # of a link to a moment seen from a pose; the token is not passed on. */
+export function hashOf(seconds: number, pose: Pose, mode: Mode): string {
+  const short = (x: number): string => String(Number(x.toFixed(4)));
+  const parts = [...pose.position, ...pose.rotation].map(short).join(",");
+  return `#t=${short(seconds)}&pose=${parts}&camera=${mode}`;
+}

@@ -1,0 +1,456 @@
+/**
+ * Plays a scene: which media frame is shown when, with which reference, from where.
+ *
+ * The state of play is one anchor: frame f is displayed at time t. Every wish makes a new anchor and tells the source. A
+ * seek keeps the picture until the frame it went to has come whole. {@link Player.step} is called once a refresh of the
+ * screen; at most one frame is under way.
+ */
+
+import { atHalfResolution, CLASSIC, type Exactness, type Footprint } from "../gpu/layout.ts";
+import type { CodedReference, FrameOptions, FrameTimes, Renderer } from "../gpu/renderer.ts";
+import { References } from "../playback/references.ts";
+import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status } from "../seam.ts";
+import { ReferenceVideo } from "../video/stream.ts";
+import { Cadence } from "./cadence.ts";
+import { Resolution } from "./resolution.ts";
+import { changedCells, fadedVeto } from "./veto.ts";
+
+/** From asking to play to the first frame. */
+const START_DELAY_US = 250_000;
+/** How long the old picture stays after a seek when the first frame does not come whole. */
+const SEEK_PATIENCE_US = 15_000_000;
+/** An end of the clip that is later than that was slept through. */
+const JUMP_US = 1_000_000;
+/** Media frames after which a reference is too old; it fades over the last half. */
+const REFERENCE_AGE = 10;
+/** A picture between two frames is drawn where it will be done in this many times what the last ones took. */
+const CAUTION = 1.25;
+const MEMORY = 0.2;
+/** Poses are kept for the next message; the oldest go first. */
+const MOST_SAMPLES = 64;
+
+export interface PlayerOptions {
+  readonly startFrame: number;
+  readonly playing: boolean;
+  readonly loop: boolean;
+  /** Draw fewer pixels while the device is too slow. */
+  readonly adaptResolution: boolean;
+  readonly exactness: Exactness;
+  /** Add what references say is lacking. */
+  readonly correct: boolean;
+}
+
+/** What was shown last. */
+export interface Shown {
+  readonly frame: number;
+  readonly share: number;
+  readonly camera: Camera;
+  readonly reference: Reference | undefined;
+  readonly update: FrameUpdate;
+  readonly times: FrameTimes;
+  /** From the pose to the picture on the canvas, ms. */
+  readonly frameMs: number;
+  readonly atUs: number;
+  readonly options: FrameOptions;
+}
+
+export interface PlayerEvents {
+  /** Something that a page shows has changed: the state of play, a frame, the link. */
+  changed(): void;
+  info(info: SceneInfo): void;
+  failed(error: SourceError): void;
+  notice(message: string): void;
+}
+
+type Decoded = References<CodedReference | null>;
+
+export class Player {
+  info: SceneInfo | null = null;
+  status: Status | null = null;
+  shown: Shown | null = null;
+  playing: boolean;
+  loop: boolean;
+  rate = 1;
+  /** The media frame on display, or that the play goes to. */
+  frame: number;
+  correct: boolean;
+  exactness: Exactness;
+  adaptResolution: boolean;
+  /** Pictures shown, of all kinds. */
+  pictures = 0;
+  /** Media frames whose data was not there in time. */
+  missed = 0;
+  readonly #source: SceneSource;
+  readonly #renderer: Renderer;
+  readonly #events: PlayerEvents;
+  readonly #view: () => { pose: Pose; intrinsics: Intrinsics };
+  readonly #video: ReferenceVideo;
+  readonly #references: Decoded = new References<CodedReference | null>();
+  readonly #cadence: Cadence;
+  readonly #startFrame: number;
+  #resolution = new Resolution(1000 / 30);
+  #samples: PoseSample[] = [];
+  #anchor: readonly [number, number] = [0, 0];
+  #startedUs: number | null = null;
+  #nextFrame: number;
+  #dueUs: number | null = null;
+  #wanted: number | null = null;
+  #awaited: { frame: number; untilUs: number; flushes: number } | null = null;
+  #loopTold = false;
+  #busy = false;
+  #news = false;
+  #takesUs = 0;
+  #drawnView = "";
+  #rested = false;
+  #ended = false;
+
+  constructor(source: SceneSource, renderer: Renderer, view: () => { pose: Pose; intrinsics: Intrinsics }, options: PlayerOptions, events: PlayerEvents) {
+    this.#source = source;
+    this.#renderer = renderer;
+    this.#view = view;
+    this.#events = events;
+    this.playing = options.playing;
+    this.loop = options.loop;
+    this.correct = options.correct;
+    this.exactness = options.exactness;
+    this.adaptResolution = options.adaptResolution;
+    this.frame = this.#nextFrame = this.#startFrame = options.startFrame;
+    this.#cadence = new Cadence(options.startFrame);
+    this.#video = new ReferenceVideo({
+      decoded: (reference, coded) => {
+        const { camera, knee, kind } = reference;
+        this.#references.add(reference, coded && { coded, camera, knee, picture: kind === "picture" });
+        this.#news = true;
+      },
+      broken: (seq) => source.requestKeyframe(seq),
+    });
+  }
+
+  // -------------------------------------------------------------------------------------------------- viewer's wishes
+
+  play(): void {
+    if (this.playing) return;
+    this.playing = true;
+    if (this.#startedUs === null || !this.info) return;
+    const last = this.frame >= this.info.frames - 1;
+    this.#tell("play", this.frame, nowUs() + (last ? 0 : START_DELAY_US));
+    if (last) this.seek(0);
+  }
+
+  pause(): void {
+    if (!this.playing) return;
+    this.playing = false;
+    if (this.#startedUs !== null) this.#tell("pause", this.frame, nowUs());
+  }
+
+  /** Go to a media frame as soon as what is under way has ended. */
+  seek(frame: number): void {
+    if (this.#startedUs === null || !this.info) return;
+    this.#wanted = Math.max(0, Math.min(Math.round(frame), this.info.frames - 1));
+    this.#events.changed();
+  }
+
+  setRate(rate: number): void {
+    this.rate = rate;
+    this.#retell();
+  }
+
+  setLoop(on: boolean): void {
+    this.loop = on;
+    this.#retell();
+  }
+
+  /** The page is not seen any more (no frames are asked for), or again. */
+  rest(rested: boolean): void {
+    if (rested === this.#rested) return;
+    this.#rested = rested;
+    if (this.#startedUs === null || !this.playing || this.#awaited) return;
+    if (rested) this.#tell("pause", this.frame, nowUs());
+    else this.#tell("play", this.frame, nowUs() + START_DELAY_US);
+  }
+
+  close(): void {
+    this.#ended = true;
+    this.#source.close();
+  }
+
+  // --------------------------------------------------------------------------------------------------------- in time
+
+  /** Seconds of the clip on display. */
+  get seconds(): number {
+    return this.info ? (this.#wanted ?? this.frame) / this.info.fps : 0;
+  }
+
+  /** Whether a place was gone to that is not there yet. */
+  get waiting(): boolean {
+    return this.#wanted !== null || this.#awaited !== null || this.#startedUs === null;
+  }
+
+  /** Whether a frame is under way. */
+  get drawing(): boolean {
+    return this.#busy;
+  }
+
+  /** Share of the full picture's width that is drawn. */
+  get scale(): number {
+    return this.adaptResolution ? this.#resolution.scale : 1;
+  }
+
+  /** How many of 1,000 media frames this device displays. */
+  get cadencePermille(): number {
+    return this.#cadence.permille;
+  }
+
+  get videoErrors(): number {
+    return this.#video.errors;
+  }
+
+  /** Take what the source tells. */
+  handle(event: SourceEvent): void {
+    if (this.#ended) return;
+    switch (event.type) {
+      case "info":
+        this.info = event.info;
+        this.#resolution = new Resolution(1000 / event.info.fps);
+        this.#events.info(event.info);
+        break;
+      case "whole":
+        this.#news = true;
+        this.#onWhole(event.frame);
+        break;
+      case "reference":
+        this.#video.add(event.reference);
+        break;
+      case "flushed":
+        if (this.#awaited) this.#awaited.flushes--;
+        this.#video.forget();
+        this.#references.reset();
+        break;
+      case "restarted":
+        this.#references.restart();
+        if (event.resumeAt) this.#cadence.restart(event.resumeAt.frame);
+        break;
+      case "notice":
+        this.#events.notice(event.message);
+        break;
+      case "status":
+        this.#news ||= event.status.bytesTiles !== this.status?.bytesTiles || this.shown?.update.full === false;
+        this.status = event.status;
+        this.#events.changed();
+        break;
+      case "mark":
+        this.#references.marked(event.mark);
+        this.#news = true;
+        break;
+      case "error":
+        if (event.error.fatal) this.#ended = true;
+        this.#events.failed(event.error);
+        break;
+    }
+  }
+
+  /** Before each refresh of the screen. */
+  step(): void {
+    if (this.#ended || !this.info) return;
+    this.#samplePose();
+    if (this.#busy || this.#rested) return;
+    const work = this.#work(nowUs());
+    if (!work) return;
+    this.#busy = true;
+    work()
+      .catch((error: unknown) => this.#failed(error))
+      .finally(() => (this.#busy = false));
+  }
+
+  #failed(error: unknown): void {
+    if (this.#ended || this.#renderer.gpu.lost) return;
+    this.#ended = true;
+    const message = error instanceof Error ? error.message : String(error);
+    this.#events.failed({ code: "frame", message, fatal: true });
+  }
+
+  #samplePose(): void {
+    this.#samples.push({ tUs: nowUs(), pose: this.#view().pose });
+    this.#source.sendPoses(this.#samples.slice(-MOST_SAMPLES), this.#cadence.permille);
+    this.#samples = [];
+  }
+
+  #work(now: number): (() => Promise<void>) | null {
+    if (this.#wanted !== null) this.#seekNow(this.#wanted, now);
+    if (this.#awaited && now >= this.#awaited.untilUs) this.#goOn(now);
+    if (this.#awaited || this.#startedUs === null) {
+      if (!this.shown && this.#references.newest(this.frame, REFERENCE_AGE)) return () => this.#present(this.frame, 0, false);
+      return this.#redraw(now);
+    }
+    if (!this.playing) return this.#news ? () => this.#present(this.frame, 0, false) : this.#redraw(now);
+    if (this.#dueUs !== null && now >= this.#dueUs) return () => this.#presentDue(now);
+    return this.#between(now);
+  }
+
+  /** A picture of what moves by itself, or of the frame on display from where the viewer is now. */
+  #between(now: number): (() => Promise<void>) | null {
+    if (this.#dueUs === null || now + CAUTION * this.#takesUs > this.#dueUs) return null;
+    const due = this.#frameDueUs(this.frame);
+    const share = ((now - due) * this.info!.fps * this.rate) / 1e6;
+    if (this.info!.moves && share > 0 && share < 1) return () => this.#present(this.frame, share, false);
+    return this.#redraw(now);
+  }
+
+  #redraw(_now: number): (() => Promise<void>) | null {
+    const { shown } = this;
+    if (!shown || this.#viewKey() === this.#drawnView) return null;
+    return () => this.#draw(shown.frame, shown.share, shown.update, performance.now());
+  }
+
+  async #presentDue(now: number): Promise<void> {
+    const end = this.info!.frames;
+    const frame = this.#cadence.newestDue(now, this.#nextFrame, end, (f) => this.#frameDueUs(f));
+    this.#nextFrame = frame + 1;
+    const following = this.#cadence.next(frame + 1, end);
+    this.#dueUs = following > frame ? this.#frameDueUs(following) : null;
+    this.frame = frame;
+    await this.#present(frame, 0, true);
+    this.#cadence.drawn(nowUs());
+    if (this.playing && this.#wanted === null && !this.#awaited && this.#nextFrame >= end) this.#atEnd();
+  }
+
+  async #present(frame: number, share: number, media: boolean): Promise<void> {
+    const begun = performance.now();
+    this.#news = false;
+    const reference = this.#references.newest(frame, REFERENCE_AGE);
+    const basis = this.#references.basisAt(frame, reference);
+    const { camera } = this.#camera();
+    const speaks = this.correct && reference?.picture ? reference : undefined;
+    const update = await this.#source.frame({
+      frame,
+      share,
+      ...(basis === undefined ? {} : { basis }),
+      ...(speaks ? { changedSince: changedSince(speaks.reference, camera) } : {}),
+    });
+    this.#references.marked(update.mark);
+    this.#renderer.update(update);
+    if (media && update.missed) this.missed++;
+    await this.#draw(frame, share, update, begun);
+  }
+
+  async #draw(frame: number, share: number, update: FrameUpdate, begun: number): Promise<void> {
+    const { camera, footprint, key } = this.#camera();
+    const found = this.correct ? this.#references.newest(frame, REFERENCE_AGE) : undefined;
+    const options = this.#frameOptions(frame, share, update, camera, footprint, found?.picture ? found : undefined);
+    const times = await this.#renderer.draw(camera, options);
+    this.#drawnView = key;
+    this.pictures++;
+    const frameMs = performance.now() - begun;
+    const took = frameMs * 1000;
+    this.#takesUs += (this.#takesUs ? MEMORY : 1) * (took - this.#takesUs);
+    this.#resolution.observe(performance.now(), frameMs);
+    this.shown = { frame, share, camera, reference: found?.reference, update, times, frameMs, atUs: nowUs(), options };
+    this.#events.changed();
+  }
+
+  #frameOptions(frame: number, share: number, update: FrameUpdate, camera: Camera, footprint: Footprint, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
+    const plain = { exactness: this.exactness, footprint, maxShDegree: update.shDegree };
+    if (!found?.picture) return plain;
+    const { changed } = update;
+    let veto = changed?.radii.length ? changedCells(changed.positions, changed.radii, camera) : undefined;
+    const away = frame - found.reference.frame;
+    if (away || share) veto = fadedVeto(veto, Math.min(1, 2 * (1 - away / (REFERENCE_AGE + 1))), camera);
+    return { ...plain, reference: found.picture, veto };
+  }
+
+  /** The camera of the next picture, at the pixels that its time allows. */
+  #camera(): { camera: Camera; footprint: Footprint; key: string } {
+    const { pose, intrinsics } = this.#view();
+    const camera = { intrinsics: smaller(intrinsics, this.scale), pose, near: this.info!.near };
+    return { camera, footprint: footprintAt(this.scale), key: this.#viewKey() };
+  }
+
+  #viewKey(): string {
+    const { pose, intrinsics } = this.#view();
+    return JSON.stringify([pose, intrinsics, this.scale, this.correct, this.exactness]);
+  }
+
+  // ------------------------------------------------------------------------------------------------------ state of play
+
+  #onWhole(frame: number): void {
+    if (this.#startedUs === null && frame >= this.#startFrame) {
+      this.#startedUs = nowUs();
+      if (this.playing && !this.#rested) this.#tell("play", this.#startFrame, nowUs() + START_DELAY_US);
+      else this.#tell("pause", this.#startFrame, nowUs());
+    } else if (this.#awaited && this.#awaited.flushes <= 0 && frame >= this.#awaited.frame) this.#goOn(nowUs());
+  }
+
+  #tell(action: PlayState["action"], frame: number, atUs: number): void {
+    this.#anchor = [frame, atUs];
+    this.#nextFrame = frame;
+    this.#dueUs = atUs;
+    this.#cadence.restart(frame);
+    this.#loopTold = this.loop && this.#source.keeps(frame) && this.info!.gofStarts.length === 1;
+    this.#source.control({ action, frame, atUs, rate: this.rate, loop: this.#loopTold });
+    this.#events.changed();
+  }
+
+  /** Speed or loop have changed: from the next frame on. */
+  #retell(): void {
+    if (this.#startedUs === null || !this.info || !this.playing || this.#awaited) return;
+    const next = Math.min(this.frame + 1, this.info.frames - 1);
+    this.#tell("rate", next, Math.max(this.#dueUs ?? 0, nowUs()));
+  }
+
+  #seekNow(frame: number, now: number): void {
+    this.#wanted = null;
+    const keeps = this.#source.keeps(frame);
+    this.#video.forget();
+    this.#references.reset();
+    this.frame = frame;
+    const flushes = (this.#awaited?.flushes ?? 0) + (keeps ? 0 : 1);
+    this.#tell("seek", frame, now);
+    if (this.playing) this.#tell("pause", frame, now);
+    this.#awaited = { frame, untilUs: now + SEEK_PATIENCE_US, flushes };
+    if (keeps) this.#goOn(now);
+  }
+
+  /** The frame that was sought is there. */
+  #goOn(now: number): void {
+    this.#awaited = null;
+    this.#news = true;
+    if (this.playing && !this.#rested) this.#tell("play", this.frame, now + START_DELAY_US);
+  }
+
+  #atEnd(): void {
+    const end = this.info!.frames;
+    const endUs = this.#frameDueUs(end);
+    if (!this.loop) this.pause();
+    else if (nowUs() - endUs <= JUMP_US && this.#loopTold && this.#source.keeps(0)) {
+      this.#anchor = [0, endUs];
+      this.#cadence.countedFrom -= end;
+      this.#nextFrame = 0;
+      this.#dueUs = this.#frameDueUs(this.#cadence.next(0, end));
+    } else this.seek(0);
+  }
+
+  #frameDueUs(frame: number): number {
+    const [anchored, atUs] = this.#anchor;
+    return atUs + Math.round(((frame - anchored) * 1e6) / (this.info!.fps * this.rate));
+  }
+}
+
+function changedSince(reference: Reference, camera: Camera): { frame: number; basis?: number; camera: Camera; focalPx: number } {
+  const { frame, basis, kind } = reference;
+  const since = { frame, camera, focalPx: reference.camera.intrinsics.fxPx };
+  return kind === "picture" ? since : { ...since, basis };
+}
+
+/** The same field of view in fewer pixels. */
+function smaller(full: Intrinsics, scale: number): Intrinsics {
+  if (scale === 1) return full;
+  const [widthPx, heightPx] = [Math.max(1, Math.round(full.widthPx * scale)), Math.max(1, Math.round(full.heightPx * scale))];
+  const [x, y] = [widthPx / full.widthPx, heightPx / full.heightPx];
+  return { widthPx, heightPx, fxPx: full.fxPx * x, fyPx: full.fyPx * y, cxPx: full.cxPx * x, cyPx: full.cyPx * y };
+}
+
+function footprintAt(scale: number): Footprint {
+  if (scale === 1) return CLASSIC;
+  const half = atHalfResolution(CLASSIC);
+  return { dilationPx2: CLASSIC.dilationPx2 * scale * scale, filterPx2: half.filterPx2 };
+}

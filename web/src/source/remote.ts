@@ -1,0 +1,104 @@
+/** A source in a worker, with the same interface on the page: what `worker.ts` answers. */
+import type { ConnectOptions, FrameRequest, FrameUpdate, PlayState, PoseSample, SceneInfo, SceneSource, SourceEvent } from "../seam.ts";
+import type { KeepingState } from "./live.ts";
+
+/** What the page asks of the worker. */
+export type Request =
+  | { readonly ask: "connect"; readonly url: string; readonly options: ConnectOptions }
+  | { readonly ask: "control"; readonly state: KeepingState }
+  | { readonly ask: "poses"; readonly samples: readonly PoseSample[]; readonly cadence: number | undefined }
+  | { readonly ask: "keyframe"; readonly seq: number }
+  | { readonly ask: "frame"; readonly number: number; readonly request: FrameRequest }
+  | { readonly ask: "close" };
+
+/** What the worker answers. `keeps`: the group of frames on display can be jumped in; undefined: there is none. */
+export type Answer =
+  | { readonly tell: "event"; readonly event: SourceEvent }
+  | { readonly tell: "frame"; readonly number: number; readonly update: FrameUpdate; readonly keeps: number | undefined }
+  | { readonly tell: "failed"; readonly number: number; readonly message: string };
+
+/** The part of a Worker that is used. */
+export interface Port {
+  postMessage(message: Request): void;
+  onmessage: ((event: MessageEvent<Answer>) => void) | null;
+  onerror: ((event: ErrorEvent) => void) | null;
+  terminate(): void;
+}
+
+const CLOSING_MS = 500;
+
+/** The {@link SceneSource} that runs in `worker`. */
+export function connectWorker(worker: Worker): SceneSource {
+  return new RemoteSource(worker as unknown as Port);
+}
+
+export class RemoteSource implements SceneSource {
+  private readonly port: Port;
+  private readonly waiting = new Map<number, { resolve: (update: FrameUpdate) => void; reject: (error: Error) => void }>();
+  private asked = 0;
+  private info: SceneInfo | undefined;
+  private keptGof: number | undefined;
+  private listen: (event: SourceEvent) => void = () => {};
+
+  constructor(port: Port) {
+    this.port = port;
+    port.onmessage = (event) => this.onAnswer(event.data);
+    port.onerror = (event) => this.broken(event.message || "the viewer's worker could not be started");
+  }
+
+  connect(url: string, options: ConnectOptions, listen: (event: SourceEvent) => void): void {
+    this.listen = listen;
+    this.port.postMessage({ ask: "connect", url, options });
+  }
+
+  control(state: PlayState): void {
+    const keeps = this.keeps(state.frame);
+    this.port.postMessage({ ask: "control", state: { ...state, keeps } });
+    if (state.action === "seek" && !keeps) this.keptGof = undefined;
+  }
+
+  keeps(frame: number): boolean {
+    if (!this.info || this.keptGof === undefined) return false;
+    const start = this.info.gofStarts[this.keptGof]!;
+    return frame >= start && frame < (this.info.gofStarts[this.keptGof + 1] ?? this.info.frames);
+  }
+
+  sendPoses(samples: readonly PoseSample[], cadence?: number): void {
+    this.port.postMessage({ ask: "poses", samples, cadence });
+  }
+
+  requestKeyframe(seq: number): void {
+    this.port.postMessage({ ask: "keyframe", seq });
+  }
+
+  frame(request: FrameRequest): Promise<FrameUpdate> {
+    const number = ++this.asked;
+    return new Promise((resolve, reject) => {
+      this.waiting.set(number, { resolve, reject });
+      this.port.postMessage({ ask: "frame", number, request });
+    });
+  }
+
+  close(): void {
+    this.port.postMessage({ ask: "close" });
+    setTimeout(() => this.port.terminate(), CLOSING_MS);
+  }
+
+  private onAnswer(answer: Answer): void {
+    if (answer.tell === "event") {
+      if (answer.event.type === "info") this.info = answer.event.info;
+      return this.listen(answer.event);
+    }
+    const waiting = this.waiting.get(answer.number);
+    this.waiting.delete(answer.number);
+    if (answer.tell === "failed") return waiting?.reject(new Error(answer.message));
+    this.keptGof = answer.keeps;
+    waiting?.resolve(answer.update);
+  }
+
+  private broken(message: string): void {
+    for (const { reject } of this.waiting.values()) reject(new Error(message));
+    this.waiting.clear();
+    this.listen({ type: "error", error: { code: "worker", message, fatal: true } });
+  }
+}

@@ -1,0 +1,340 @@
+/**
+ * A scene from a published folder on any web host: the player chooses tiles and levels itself and fetches them by ranges;
+ * there are no references. `cags-encode --publish` writes such a folder.
+ */
+import { crc32 } from "../bytes/crc32.ts";
+import { BundleError, DecodeError } from "../bytes/errors.ts";
+import { gofOf, gofRange, type Manifest, readManifest, sceneInfo } from "../decode/manifest.ts";
+import {
+  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type LinkState, nowUs, type PlayState, type PoseSample,
+  type SceneSource, type SourceEvent,
+} from "../seam.ts";
+import { viewCone } from "../store/gofStore.ts";
+import { arrivalOf } from "../store/tileStore.ts";
+import { type FrameEntry, readIndex, type TileEntry } from "./bundleIndex.ts";
+import { baseWishes, batch, type Range, ranges, refinements, type Wish } from "./plan.ts";
+import { type Decoders, SceneStore, tooLarge } from "./scene.ts";
+import { Meter } from "./status.ts";
+
+const AT_ONCE = 4;
+/** Play that the base is fetched ahead for, and that must be there before looks are refined. */
+const HORIZON_S = 4;
+const SAFE_S = 1;
+/** Refinements are fetched for so long at a time, at what the link carries: the view may turn. */
+const REFINE_S = 0.25;
+const LEAST_REFINE_BYTES = 8 << 10;
+const FIRST_GUESS_BPS = 4e6;
+const FIRST_RETRY_MS = 250;
+const MAX_RETRY_MS = 4000;
+const STATUS_EVERY_MS = 250;
+
+export type Fetch = (url: string, init?: RequestInit) => Promise<Response>;
+
+interface Group {
+  readonly frames: readonly FrameEntry[];
+  /** Looks -> levels that are there or under way. */
+  readonly levels: Map<TileEntry, number>;
+  /** First media frame whose base has not been asked for. */
+  asked: number;
+  /** First media frame whose end has not been told: bases come in any order, ends do not. */
+  told: number;
+  /** Removed ids of frames whose base is there. */
+  readonly ready: Map<number, Uint8Array>;
+}
+
+export class StaticSource implements SceneSource {
+  private readonly decoders: Decoders;
+  private readonly fetchAt: Fetch;
+  private base = "";
+  private options!: ConnectOptions;
+  private listen: (event: SourceEvent) => void = () => {};
+  private scene: SceneStore | undefined;
+  private readonly groups = new Map<number, Group | null>(); // null: its index is under way
+  private inFlight = 0;
+  private generation = 0; // raised by jumps: what was asked for before them is not stored
+  private pose: PoseSample["pose"] = { position: [0, 0, 0], rotation: [1, 0, 0, 0] };
+  private state: PlayState | undefined;
+  private at = 0; // media frame on display, or sought
+  private readonly meter = new Meter();
+  private bps = FIRST_GUESS_BPS;
+  private failures = 0;
+  private ended = false;
+  private timer: ReturnType<typeof setInterval> | undefined;
+
+  constructor(decoders: Decoders, fetchAt: Fetch = (url, init) => fetch(url, init)) {
+    this.decoders = decoders;
+    this.fetchAt = fetchAt;
+  }
+
+  // --------------------------------------------------------------------------------------------------------- SceneSource
+
+  connect(url: string, options: ConnectOptions, listen: (event: SourceEvent) => void): void {
+    this.base = url.endsWith("/") ? url : `${url}/`;
+    this.options = options;
+    this.listen = listen;
+    this.pose = options.pose;
+    this.at = options.startFrame ?? 0;
+    this.timer = setInterval(() => this.tick(), STATUS_EVERY_MS);
+    void this.begin();
+  }
+
+  control(state: PlayState): void {
+    this.state = state;
+    if (!this.scene) return;
+    if (state.action === "seek" && !this.scene.keeps(state.frame)) {
+      this.generation += 1;
+      this.groups.clear();
+      this.scene.reset(state.frame);
+      this.listen({ type: "flushed" });
+    }
+    this.at = state.frame;
+    this.next();
+  }
+
+  keeps(frame: number): boolean {
+    return this.scene?.keeps(frame) ?? false;
+  }
+
+  sendPoses(samples: readonly PoseSample[]): void {
+    this.pose = samples.at(-1)?.pose ?? this.pose;
+    this.next();
+  }
+
+  requestKeyframe(): void {}
+
+  async frame(request: FrameRequest): Promise<FrameUpdate> {
+    if (!this.scene) throw new Error("no frame before the scene is known");
+    this.at = request.frame;
+    const update = this.scene.frame(request, this.camera());
+    this.next();
+    return update;
+  }
+
+  close(): void {
+    this.ended = true;
+    clearInterval(this.timer);
+    this.scene?.dispose();
+    this.scene = undefined;
+  }
+
+  private camera(): Camera {
+    return { intrinsics: this.options.intrinsics, pose: this.pose, near: this.scene!.manifest.near };
+  }
+
+  // ------------------------------------------------------------------------------------------------------------ fetching
+
+  private async begin(): Promise<void> {
+    try {
+      const manifest = readManifest(await this.whole("manifest.json"));
+      const large = tooLarge(manifest, this.options.maxSplats ?? 4_000_000, this.options.maxMemoryMb ?? 2048);
+      if (large) throw new BundleError(large);
+      if (!manifest.files.length) throw new BundleError("manifest: does not say where tiles lie");
+      const published = manifest.manifest["published"] as { codebooks?: unknown } | undefined;
+      const name = typeof published?.codebooks === "string" ? published.codebooks : "codebooks.bin";
+      const scene = new SceneStore(manifest, this.decoders, this.at);
+      scene.codebooks(await this.whole(name));
+      if (this.ended) return scene.dispose();
+      this.scene = scene;
+      this.listen({ type: "info", info: sceneInfo(manifest) });
+      this.next();
+    } catch (error) {
+      this.fail(error);
+    }
+  }
+
+  /** Start what is to be fetched next, while few requests are under way. */
+  private next(): void {
+    while (this.scene && !this.ended && this.inFlight < AT_ONCE) {
+      const work = this.chosen(this.scene.manifest);
+      if (!work) return;
+      this.inFlight += 1;
+      void work().catch((error: unknown) => this.fail(error)).finally(() => {
+        this.inFlight -= 1;
+        this.next();
+      });
+    }
+  }
+
+  private chosen(manifest: Manifest): (() => Promise<void>) | undefined {
+    const last = Math.min(this.at + Math.ceil(HORIZON_S * manifest.fps), manifest.frames - 1);
+    for (let gof = gofOf(manifest, this.at); gof <= gofOf(manifest, last); gof++) {
+      const group = this.groups.get(gof);
+      if (group === undefined) return () => this.fetchIndex(manifest, gof);
+      if (group === null) return undefined;
+      const end = gofRange(manifest, gof)[1];
+      if (group.asked <= last && group.asked < end) return this.baseOf(gof, group);
+    }
+    const ahead = this.scene!.store.ahead(this.at);
+    const safe = Math.min(SAFE_S * manifest.fps, manifest.frames - 1 - this.at);
+    return ahead >= safe || !this.playing ? this.refinement(manifest) : undefined;
+  }
+
+  private get playing(): boolean {
+    return this.state?.action === "play" || this.state?.action === "rate";
+  }
+
+  private baseOf(gof: number, group: Group): () => Promise<void> {
+    const frames = batch(group.frames.slice(group.asked - group.frames[0]!.frame));
+    group.asked += frames.length;
+    for (const frame of frames) for (const entry of frame.tiles) if (entry.kind === "looks") group.levels.set(entry, 1);
+    return () => this.fetchFrames(gof, group, frames);
+  }
+
+  /** The next levels of what is in view: of the group on display, of frames up to the horizon. */
+  private refinement(manifest: Manifest): (() => Promise<void>) | undefined {
+    const gof = gofOf(manifest, this.at);
+    const group = this.groups.get(gof);
+    if (!group) return undefined;
+    const meets = viewCone(this.camera());
+    const looks = [...group.levels.keys()].filter((entry) => entry.frame <= this.at + HORIZON_S * manifest.fps);
+    const bytes = Math.max((this.bps / 8) * REFINE_S, LEAST_REFINE_BYTES) / AT_ONCE;
+    const inView = (entry: TileEntry): boolean => meets(entry.sphere);
+    const wishes = refinements(looks, (entry) => group.levels.get(entry)!, inView, manifest.lodGainsDb, bytes);
+    if (!wishes.length) return undefined;
+    for (const { entry, to } of wishes) group.levels.set(entry, to);
+    return async () => {
+      for (const range of ranges(wishes)) await this.fetchTiles(gof, range);
+    };
+  }
+
+  private async fetchIndex(manifest: Manifest, gof: number): Promise<void> {
+    const generation = this.generation;
+    this.groups.set(gof, null);
+    const { name, indexOffset, indexCrc, sizeBytes } = manifest.files[gof]!;
+    const data = await this.bytes(name, indexOffset, sizeBytes);
+    if (crc32(data) !== indexCrc) throw new BundleError(`${name}: its index was damaged or replaced; reload the page`);
+    const [first, end] = gofRange(manifest, gof);
+    const frames = readIndex(data, first, end - first, manifest.lods, `index of ${name}`);
+    if (generation === this.generation) this.groups.set(gof, { frames, levels: new Map(), asked: first, told: first, ready: new Map() });
+  }
+
+  /** The bases of frames, and then their ends. */
+  private async fetchFrames(gof: number, group: Group, frames: readonly FrameEntry[]): Promise<void> {
+    const removed = new Map<FrameEntry, Uint8Array>();
+    for (const range of ranges(frames.flatMap(baseWishes), frames)) await this.fetchTiles(gof, range, removed);
+    for (const frame of frames) group.ready.set(frame.frame, removed.get(frame) ?? new Uint8Array(0));
+    if (this.groups.get(gof) !== group) return;
+    for (let ids; this.scene && (ids = group.ready.get(group.told)); group.told++) {
+      group.ready.delete(group.told);
+      this.end(this.scene, group.told, ids);
+    }
+  }
+
+  private end(scene: SceneStore, frame: number, removed: Uint8Array): void {
+    try {
+      scene.end(frame, removed);
+      this.listen({ type: "whole", frame, mark: scene.mark });
+    } catch (error) {
+      if (!(error instanceof DecodeError)) throw error;
+      this.meter.decodeErrors += 1;
+    }
+  }
+
+  private async fetchTiles(gof: number, range: Range, removed?: Map<FrameEntry, Uint8Array>): Promise<void> {
+    const generation = this.generation;
+    const data = await this.bytes(this.scene!.manifest.files[gof]!.name, range.start, range.end);
+    for (const frame of range.removed) {
+      const ids = data.subarray(frame.removed[0] - range.start, frame.removed[1] - range.start);
+      if (crc32(ids) !== frame.removedCrc) throw new BundleError(`frame ${frame.frame}: its removed ids were damaged`);
+      removed?.set(frame, ids);
+    }
+    for (const wish of range.wishes) {
+      if (generation !== this.generation || !this.scene) return;
+      this.store(this.scene, wish, data, range.start);
+      await breath(); // frames that are asked for meanwhile go first
+    }
+  }
+
+  private store(scene: SceneStore, { entry, from, to }: Wish, data: Uint8Array, start: number): void {
+    const payloads: Uint8Array[] = [];
+    for (let level = from; level < to; level++) {
+      const payload = data.subarray(entry.offsets[level]! - start, entry.offsets[level + 1]! - start);
+      if (crc32(payload) !== entry.crcs[level]) {
+        this.meter.decodeErrors += 1;
+        return;
+      }
+      payloads.push(payload);
+    }
+    this.meter.bytesTiles += payloads.reduce((sum, payload) => sum + payload.length, 0);
+    this.meter.decodeErrors += scene.add([arrivalOf(entry.frame, entry.tile, from, payloads)]).length;
+  }
+
+  private async whole(name: string): Promise<Uint8Array> {
+    return this.retried(name, async () => {
+      const response = await this.fetchAt(this.base + name);
+      if (!response.ok) throw new HttpError(name, response.status);
+      const data = new Uint8Array(await response.arrayBuffer());
+      this.meter.bytesOther += data.length;
+      return data;
+    });
+  }
+
+  private async bytes(name: string, start: number, end: number): Promise<Uint8Array> {
+    return this.retried(name, async () => {
+      const begun = nowUs();
+      const response = await this.fetchAt(this.base + name, { headers: { Range: `bytes=${start}-${end - 1}` } });
+      if (!response.ok) throw new HttpError(name, response.status);
+      const body = new Uint8Array(await response.arrayBuffer());
+      const now = nowUs();
+      this.meter.received(body.length, now);
+      const share = Math.max(this.inFlight, 1);
+      this.bps += 0.2 * ((8e6 * body.length * share) / Math.max(now - begun, 1000) - this.bps);
+      const data = response.status === 206 ? body : body.subarray(start, end); // a host without ranges sends all of it
+      if (data.length !== end - start) throw new HttpError(name, response.status);
+      return data;
+    });
+  }
+
+  /** Until it succeeds: a host that is away may come back. Raises where it says that there is nothing. */
+  private async retried<T>(name: string, work: () => Promise<T>): Promise<T> {
+    for (let wait = FIRST_RETRY_MS; ; wait = Math.min(2 * wait, MAX_RETRY_MS)) {
+      try {
+        const done = await work();
+        this.failures = 0;
+        return done;
+      } catch (error) {
+        if (this.ended || (error instanceof HttpError && error.lasting)) throw error;
+        if (!this.failures++) this.listen({ type: "error", error: { code: "lost", message: `${name} cannot be fetched; trying again`, fatal: false } });
+        await new Promise((resolve) => setTimeout(resolve, wait));
+      }
+    }
+  }
+
+  private fail(error: unknown): void {
+    if (this.ended) return;
+    const message = error instanceof Error ? error.message : String(error);
+    this.listen({ type: "error", error: { code: "scene", message, fatal: true } });
+    this.close();
+  }
+
+  private tick(): void {
+    const link: LinkState = this.failures ? "away" : this.scene ? "open" : "connecting";
+    const status = {
+      atUs: nowUs(), link, attempts: this.failures, ...this.meter.figures(nowUs()), undecodedBytes: 0, damagedPackets: 0,
+      framesAhead: this.scene?.store.ahead(this.at) ?? 0, references: false,
+    };
+    this.listen({ type: "status", status });
+    this.next();
+  }
+}
+
+/** A host's refusal; `lasting` where asking again would meet it again. */
+class HttpError extends Error {
+  readonly lasting: boolean;
+  constructor(name: string, status: number) {
+    super(`${name}: the web host answers ${status}; is the whole folder there?`);
+    this.lasting = status >= 400 && status < 500 && status !== 408 && status !== 429;
+  }
+}
+
+/** Let what waits in the event loop go first. */
+function breath(): Promise<void> {
+  return new Promise((resolve) => {
+    const { port1, port2 } = new MessageChannel();
+    port1.onmessage = () => {
+      port1.close();
+      resolve();
+    };
+    port2.postMessage(0);
+  });
+}

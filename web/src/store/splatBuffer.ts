@@ -1,0 +1,375 @@
+/**
+ * The splats of one group of frames, by id, merged from tiles; the rules are those of `cags_common.splat_buffer`, and so
+ * are the bits. Columns lie in the kernels' memory, where motion is evaluated and rows are packed for the GPU.
+ */
+import type { Kernels } from "../decode/kernels.ts";
+import { SH_REST_OF_DEGREE, type Splats, WIDTHS } from "../decode/splats.ts";
+import { UPDATE_COLUMNS, type UpdateColumn, type UpdateValues } from "../decode/updates.ts";
+import { ABSENT_LOGIT, endOf, endsAll, moveRows, MovingTile } from "../motion/apply.ts";
+import type { Chunk } from "../motion/chunk.ts";
+import type { HeldLooks } from "./held.ts";
+import { type Key, tileOf } from "./keys.ts";
+
+const MOVING = ["means", "quats", "logit_opacities"] as const;
+type Moving = (typeof MOVING)[number];
+const COLUMNS = ["means", "quats", "log_scales", "logit_opacities", "sh0", "sh_rest"] as const;
+type ColumnName = (typeof COLUMNS)[number];
+
+/** What is known of the motion of one tile of looks. */
+class Motion {
+  /** First media frame -> motion from it on, and the time from which on nothing of it changes. */
+  readonly chunks = new Map<number, { readonly chunk: Chunk; readonly end: number }>();
+  /** First frame of the chunk that is shown, and the time; undefined: splats are as their looks say. */
+  shown: readonly [number, number] | undefined;
+  /** Whether looks, an update or motion came since. */
+  dirty = true;
+  private tile: MovingTile | undefined;
+
+  /** First frame of the chunk to show at `time`. */
+  start(time: number): number | undefined {
+    let found: number | undefined;
+    for (const first of this.chunks.keys()) if (first <= time && (found === undefined || first > found)) found = first;
+    return found;
+  }
+
+  /** Whether the chunk from `start` is shown as it is at `time` already. */
+  settled(start: number, time: number): boolean {
+    if (this.dirty || !this.shown || this.shown[0] !== start) return false;
+    return this.shown[1] === time || Math.min(this.shown[1], time) >= this.chunks.get(start)!.end;
+  }
+
+  /** The tile at `time`; made anew only where something else than the time has changed. */
+  tileAt(kernels: Kernels, start: number, time: number, held: HeldLooks): MovingTile {
+    const { chunk } = this.chunks.get(start)!;
+    const { tile } = this;
+    if (!tile || tile.chunk !== chunk || tile.rows !== held.rows || tile.steps !== held.steps) {
+      this.dispose();
+      this.tile = new MovingTile(kernels, chunk, held.rows!, held.steps!);
+    }
+    this.tile!.time = time - start;
+    return this.tile!;
+  }
+
+  dispose(): void {
+    this.tile?.dispose();
+    this.tile = undefined;
+  }
+}
+
+/** Rows are splat ids. Memory for `capacity` rows is taken when something is written, until {@link dispose}. */
+export class SplatBuffer {
+  readonly capacity: number;
+  readonly shCount: number;
+  /** Every tile of looks that was added, by its index. */
+  readonly slots: HeldLooks[] = [];
+  private readonly kernels: Kernels;
+  private readonly onReplaced: (slot: HeldLooks) => void;
+  private readonly byKey = new Map<Key, HeldLooks>();
+  private readonly motions = new Map<Key, Motion>();
+  private columns: Record<ColumnName, number> | undefined;
+  private still: Record<Moving, number> | undefined;
+  private owners: Int32Array | undefined;
+  private sources!: Int32Array;
+  private removedAt!: Int32Array;
+  private updated!: Record<UpdateColumn, Int32Array>;
+
+  /** `onReplaced` hears of each tile of which nothing is shown any more. */
+  constructor(kernels: Kernels, capacity: number, shDegree: number, onReplaced: (slot: HeldLooks) => void) {
+    this.kernels = kernels;
+    this.capacity = capacity;
+    this.shCount = SH_REST_OF_DEGREE[shDegree]!;
+    this.onReplaced = onReplaced;
+  }
+
+  /** Free what the kernels keep; nothing may be shown after it. */
+  dispose(): void {
+    for (const motion of this.motions.values()) motion.dispose();
+    for (const at of [...Object.values(this.columns ?? {}), ...Object.values(this.still ?? {})]) this.kernels.free(at);
+    this.columns = this.still = undefined;
+  }
+
+  /** Numbers a row of a column. */
+  width(column: ColumnName): number {
+    return column === "sh_rest" ? 3 * this.shCount : WIDTHS[column];
+  }
+
+  /** A column of those on display; a view that ends with the next call of the kernels. */
+  column(column: ColumnName): Float32Array<ArrayBuffer> {
+    return this.kernels.f32(this.made()[column], this.capacity * this.width(column));
+  }
+
+  /** [capacity] index of the tile of looks that a row is from; -1 where there is no splat. */
+  get owner(): Int32Array {
+    this.made();
+    return this.owners!;
+  }
+
+  /** Rows as `update.wgsl` takes them: [rows, 1 + width]; with `all` every column, else what motion changes. */
+  packed(rows: Int32Array, all: boolean): { words: Uint32Array<ArrayBuffer>; width: number } {
+    const columns = this.made();
+    const width = all ? 14 + 3 * this.shCount : 8;
+    return this.kernels.scoped((scope) => {
+      const [given, out, splats] = [scope.put(rows), scope.take(4 * rows.length * (1 + width)), scope.take(28)];
+      const { means, quats, log_scales, logit_opacities, sh0, sh_rest } = columns;
+      this.kernels.u32(splats, 7).set([means, quats, log_scales, logit_opacities, sh0, sh_rest, 3 * this.shCount]);
+      this.kernels.calls.cags_web_pack(splats, rows.length, given, all ? 1 : 0, out);
+      return { words: this.kernels.u32(out, rows.length * (1 + width)).slice(), width };
+    });
+  }
+
+  /** Take a tile of looks in, before anything of it is written; its index is the number of those before it. */
+  add(slot: HeldLooks): void {
+    this.slots.push(slot);
+    this.byKey.set(slot.key, slot);
+  }
+
+  /** Back to no splats; the tiles stay, and their motion. */
+  clear(): void {
+    this.column("logit_opacities").fill(ABSENT_LOGIT);
+    this.stillColumn("logit_opacities").fill(ABSENT_LOGIT);
+    for (const rows of [this.owners!, this.sources, this.removedAt, ...Object.values(this.updated)]) rows.fill(-1);
+    for (const motion of this.motions.values()) {
+      motion.shown = undefined;
+      motion.dirty = true;
+    }
+    for (const slot of this.slots) {
+      slot.rows = undefined;
+      slot.ended = false;
+    }
+  }
+
+  private made(): Record<ColumnName, number> {
+    if (this.columns) return this.columns;
+    const k = this.kernels;
+    const room = (column: ColumnName): number => k.allocate(4 * this.capacity * this.width(column));
+    this.columns = Object.fromEntries(COLUMNS.map((name) => [name, room(name)])) as Record<ColumnName, number>;
+    this.still = Object.fromEntries(MOVING.map((name) => [name, room(name)])) as Record<Moving, number>;
+    const unset = (): Int32Array => new Int32Array(this.capacity).fill(-1);
+    [this.owners, this.sources, this.removedAt] = [unset(), unset(), unset()];
+    this.updated = { log_scales: unset(), logit_opacities: unset(), sh0: unset(), sh_rest: unset() };
+    for (const name of COLUMNS) blank(this.column(name), name);
+    for (const name of MOVING) blank(this.stillColumn(name), name);
+    return this.columns;
+  }
+
+  private stillColumn(column: Moving): Float32Array<ArrayBuffer> {
+    this.made();
+    return this.kernels.f32(this.still![column], this.capacity * WIDTHS[column]);
+  }
+
+  // -------------------------------------------------------------------------------------------------------------- looks
+
+  /** End `ids` at media frame `frame`; those that were shown until now. */
+  remove(frame: number, ids: Int32Array): Int32Array {
+    this.made();
+    for (const id of ids) this.removedAt[id] = Math.max(this.removedAt[id]!, frame);
+    const gone = ids.filter((id) => this.sources[id]! < frame);
+    this.release(gone);
+    const logits = this.column("logit_opacities");
+    for (const id of gone) {
+      this.owners![id] = -1;
+      logits[id] = ABSENT_LOGIT; // what an update says of splats that are to come stays
+    }
+    return gone;
+  }
+
+  /** Show a tile of looks at `lod`: `splats` [n] by `ids` [n]. The ids of those that are its to show. */
+  write(slot: HeldLooks, lod: number, ids: Int32Array, splats: Splats): Int32Array {
+    this.made();
+    slot.ids = ids;
+    slot.rows = undefined;
+    const chosen: number[] = [];
+    const claimed: number[] = [];
+    for (let i = 0; i < ids.length; i++) {
+      const mine = this.owners![ids[i]!] === slot.index;
+      const newer = !mine && this.yields(slot, ids[i]!);
+      if (newer) claimed.push(ids[i]!);
+      if (mine || newer) chosen.push(i);
+    }
+    this.release(claimed);
+    for (const id of claimed) {
+      this.owners![id] = slot.index;
+      this.sources[id] = slot.frame;
+    }
+    slot.owned += claimed.length;
+    const rows = Int32Array.from(chosen, (i) => ids[i]!);
+    this.put(slot, rows, chosen, splats);
+    slot.shownLod = lod;
+    if (!slot.owned) this.onReplaced(slot);
+    return rows;
+  }
+
+  /** Whether a row is of an older frame, or of a later tile of the frame of `slot`. */
+  private yields(slot: HeldLooks, id: number): boolean {
+    const source = this.sources[id]!;
+    if (source < slot.frame) return this.removedAt[id]! <= slot.frame;
+    const owner = this.owners![id]!;
+    return source === slot.frame && owner >= 0 && tileOf(this.slots[owner]!.key) > tileOf(slot.key);
+  }
+
+  /** Looks of `slot`; what updates of its frame and of later ones changed stays. */
+  private put(slot: HeldLooks, rows: Int32Array, chosen: readonly number[], splats: Splats): void {
+    const moving = this.touch(slot);
+    for (const name of COLUMNS) {
+      const [target, width, values] = [this.column(name), this.width(name), splats[name]];
+      const still = isMoving(name) ? this.stillColumn(name) : undefined;
+      const base = still ?? target;
+      const updated = isUpdatable(name) ? this.updated[name] : undefined;
+      for (let k = 0; k < rows.length; k++) {
+        const row = rows[k]!;
+        const [to, from] = [row * width, chosen[k]! * width];
+        if (!updated || updated[row]! < slot.frame) {
+          for (let d = 0; d < width; d++) base[to + d] = values[from + d]!;
+          if (updated) updated[row] = -1;
+        }
+        if (still && !moving) for (let d = 0; d < width; d++) target[to + d] = still[to + d]!;
+      }
+    }
+  }
+
+  /** Something of `slot` changed; whether it is for {@link move} to show its moving columns. */
+  private touch(slot: HeldLooks): boolean {
+    const motion = this.motions.get(slot.key);
+    if (!motion) return false;
+    motion.dirty = true;
+    return motion.shown !== undefined;
+  }
+
+  /** These rows leave the tiles that own them. */
+  private release(rows: Iterable<number>): void {
+    const counts = new Map<number, number>();
+    for (const row of rows) {
+      const owner = this.owners![row]!;
+      if (owner >= 0) counts.set(owner, (counts.get(owner) ?? 0) + 1);
+    }
+    for (const index of [...counts.keys()].sort((a, b) => a - b)) {
+      const slot = this.slots[index]!;
+      slot.rows = undefined;
+      slot.owned -= counts.get(index)!;
+      if (!slot.owned) this.onReplaced(slot);
+    }
+  }
+
+  // ------------------------------------------------------------------------------------------------------------ updates
+
+  /** Take an update of media frame `frame`; the rows that changed. */
+  update(frame: number, values: UpdateValues): Int32Array {
+    this.made();
+    const taken = [...values].map(([column, { ids, values: all }]) => {
+      const chosen = [...ids.keys()].filter((i) => this.takes(frame, column, ids[i]!));
+      return { column, chosen, ids: chosen.map((i) => ids[i]!), all };
+    });
+    const out = new Set<number>();
+    for (const { ids } of taken) for (const id of ids) if (this.owners![id]! >= 0) out.add(id);
+    const owners = new Set([...out].map((row) => this.owners![row]!));
+    const moving = new Set([...owners].filter((index) => this.touch(this.slots[index]!)));
+    for (const { column, chosen, ids, all } of taken) this.takeColumn(frame, column, ids, chosen, all, moving);
+    return Int32Array.from(out).sort();
+  }
+
+  private takeColumn(
+    frame: number, column: UpdateColumn, ids: number[], chosen: number[], values: Float32Array, moving: ReadonlySet<number>,
+  ): void {
+    const [target, width] = [this.column(column), this.width(column)];
+    const still = isMoving(column) ? this.stillColumn(column) : undefined;
+    ids.forEach((id, k) => {
+      this.updated[column][id] = frame;
+      const owner = this.owners![id]!;
+      const here = !still || (owner >= 0 && !moving.has(owner));
+      for (let d = 0; d < width; d++) {
+        const value = values[chosen[k]! * width + d]!;
+        if (still) still[id * width + d] = value;
+        if (here) target[id * width + d] = value;
+      }
+    });
+  }
+
+  private takes(frame: number, column: UpdateColumn, id: number): boolean {
+    return this.updated[column][id]! <= frame && this.sources[id]! <= frame && this.removedAt[id]! <= frame;
+  }
+
+  /** Whether the update of `frame` of columns' `idsOf` is the newest for any splat that is there or may come; with `shown`:
+   * for any that is there at the time shown. */
+  uses(frame: number, idsOf: ReadonlyMap<string, Int32Array>, shown = false): boolean {
+    const logits = this.column("logit_opacities");
+    for (const [column, ids] of idsOf) {
+      const updated = this.updated[column as UpdateColumn];
+      const used = ids.some((id) => {
+        if (updated[id] !== frame || this.removedAt[id]! > frame) return false;
+        return !shown || (this.owners![id]! >= 0 && logits[id]! > ABSENT_LOGIT);
+      });
+      if (used) return true;
+    }
+    return false;
+  }
+
+  // ------------------------------------------------------------------------------------------------------------- motion
+
+  /** Take the motion of the splats of tile `looks` from media frame `start` on, or more of its levels. */
+  setMotion(looks: Key, start: number, chunk: Chunk): void {
+    let motion = this.motions.get(looks);
+    if (!motion) this.motions.set(looks, (motion = new Motion()));
+    motion.chunks.set(start, { chunk, end: start + endOf(chunk) });
+    motion.dirty = true;
+  }
+
+  /** Nothing of tile `looks` moves any more. */
+  dropMotion(looks: Key): void {
+    this.motions.get(looks)?.dispose();
+    this.motions.delete(looks);
+  }
+
+  /** Forget chunks that later ones have followed by `time`, each by its looks and first frame. */
+  dropPast(time: number): (readonly [Key, number])[] {
+    const gone: (readonly [Key, number])[] = [];
+    for (const [looks, motion] of this.motions) {
+      const start = motion.chunks.size < 2 ? undefined : motion.start(time);
+      if (start === undefined) continue;
+      for (const first of [...motion.chunks.keys()].filter((f) => f < start)) {
+        motion.chunks.delete(first);
+        gone.push([looks, first]);
+      }
+    }
+    return gone;
+  }
+
+  /** First media frame of the chunk that moves the splats of tile `looks` at the time shown. */
+  moves(looks: Key): number | undefined {
+    return this.motions.get(looks)?.shown?.[0];
+  }
+
+  /** Show every splat where it is at `time` (media frames); the rows that changed, tile by tile. */
+  move(time: number): Int32Array[] {
+    const tiles: MovingTile[] = [];
+    for (const [looks, motion] of this.motions) {
+      const slot = this.byKey.get(looks);
+      const start = slot?.owned && slot.steps ? motion.start(time) : undefined;
+      if (!slot || start === undefined || motion.settled(start, time)) continue;
+      slot.rows ??= slot.ids.map((id) => (this.owners![id] === slot.index ? id : -1));
+      tiles.push(motion.tileAt(this.kernels, start, time, slot));
+      const { chunk, end } = motion.chunks.get(start)!;
+      slot.ended = time >= end && endsAll(chunk);
+      motion.shown = [start, time];
+      motion.dirty = false;
+    }
+    if (!tiles.length) return [];
+    const columns = this.made();
+    const from = { means: this.still!.means, quats: this.still!.quats, logits: this.still!.logit_opacities };
+    const into = { means: columns.means, quats: columns.quats, logits: columns.logit_opacities };
+    moveRows(this.kernels, tiles, this.capacity, from, into);
+    return tiles.map((tile) => tile.rows);
+  }
+}
+
+function isMoving(name: string): name is Moving {
+  return (MOVING as readonly string[]).includes(name);
+}
+
+function isUpdatable(name: string): name is UpdateColumn {
+  return (UPDATE_COLUMNS as readonly string[]).includes(name);
+}
+
+function blank(values: Float32Array, column: ColumnName): void {
+  values.fill(column === "log_scales" ? -10 : column === "logit_opacities" ? ABSENT_LOGIT : 0);
+  if (column === "quats") for (let i = 0; i < values.length; i += 4) values[i] = 1;
+}

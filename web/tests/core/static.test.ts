@@ -1,0 +1,98 @@
+import assert from "node:assert/strict";
+import { after, test } from "node:test";
+import { setTimeout as sleep } from "node:timers/promises";
+import { crc32 } from "../../src/bytes/crc32.ts";
+import type { ConnectOptions, SourceEvent } from "../../src/seam.ts";
+import { type Fetch, StaticSource } from "../../src/source/static.ts";
+import { draco, kernels, vectors } from "./vectors.ts";
+
+const url = process.env["CAGS_FOLDER"]!;
+const expected = vectors<{ ids: number[]; columns: Record<string, number> }[]>("expected");
+const decoders = { kernels: await kernels(), draco: await draco() };
+const OPTIONS: ConnectOptions = {
+  intrinsics: { widthPx: 400, heightPx: 300, fxPx: 60, fyPx: 60, cxPx: 200, cyPx: 150 },
+  pose: { position: [0, 0, 0], rotation: [1, 0, 0, 0] },
+};
+
+type Events = SourceEvent[];
+
+const sources: StaticSource[] = [];
+after(() => sources.forEach((source) => source.close()));
+
+function opened(fetchAt?: Fetch): StaticSource {
+  const source = new StaticSource(decoders, fetchAt);
+  sources.push(source);
+  return source;
+}
+
+async function until(what: string, found: () => unknown): Promise<void> {
+  for (let tries = 0; tries < 1000 && !found(); tries++) await sleep(10);
+  assert.ok(found(), `${what} did not come`);
+}
+
+function whole(events: Events, frame: number): boolean {
+  return events.some((event) => event.type === "whole" && event.frame === frame);
+}
+
+/** Show `frame` until everything of it is there; what is shown then. */
+async function complete(source: StaticSource, frame: number): Promise<{ ids: number[]; columns: Record<string, number> }> {
+  for (let tries = 0; ; tries++) {
+    const { full, missed } = await source.frame({ frame });
+    if (full && !missed) break;
+    assert.ok(tries < 1000, `all of frame ${frame} did not come`);
+    await sleep(10);
+  }
+  const { buffer } = (source as unknown as { scene: { store: { onDisplay: { buffer: import("../../src/store/splatBuffer.ts").SplatBuffer } } } }).scene.store.onDisplay;
+  const logits = buffer.column("logit_opacities");
+  const ids = [...logits.keys()].filter((id) => logits[id]! > -30);
+  const names = ["means", "quats", "log_scales", "logit_opacities", "sh0", "sh_rest"] as const;
+  const columns = names.map((name) => {
+    const [column, width] = [buffer.column(name), buffer.width(name)];
+    const rows = Float32Array.from(ids.flatMap((id) => [...column.subarray(id * width, (id + 1) * width)]));
+    return [name, crc32(new Uint8Array(rows.buffer))] as const;
+  });
+  return { ids, columns: Object.fromEntries(columns) };
+}
+
+test("a folder plays to its end, seeks, and shows the bundle in full", { timeout: 60_000 }, async () => {
+  const events: Events = [];
+  const asked: string[] = [];
+  const counting: Fetch = (at, init) => {
+    asked.push(`${at} ${new Headers(init?.headers).get("range") ?? ""}`);
+    return fetch(at, init);
+  };
+  const source = opened(counting);
+  source.connect(url, OPTIONS, (event) => events.push(event));
+  await until("frame 0", () => whole(events, 0));
+  assert.equal(events.findIndex((event) => event.type === "info") < events.findIndex((event) => event.type === "whole"), true);
+  source.control({ action: "pause", frame: 0, atUs: 0 });
+  for (let frame = 0; frame < expected.length; frame++) {
+    await until(`frame ${frame}`, () => whole(events, frame));
+    assert.deepEqual(await complete(source, frame), expected[frame], `frame ${frame}`);
+    await source.frame({ frame, share: 0.5 });
+  }
+  const ends = events.filter((event) => event.type === "whole").map((event) => event.frame);
+  assert.deepEqual(ends, [...ends].sort((a, b) => a - b));
+  assert.ok(!source.keeps(0));
+  source.control({ action: "seek", frame: 3, atUs: 0 });
+  assert.ok(events.some((event) => event.type === "flushed"));
+  assert.deepEqual(await complete(source, 3), expected[3]);
+  assert.ok(source.keeps(1));
+  source.control({ action: "seek", frame: 1, atUs: 0 });
+  assert.deepEqual(await complete(source, 1), expected[1]);
+  assert.equal(asked.filter((request) => request.includes("manifest.json")).length, 1);
+  assert.ok(asked.length < 120, `${asked.length} requests`);
+});
+
+test("a host that is away for a while is asked again; one without the scene is told of", { timeout: 30_000 }, async () => {
+  const events: Events = [];
+  let failures = 3;
+  const source = opened((at, init) => (failures-- > 0 ? Promise.reject(new TypeError("away")) : fetch(at, init)));
+  source.connect(url, OPTIONS, (event) => events.push(event));
+  await until("frame 0", () => whole(events, 0));
+  assert.deepEqual(events.filter((event) => event.type === "error").map((event) => event.error.fatal), [false]);
+
+  const missing: Events = [];
+  opened().connect(`${url}nothing/`, OPTIONS, (event) => missing.push(event));
+  await until("an error", () => missing.some((event) => event.type === "error" && event.error.fatal));
+});
