@@ -39,8 +39,7 @@ class ClientSettings:
     )
     restore: str = setting(
         "correct",
-        "what is done with references: correct adds what they say is lacking, none nothing; to compare with: reference "
-        "(the aligned picture alone), srresnet (or NETWORK@RUNTIME)",
+        "what is done with references: correct adds what they say the picture lacks, none ignores them",
     )
     align: str = setting("fast", "aligner of pictures for restorers: fast, reference, unaligned or rotation")
     erosion: bool = setting(True, "fill occluded pixels of the aligned picture from their clean neighbours")

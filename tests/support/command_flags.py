@@ -28,7 +28,7 @@ def flags_of(command: str, part: str = "") -> frozenset[str]:
 @cache
 def parts() -> dict[str, tuple[str, ...]]:
     from cags_bench.cli import SUBCOMMANDS as EXPERIMENTS
-    from cags_training.cli import SUBCOMMANDS as TRAININGS
+    from cags_research.training.cli import SUBCOMMANDS as TRAININGS
 
     return {"cags-bench": tuple(EXPERIMENTS), "cags-train": tuple(TRAININGS)}
 
