@@ -41,11 +41,18 @@ class ClientSettings:
         "correct",
         "what is done with references: correct adds what they say the picture lacks, none ignores them",
     )
-    align: str = setting("fast", "aligner of pictures for restorers: fast, reference, unaligned or rotation")
-    erosion: bool = setting(True, "fill occluded pixels of the aligned picture from their clean neighbours")
+    align: str = setting(
+        "fast", "aligner of pictures for restorers: fast, reference, unaligned or rotation", research=True
+    )
+    erosion: bool = setting(
+        True, "fill occluded pixels of the aligned picture from their clean neighbours", research=True
+    )
     chroma: str = setting("yuv444p", "finest colour sampling of references to ask for", choices=CHROMAS)
     effects: str = setting(
-        NEEDED, "work of a frame: what the scene and the moment need, or always everything", choices=POLICIES
+        NEEDED,
+        "work of a frame: what the scene and the moment need, or always everything",
+        choices=POLICIES,
+        research=True,
     )
     threads: int = setting(2, "threads of a render, and of decoding tiles", low=1, high=256)
     reference_age: int = setting(

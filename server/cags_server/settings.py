@@ -37,6 +37,7 @@ class ServerSettings:
         CLIENT,
         "how references are drawn: as the client sees the splats (client), or as any picture of their size (plain)",
         choices=(CLIENT, PLAIN),
+        research=True,
     )
     reference_every: int = setting(
         1, "media frames for one reference picture; more save rendering and cost quality", low=1, high=30
@@ -52,7 +53,9 @@ class ServerSettings:
     reference_kbps: int | None = setting(
         None, "cap of the reference video's rate, kilobits a second; none when not given", low=10, high=1_000_000
     )
-    reference_full_size: bool = setting(False, "references as large as the client's display (remote rendering)")
+    reference_full_size: bool = setting(
+        False, "references as large as the client's display (remote rendering)", research=True
+    )
     reference_share: float = setting(
         0.4, "share of the link that the reference video is to take at most; its quality follows", low=0.01, high=1
     )
