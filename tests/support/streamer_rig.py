@@ -82,14 +82,13 @@ class Rig:
         self.streamer.on_event(ev.PosesReceived(samples, OFFSET_US + times_us[-1]), OFFSET_US + times_us[-1])
 
     def step(self, late_us: int = 0, *, deliver: bool = True) -> list[ev.Outgoing]:
-        """Plan and finish the next due frame."""
+        """Plan and finish the next due frame, which has a render or not."""
         due = self.streamer.next_due_us()
         assert due is not None
         self.now_us = due + late_us
         job = self.streamer.begin(self.now_us)
-        assert job is not None
         self.take_marks()
-        out = self.streamer.finish(job.run(), self.now_us)
+        out = self.catch_up(self.now_us) if job is None else self.streamer.finish(job.run(), self.now_us)
         self.take_marks()
         if deliver:
             self.deliver(out)

@@ -20,7 +20,7 @@ from cags_common.motion.knots import I32, knots
 from cags_common.motion.symbols import SymbolReader, SymbolWriter, fade_tables, life_tables
 from cags_common.packing import squeeze, unsqueeze
 
-VERSION = 4
+VERSION = 5
 LEVELS = 3
 REFINEMENT = 4
 """A level's unit is so many times the next one's."""
@@ -38,9 +38,12 @@ MAX_UNIT = 1e30
 MAX_UNITS = (1 << 25) - (1 << 10)
 """Residuals, finest units: fixed point fits 32 bits."""
 
-STARTS, TURNS, LIVES, FADES, MOVES = 1, 2, 4, 8, 16
+STARTS, TURNS, LIVES, FADES, MOVES, STILLS = 1, 2, 4, 8, 16, 32
 DEADZONES = (0.2, 0.1, 0.15)
 """Of each level, units beyond half a one up to which a residual is none: most of the bits tell such noise."""
+
+FEW_STILL = 0.1
+"""Share of splats that keep their places up to which nothing is said of them."""
 
 FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
 """Standard deviations of a fade, frames; index 0 of the payload stands for none."""
@@ -48,10 +51,10 @@ FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
 FADE_STEP = 4
 """Centres of fades are in this part of their width."""
 
-_HEAD = struct.Struct("<BBBBIIIHBBfIII")
+_HEAD = struct.Struct("<BBBBIIIHBBfIIII")
 """Version, flags, span, levels, looks' frame and tile, splats, block, halvings of the units of
 positions and of rotations, metres a unit of the blocks' shifts, bytes of the
-blocks, of the escapes' and of the symbols.
+blocks, of who moves, of the escapes' and of the symbols.
 """
 TURN_UNIT = 1 / 4096
 """Unit of the blocks' rotations: Gibbs vectors, tangents of half the angle."""
@@ -119,6 +122,10 @@ def encode(
     flags = STARTS * starts | MOVES * (moves is not None) | TURNS * (turns is not None)
     flags |= LIVES * (lives is not None) | FADES * (fades is not None)
     levels = {"moves": told[0], "turns": told[1]}
+    movers = _movers(left, levels)
+    if movers is not None:
+        flags |= STILLS
+        left = {name: np.ascontiguousarray(part[:, movers]) for name, part in left.items()}
     apart = {name: np.zeros(part.shape, np.uint8) for name, part in left.items()}
     payloads = []
     for level in range(LEVELS):
@@ -133,16 +140,27 @@ def encode(
         escapes, symbols = writer.to_bytes()
         sizes = len(escapes), len(symbols)
         if level == 0:
-            rigid = _blocks_bytes(blocks)
-            size, metres = (blocks.size, blocks.unit) if blocks else (0, 0.0)
-            head = (
-                _HEAD.pack(VERSION, flags, span, LEVELS, *looks, splats, size, *finer, metres, len(rigid), *sizes)
-                + rigid
-            )
+            rigid, who = _blocks_bytes(blocks), b"" if movers is None else squeeze(np.packbits(movers).tobytes())
+            block = (blocks.size, *finer, blocks.unit) if blocks else (0, *finer, 0.0)
+            parts = len(rigid), len(who), *sizes
+            head = _HEAD.pack(VERSION, flags, span, LEVELS, *looks, splats, *block, *parts) + rigid + who
         else:
             head = struct.pack("<I", len(escapes))
         payloads.append(head + escapes + symbols)
     return tuple(payloads)
+
+
+def _movers(left: dict[str, F64], levels: dict[str, int]) -> NDArray[np.bool_] | None:
+    """[n] splats of which a level says anything; None where they are nearly all.
+
+    Nothing is said where every residual falls into the dead zone, in whatever level.
+    """
+    moves = np.zeros(next(iter(left.values())).shape[1], bool)
+    for name, part in left.items():
+        zones = [REFINEMENT ** (LEVELS - 1 - level) * (0.5 + DEADZONES[level]) for level in range(levels[name])]
+        if zones:
+            moves |= (np.abs(part) >= min(zones)).any(axis=(0, 2))
+    return moves if moves.sum() < (1 - FEW_STILL) * len(moves) else None
 
 
 def _bounds(given: dict[str, F64]) -> tuple[int, int]:
@@ -204,9 +222,12 @@ class ChunkDecoder:
 
     def __init__(self, payload: bytes | memoryview, *, native: bool | None = None) -> None:
         """Decode level 0; ``native`` None takes the kernel where there is one. Raises :class:`DecodeError`."""
-        head, rigid, escapes, symbols = _sections(payload)
-        self._native, self._told = native, _Told.of(head)
-        self.chunk, self.levels = _opened(head, rigid, SymbolReader(escapes, symbols, native=native), self._told), 1
+        head, rigid, who, escapes, symbols = _sections(payload)
+        self._native, self._movers = native, _read_movers(head, who)
+        self._trees: tuple[I32 | None, ...] = ()  # [span + 1, movers, c] of positions and of rotations, as far as told
+        self._told = _Told.of(head, head.splats if self._movers is None else len(self._movers))
+        reader = SymbolReader(escapes, symbols, native=native)
+        self.chunk, self.levels = self._opened(head, rigid, reader), 1
 
     @property
     def looks(self) -> tuple[int, int]:
@@ -215,10 +236,7 @@ class ChunkDecoder:
 
     def fork(self) -> ChunkDecoder:
         """Another decoder of what has come; what is added to one of the two does not change the other."""
-        other = copy(self)
-        moves, turns = (None if part is None else part.copy() for part in (self.chunk.moves, self.chunk.turns))
-        other.chunk = replace(self.chunk, moves=moves, turns=turns)
-        return other
+        return copy(self)
 
     def add_level(self, payload: bytes | memoryview) -> None:
         """Take the next level. Raises :class:`DecodeError`, and then nothing is changed."""
@@ -230,13 +248,39 @@ class ChunkDecoder:
             raise DecodeError("motion: a level's escapes are cut short")
         reader = SymbolReader(view[4:escapes], view[escapes:], native=self._native)
         chunk, told = self.chunk, self._told.copy()
-        moves, turns = _read_trees(reader, chunk, self.levels, told)
+        more = _read_trees(reader, chunk, self.levels, told)
         reader.finish()
         self._told = told
-        for have, more in ((chunk.moves, moves), (chunk.turns, turns)):
-            if have is not None and more is not None:
-                np.add(have, more, out=have)
+        self._trees = tuple(
+            tree if tree is None or finer is None else np.add(tree, finer)
+            for tree, finer in zip(self._trees, more, strict=True)
+        )
+        self.chunk = self._with_trees(chunk)
         self.levels += 1
+
+    def _opened(self, head: _Head, rigid: memoryview, reader: SymbolReader) -> Chunk:
+        n = head.splats
+        lives = reader.plain(life_tables(n)) if head.has(LIVES) else None
+        if lives is not None and int(lives.max(initial=0)) > head.span + 1:
+            raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
+        fades = _read_fades(reader, head, lives) if head.has(FADES) else None
+        blocks = _read_blocks(head, rigid)
+        blank = Chunk(head.looks, head.span, n, lives, fades, blocks, None, None, head.has(STARTS), head.finer)
+        self._trees = _read_trees(reader, blank, 0, self._told)
+        reader.finish()
+        return self._with_trees(blank)
+
+    def _with_trees(self, chunk: Chunk) -> Chunk:
+        moves, turns = (self._of_all(tree, chunk.splats) for tree in self._trees)
+        return replace(chunk, moves=moves, turns=turns)
+
+    def _of_all(self, tree: I32 | None, splats: int) -> I32 | None:
+        """``tree`` [span + 1, movers, c] as of all splats [span + 1, n, c]."""
+        if tree is None or self._movers is None:
+            return tree
+        out = np.zeros((len(tree), splats, tree.shape[2]), np.int32)
+        out[:, self._movers] = tree
+        return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,13 +301,13 @@ class _Head:
 class _Told:
     """Where a level that was read had residuals; None where there are none."""
 
-    moves: NDArray[np.uint8] | None  # [span + 1, n, 3]
-    turns: NDArray[np.uint8] | None  # [span + 1, n, 4]
+    moves: NDArray[np.uint8] | None  # [span + 1, m, 3] of those that move
+    turns: NDArray[np.uint8] | None  # [span + 1, m, 4]
 
     @staticmethod
-    def of(head: _Head) -> _Told:
+    def of(head: _Head, movers: int) -> _Told:
         """Nowhere yet."""
-        shape = head.span + 1, head.splats
+        shape = head.span + 1, movers
         kinds = ((MOVES, 3), (TURNS, 4))
         return _Told(*(np.zeros((*shape, parts), np.uint8) if head.has(flag) else None for flag, parts in kinds))
 
@@ -277,34 +321,33 @@ def read_looks(payload: bytes | memoryview) -> tuple[int, int]:
     return _sections(payload)[0].looks
 
 
-def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryview, memoryview]:
+def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryview, memoryview, memoryview]:
     view = memoryview(payload)
     if len(view) < _HEAD.size:
         raise DecodeError(f"motion: {len(view)} bytes are too few for a chunk")
     version, flags, span, levels, frame, tile, splats, block, finer, finer_turns, unit, *sizes = _HEAD.unpack_from(view)
-    if version != VERSION or levels != LEVELS or flags & ~(STARTS | TURNS | LIVES | FADES | MOVES):
+    if version != VERSION or levels != LEVELS or flags & ~(STARTS | TURNS | LIVES | FADES | MOVES | STILLS):
         raise DecodeError(f"motion: version {version}, {levels} levels, flags {flags}; this program reads {VERSION}")
     small = splats <= MAX_SPLATS and splats * (span + 1) <= MAX_SAMPLES
     bounds = 1 <= span <= MAX_SPAN and small and block <= MAX_BLOCK and 0.0 <= unit <= MAX_UNIT
     bounds = bounds and max(finer, finer_turns) <= MAX_FINER
     if not bounds or sum(sizes) != len(view) - _HEAD.size:
         raise DecodeError(f"motion: claims a span of {span}, {splats} splats, {sum(sizes)} bytes; beyond bounds")
-    rigid, escapes = _HEAD.size + sizes[0], _HEAD.size + sizes[0] + sizes[1]
+    rigid = _HEAD.size + sizes[0]
+    who = rigid + sizes[1]
+    escapes = who + sizes[2]
     head = _Head(flags, span, (frame, tile), splats, block, (finer, finer_turns), unit)
-    return head, view[_HEAD.size : rigid], view[rigid:escapes], view[escapes:]
+    return head, view[_HEAD.size : rigid], view[rigid:who], view[who:escapes], view[escapes:]
 
 
-def _opened(head: _Head, rigid: memoryview, reader: SymbolReader, told: _Told) -> Chunk:
-    n = head.splats
-    lives = reader.plain(life_tables(n)) if head.has(LIVES) else None
-    if lives is not None and int(lives.max(initial=0)) > head.span + 1:
-        raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
-    fades = _read_fades(reader, head, lives) if head.has(FADES) else None
-    blocks = _read_blocks(head, rigid)
-    blank = Chunk(head.looks, head.span, n, lives, fades, blocks, None, None, head.has(STARTS), head.finer)
-    moves, turns = _read_trees(reader, blank, 0, told)
-    reader.finish()
-    return replace(blank, moves=moves, turns=turns)
+def _read_movers(head: _Head, who: memoryview) -> NDArray[np.intp] | None:
+    """Rows [m] of the splats of which levels speak; None: of all. Raises :class:`DecodeError`."""
+    if not head.has(STILLS):
+        if len(who):
+            raise DecodeError("motion: says who moves, and that all do")
+        return None
+    raw = unsqueeze(who, -(-head.splats // 8), "motion: who moves")
+    return np.flatnonzero(np.unpackbits(np.frombuffer(raw, np.uint8), count=head.splats))
 
 
 def _read_trees(reader: SymbolReader, chunk: Chunk, level: int, told: _Told) -> tuple[I32 | None, I32 | None]:

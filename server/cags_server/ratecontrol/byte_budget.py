@@ -75,6 +75,11 @@ class ByteBudget:
         """How long the oldest unsettled tile has been on its way."""
         return now_us - next(iter(self._travelling.values()), now_us)
 
+    @property
+    def outstanding_bytes(self) -> int:
+        """Planned, and not known to have arrived."""
+        return self._outstanding_bytes
+
     def open(self, record: FrameRecord, allowed_bps: float, period_us: float) -> int:
         """What the tiles of ``record``'s frame may take; its reference is paid for first."""
         seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * period_us / 1e6

@@ -66,7 +66,7 @@ class UtilityPolicy:
     def decide(self, observation: Observation) -> Decision:
         """See :class:`~cags_server.ratecontrol.base.RatePolicy`."""
         plan = Plan(observation)
-        errors = _errors(observation)
+        errors = errors_of(observation)
         runs = _with_their_looks(run for tile in observation.tiles for run in _runs(observation, tile, errors))
         for run in runs:
             while plan.depth(run.tile) < run.to_lod and plan.raise_once(run.tile):
@@ -89,7 +89,7 @@ def _with_their_looks(every: Iterable[_Run]) -> list[_Run]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Errors:
+class Errors:
     """Squared errors relative to that of a base layer."""
 
     lods: tuple[float, ...]
@@ -98,11 +98,12 @@ class _Errors:
     """Of the looks that the client holds, in the mean over the picture."""
 
 
-def _errors(observation: Observation) -> _Errors:
+def errors_of(observation: Observation) -> Errors:
+    """What the bundle's measured gains say of each LoD, and of what the client holds now."""
     lods = _distortions(observation)
     looks = [tile for tile in observation.tiles if tile.kind == TileKind.LOOKS and tile.depth]
     weight = sum(tile.weight for tile in looks)
-    return _Errors(lods, sum(tile.weight * lods[tile.depth - 1] for tile in looks) / weight if weight else 1.0)
+    return Errors(lods, sum(tile.weight * lods[tile.depth - 1] for tile in looks) / weight if weight else 1.0)
 
 
 def _distortions(observation: Observation) -> tuple[float, ...]:
@@ -126,7 +127,7 @@ def _frames_left(tile: TileView) -> float:
     return max(tile.frames_left, 1.0)
 
 
-def _absent(tile: TileView, held: float) -> float:
+def absent(tile: TileView, held: float) -> float:
     """Squared error without the tile, relative to that of its base layer, as a mean over the frames that it has left.
 
     What moves is taken to wander: its squared error grows with the time for which it has been stale, up to a hole's.
@@ -143,7 +144,7 @@ def _ratio(db: float) -> float:
     return float(10.0 ** (db / 10.0))
 
 
-def _left(tile: TileView, distortions: tuple[float, ...]) -> tuple[float, ...]:
+def left_by(tile: TileView, distortions: tuple[float, ...]) -> tuple[float, ...]:
     """Squared error of what ``tile`` brings up to each of its LoDs."""
     if tile.kind == TileKind.MOTION:
         finest = tile.max_depth - 1
@@ -156,12 +157,12 @@ def _left(tile: TileView, distortions: tuple[float, ...]) -> tuple[float, ...]:
     return distortions[: tile.max_depth]
 
 
-def _runs(observation: Observation, tile: TileView, errors: _Errors) -> list[_Run]:
+def _runs(observation: Observation, tile: TileView, errors: Errors) -> list[_Run]:
     """The tile's missing layers as runs of falling slope."""
     early = max(tile.frame - observation.frame, 0)
     value = tile.weight * _frames_left(tile) * max(1.0 - early / AHEAD_FRAMES, 0.0)
-    levels = _left(tile, errors.lods)
-    held = (_absent(tile, errors.held), *levels)[tile.depth]
+    levels = left_by(tile, errors.lods)
+    held = (absent(tile, errors.held), *levels)[tile.depth]
     layered, overhead = observation.layered, observation.message_overhead_bytes
     left = levels[tile.depth :]
     hull = _hull(tile.lod_bytes, tile.depth, held, left, overhead=overhead, layered=layered)

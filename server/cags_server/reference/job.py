@@ -9,6 +9,7 @@ import numpy as np
 
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderOptions
+from cags_protocol.messages import ReferenceKind
 from cags_server.predict.base import PoseDistribution
 from cags_server.records import Ahead
 from cags_server.reference.coder import Coded, ReferenceCoder
@@ -35,7 +36,9 @@ class FramePlan:
     horizon_us: int
     predicted: PoseDistribution
     margins: tuple[float, float]
-    idr: bool
+    speaks: bool = True
+    """Whether a reference is made of it; else it is drawn, if at all, to see which splats are visible."""
+    idr: bool = False
     basis: int = 0
     """Number of the mark that the reference assumes."""
     greets: bool = False
@@ -90,7 +93,7 @@ class FrameJob:
         rendered = clock()
         held = self._held(options)
         mirrored = clock()
-        coded = self.coder.code(view.rgb, held, idr=self.plan.idr)
+        coded = self.coder.code(view.rgb, held, idr=self.plan.idr) if self.plan.speaks else Coded(ReferenceKind.NOTHING)
         return FrameRender(
             plan=self.plan,
             intrinsics=self.camera.intrinsics,

@@ -51,6 +51,7 @@ class Schedule:
         self._blind_tick = -1  # newest frame that was served without a render
         self._rendered_tick: int | None = None  # newest frame that a render was begun for
         self._render_covers = 1
+        self._served_ahead = 0  # newest tick whose tiles were chosen
 
     def controlled(self, control: Control, now_us: int, rtt_us: int) -> None:
         """The viewer plays, pauses, seeks or changes speed: ticks are counted anew."""
@@ -59,7 +60,7 @@ class Schedule:
         self.timeline = self.timeline.controlled(control)
         self._controlled = True
         self.generation += 1
-        self._from_tick, self._blind_tick, self._rendered_tick = 0, -1, None
+        self._count_anew()
 
     def lead_us(self, rtt_us: int) -> float:
         """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
@@ -73,7 +74,10 @@ class Schedule:
             due_us = self._clock.to_server(t.display_us(self.next_tick))
             if due_us - now_us > JUMP_US + MAX_LEAD_STRETCH * self._lead_frames * t.period_us:
                 self.timeline = replace(t, at_us=self._clock.to_client(now_us))
-                self._from_tick, self._blind_tick, self._rendered_tick = 0, -1, None
+                self._count_anew()
+
+    def _count_anew(self) -> None:
+        self._from_tick, self._blind_tick, self._rendered_tick, self._served_ahead = 0, -1, None, 0
 
     def media_frame(self, tick: int) -> int | None:
         """While paused the viewer still moves: the same frame is planned again and again. None past the end."""
@@ -91,10 +95,14 @@ class Schedule:
         return min(tick, last) if last >= self._from_tick else tick
 
     def ahead(self, tick: int) -> int:
-        """The tick whose tiles go out with the reference of ``tick``; at most the last one of the clip."""
+        """The tick whose tiles go out with the reference of ``tick``; at most the last one of the clip.
+
+        It never falls: a client that displays more frames than before would else be taken to have gone back.
+        """
         t, after = self.timeline, tick
         for _ in range(self._tiles_ahead):
             after = next_displayed(after + 1, self.cadence_permille)
+        after = max(after, self._served_ahead)
         return after if t.loop or not t.playing else max(tick, min(after, t.frames - 1 - t.frame))
 
     @property
@@ -140,11 +148,11 @@ class Schedule:
         periods, leads = SEEN_GRACE if unserved is None else RENDER_GRACE
         return due_us + round(min(periods * period_us, leads * lead_us))
 
-    def between_references(self, *, seen: bool) -> bool:
-        """Whether the next frame is one of those that get no reference of their own."""
+    def between_renders(self, every: int, *, seen: bool) -> bool:
+        """Whether the next frame is one of those that are not rendered, where one of ``every`` frames is."""
         if self.rendering or self._rendered_tick is None or self.next_frame is None:
             return False
-        return seen and self.next_tick < self._rendered_tick + self._reference_every
+        return seen and self.next_tick < self._rendered_tick + every
 
     @property
     def begun(self) -> bool:
@@ -183,6 +191,7 @@ class Schedule:
         """``tick`` is planned, and with it all before it are done; how many those are, it included."""
         covered = tick - self._from_tick + 1
         self._from_tick = tick + 1
+        self._served_ahead = self.ahead(tick)
         return covered
 
     def is_out(self, tick: int) -> bool:

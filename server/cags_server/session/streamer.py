@@ -18,12 +18,14 @@ from cags_server.fov import widened
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.bandwidth.base import BandwidthEstimator
 from cags_server.ratecontrol.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
+from cags_server.ratecontrol.outlook import lacking_bytes
 from cags_server.records import Ahead, FrameRecord, StreamStats
 from cags_server.reference.budget import ReferenceBudget
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.mirror import Mirror
 from cags_server.reference.video import ReferenceVideo
+from cags_server.reference.worth import Worth
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.session.pace import MARGIN_US
@@ -37,6 +39,12 @@ from cags_server.visibility.visibility import Visibility
 
 MARK_EVERY_US = 30_000
 """While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
+
+LOOK_EVERY = 3
+"""Frames from one render to the next where no reference is made of them: they tell which splats are seen."""
+
+REFERENCE_WORK = 3
+"""A reference takes so many times what a render without one does: the mirror is drawn too, and the outcome coded."""
 
 OVERLOAD = 1.5
 """Times the time from one reference to the next that a reference may take to be made; beyond it they become rare."""
@@ -73,6 +81,7 @@ class Streamer:
         self._startup = Startup(library, self._tiles)
         self._video = ReferenceVideo()
         self._reference_budget = ReferenceBudget(settings.reference_most)
+        self._worth = Worth()
         self._visibility = Visibility(library, settings.visible_px)
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
@@ -248,6 +257,7 @@ class Streamer:
             horizon_us=0,
             predicted=seen,
             margins=self._viewer.margins(frame, seen),
+            speaks=True,
             idr=self._video.needs_idr,
             basis=self._mark(now_us),
             greets=True,
@@ -255,14 +265,15 @@ class Streamer:
         return self._job(plan, now_us)
 
     def _job(self, plan: FramePlan, now_us: int) -> FrameJob:
-        self._video.needs_idr = False
-        self._coder.follow(self._estimator.estimate_bps(now_us), self._schedule.reference_period_us)
+        if plan.speaks:
+            self._video.needs_idr = False
+            self._coder.follow(self._estimator.estimate_bps(now_us), self._schedule.reference_period_us)
         size = self._coder.width_px, self._coder.height_px
         intrinsics = widened(self._hello.intrinsics, plan.margins, *size)
         return FrameJob(
             plan=plan,
             library=self._library,
-            mirror=self._mirror if self._coder.compares else None,
+            mirror=self._mirror if plan.speaks and self._coder.compares else None,
             camera=Camera(intrinsics, plan.predicted.pose, self._hello.near),
             client=self._hello.intrinsics,
             coder=self._coder,
@@ -326,7 +337,16 @@ class Streamer:
         affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), spare_us)
         if seen and not self._schedule.rendering and not (affordable and self._may_render(now_us)):
             return True
-        return not self._video.needs_idr and self._schedule.between_references(seen=seen)
+        if not self._pays:
+            return self._schedule.between_renders(LOOK_EVERY, seen=seen)
+        return not self._video.needs_idr and self._schedule.between_renders(self._settings.reference_every, seen=seen)
+
+    @property
+    def _pays(self) -> bool:
+        """Whether frames get references now."""
+        if self._coder.kind is None:
+            return False
+        return self._settings.references != "auto" or self._worth.pays(short=self._coder.lateness.often)
 
     def _next_is_seen(self) -> bool:
         """Whether what was seen last says what the next tiles will show: not in another group of frames."""
@@ -340,6 +360,7 @@ class Streamer:
         display_us = self._schedule.timeline.display_us(tick)
         self._viewer.ensure_pose(now_us)
         predicted = self._viewer.predict(display_us)
+        speaks = drawn and self._pays
         return FramePlan(
             generation=self._schedule.generation,
             tick=tick,
@@ -351,8 +372,9 @@ class Streamer:
             horizon_us=self._viewer.horizon_us(display_us) if drawn else 0,
             predicted=predicted,
             margins=self._viewer.margins(frame, predicted) if drawn else (0.0, 0.0),
-            idr=drawn and self._video.needs_idr,
-            basis=self._mark(now_us) if drawn and self._coder.kind is not None else 0,
+            speaks=speaks,
+            idr=speaks and self._video.needs_idr,
+            basis=self._mark(now_us) if speaks else 0,
         )
 
     # ----------------------------------------------------------------------------------------------------- finishing
@@ -368,7 +390,9 @@ class Streamer:
         self._schedule.rendering = False
         work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
         self._schedule.pace.observe(work_us, len(render.coded.access_unit), rate_bps)
-        self.stats.references += 1
+        if not plan.speaks:
+            self._coder.lateness.observe(late=REFERENCE_WORK * work_us > OVERLOAD * self._schedule.reference_period_us)
+        self.stats.references += plan.speaks
         self.stats.render_ns += render.render_ns
         self.stats.mirror_ns += render.mirror_ns
         self.stats.mirror_bytes = self._mirror.memory_bytes
@@ -403,7 +427,7 @@ class Streamer:
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""
-        if self._coder.kind is None:
+        if not render.plan.speaks:
             return []
         if now_us >= self._reference_deadline_us(render.plan.display_us):
             self._video.broken()
@@ -463,18 +487,19 @@ class Streamer:
         timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
         room_bytes = max(self._budget.room(record.estimate_bps, period_us), timely_bytes)
         record.budget_bytes = min(earned_bytes, room_bytes)
-        decision = self._policy.decide(
-            Observation(
-                frame=frame,
-                budget_bytes=record.budget_bytes,
-                tiles=tiles,
-                lod_gains_db=self._library.manifest.lod_gains_db,
-                message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
-                layered=self._tiles.layered,
-                waiting_us=self._budget.waiting_us(now_us),
-                timely_bytes=timely_bytes,
-            )
+        observation = Observation(
+            frame=frame,
+            budget_bytes=record.budget_bytes,
+            tiles=tiles,
+            lod_gains_db=self._library.manifest.lod_gains_db,
+            message_overhead_bytes=MESSAGE_OVERHEAD_BYTES,
+            layered=self._tiles.layered,
+            waiting_us=self._budget.waiting_us(now_us),
+            timely_bytes=timely_bytes,
         )
+        decision = self._policy.decide(observation)
+        coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
+        self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
         record.tile_bytes = decision.bytes
         self._budget.close(earned_bytes - decision.bytes, allowed_bps)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)

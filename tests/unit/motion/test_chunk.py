@@ -179,3 +179,28 @@ def test_large_residuals_that_are_cut_short_are_refused(cut: int) -> None:
     assert _unpacked(memoryview(data)).tolist() == [1 << 20, -(1 << 22), 300, -127]
     with pytest.raises(DecodeError):
         _unpacked(memoryview(data[: max(len(data) - cut, 1)]))
+
+
+def test_splats_that_keep_their_places_take_next_to_nothing_and_change_nothing() -> None:
+    random = np.random.default_rng(3)
+    moves = np.cumsum(random.integers(-20, 21, (9, 400, 3)), axis=0).astype(float)
+    still = np.arange(400) % 4 != 0
+    moves[:, still] *= 1e-3
+    payloads = encode((0, 0), moves, None, starts=True)
+    alone = encode((0, 0), moves[:, ~still], None, starts=True)
+    assert sum(map(len, payloads)) - sum(map(len, alone)) < 80
+    decoder = ChunkDecoder(payloads[0])
+    for payload in payloads[1:]:
+        decoder.add_level(payload)
+    assert decoder.chunk.moves is not None
+    assert not decoder.chunk.moves[:, still].any()
+    assert np.abs(decoder.chunk.moves[:, ~still] / 64 - moves[:, ~still]).max() <= 0.65 + 1 / 64
+
+
+def test_a_list_of_movers_that_nobody_announced_is_refused() -> None:
+    moves = np.zeros((3, 600, 3))
+    moves[:, ::7] = 9.0
+    payload = bytearray(encode((0, 0), moves, None, starts=True)[0])
+    payload[1] &= ~chunks.STILLS
+    with pytest.raises(DecodeError, match="who moves"):
+        ChunkDecoder(bytes(payload))

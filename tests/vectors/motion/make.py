@@ -53,6 +53,12 @@ def cases() -> dict[str, dict[str, Any]]:
             "finer": (3, 1),
             "told": (2, 1),
         },
+        "some-still": {
+            "moves": smooth(random, 7, 50, 3, 1.0) * (np.arange(50) % 3 == 0)[:, None],
+            "turns": smooth(random, 7, 50, 4, 0.25) * (np.arange(50) % 5 == 0)[:, None],
+            "starts": True,
+        },
+        "all-still": {"moves": np.full((4, 9, 3), 0.5), "turns": None, "starts": True},
         "one-frame": {
             "moves": smooth(random, 1, 3, 3, 1.0),
             "turns": None,

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_server.ratecontrol import RATE_POLICIES, Decision, Observation, TileView, create_rate_policy
+from cags_server.ratecontrol.outlook import lacking_bytes
 
 SIZES = (100, 10, 10, 10, 10)
 
@@ -148,3 +149,16 @@ def test_decisions_are_sound(name: str, observation: Observation) -> None:
     assert name == "buffer" or cost <= observation.budget_bytes
     assert name == "buffer" or urgent <= observation.timely_bytes
     assert create_rate_policy(name).decide(observation) == decision
+
+
+def test_what_is_lacking_is_what_brings_every_tile_near_its_best() -> None:
+    gains = (10.0, 10.0, 0.1, 0.1)
+    observed = Observation(3, 0, (tile(0, depth=1), tile(1, depth=0)), gains, 5)
+    assert lacking_bytes(observed) == (10 + 10) + (100 + 10 + 10)
+    assert lacking_bytes(replace(observed, tiles=(tile(0, depth=5), tile(1, depth=4)))) == 0
+
+
+def test_what_begins_later_is_lacking_the_less() -> None:
+    now, later = (replace(tile(0, depth=0), frame=frame) for frame in (3, 8))
+    every = [lacking_bytes(Observation(3, 0, (each,), (), 5)) for each in (now, later, replace(later, frame=300))]
+    assert every[0] > every[1] > every[2] == 0

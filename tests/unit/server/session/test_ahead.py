@@ -10,7 +10,7 @@ import pytest
 from cags_common.geometry import Pose
 from cags_common.raster.base import Footprint
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
 from cags_server.reference.job import FrameJob
 from cags_server.settings import PLAIN
 from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, hello, library
@@ -61,6 +61,21 @@ def test_every_frame_of_a_clip_ends_once_and_every_tile_comes(ahead: int, refere
     assert len(brought) == len(set(brought))
     if ahead < 6:  # what is seen of one group of frames at a time
         assert set(brought) == {(frame, tile.tile) for frame in range(12) for tile in rig.library.entry(frame).tiles}
+
+
+def test_a_client_that_displays_more_frames_again_has_not_gone_back() -> None:
+    rig = Rig(FAR)
+    rig.play()
+    sent = list(rig.opening)
+    for permille in (500, 500, 1000, 1000, 1000, 300, 1000, 1000):
+        poses = ev.PosesReceived((), rig.now_us, permille)
+        rig.streamer.on_event(poses, rig.now_us)
+        sent += rig.step()
+        assert not of(Mark, rig.take_marks())
+    ended = ends(sent)
+    assert ended == sorted(set(ended))
+    brought = first_levels(sent)
+    assert len(brought) == len(set(brought))
 
 
 def test_at_the_border_of_a_group_the_next_ones_tiles_come_before_its_first_reference() -> None:

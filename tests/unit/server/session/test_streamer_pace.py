@@ -278,3 +278,23 @@ def test_frames_are_counted_on_through_a_loop() -> None:
         rig.step()
         planned.append(rig.streamer.stats.records[-1].tick)
     assert planned == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23]
+
+
+def test_on_a_short_machine_references_are_left_out_where_tiles_will_do() -> None:
+    rig = Rig(replace(SETTINGS, references="auto"))
+    rig.play()
+    rig.streamer._coder.lateness.often = True
+    sent = [out for _ in range(9) for out in rig.step()]
+    assert len(of(ReferenceFrame, sent)) <= 1  # until it was known what is lacking
+    ended = [end.frame for end in of(FrameEnd, sent)]
+    assert ended == list(range(ended[0], ended[0] + len(ended)))
+    assert rig.streamer.stats.references <= 2  # renders that only look are none
+
+
+@pytest.mark.parametrize("references", ["difference", "picture"])
+def test_references_that_were_asked_for_are_made_on_a_short_machine_too(references: str) -> None:
+    rig = Rig(replace(SETTINGS, references=references))
+    rig.play()
+    rig.streamer._coder.lateness.often = True
+    sent = [out for _ in range(6) for out in rig.step()]
+    assert len(of(ReferenceFrame, sent)) == 6

@@ -1,0 +1,25 @@
+"""How much of what a client sees is still to be sent, before its own splats are about as good as they will be."""
+
+from __future__ import annotations
+
+from cags_server.ratecontrol.base import Observation, TileView
+from cags_server.ratecontrol.utility import AHEAD_FRAMES, errors_of, left_by
+
+NEAR = 2.0
+"""A tile is good from the level on that leaves at most so many times the squared error of its last one."""
+
+
+def lacking_bytes(observation: Observation) -> int:
+    """Of the visible tiles, up to the level from which each is good; tiles count less the later they begin."""
+    errors = errors_of(observation)
+    return round(sum(_early(tile, observation.frame) * _bytes(tile, errors.lods) for tile in observation.tiles))
+
+
+def _early(tile: TileView, frame: int) -> float:
+    return max(1.0 - max(tile.frame - frame, 0) / AHEAD_FRAMES, 0.0)
+
+
+def _bytes(tile: TileView, distortions: tuple[float, ...]) -> int:
+    levels = left_by(tile, distortions)
+    near = next(lod for lod, error in enumerate(levels) if error <= NEAR * levels[-1])
+    return sum(tile.lod_bytes[tile.depth : near + 1])
