@@ -1,9 +1,7 @@
 # syntax=docker/dockerfile:1
 # One image for every part: server, shaper, client and encoder differ by their command alone.
-# torch: the plain package brings CUDA. Pass --build-arg PIP_EXTRA_INDEX_URL=<PyTorch's CPU index> to fetch the small build.
 FROM python:3.11-slim AS build
 RUN apt-get update && apt-get install -y --no-install-recommends g++ && rm -rf /var/lib/apt/lists/*
-ARG PIP_EXTRA_INDEX_URL=""
 ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 WORKDIR /src
 COPY constraints.txt pyproject.toml README.md LICENSE NOTICE ./
@@ -15,7 +13,7 @@ COPY encoder encoder
 COPY server server
 COPY client client
 COPY shaper shaper
-COPY training training
+COPY research research
 COPY bench bench
 RUN python -m venv /opt/cags && /opt/cags/bin/pip install -c constraints.txt ./kernels '.[scale]'
 

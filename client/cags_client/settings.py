@@ -30,63 +30,73 @@ class ClientSettings:
     height: int = setting(600, "picture height in pixels", low=1, high=8192)
     fov: float = setting(60.0, "horizontal field of view in degrees", low=1, high=170)
     raster: str = setting("auto", "rasteriser: auto (gpu where there is one, else cpu), reference, cpu or gpu")
-    exactness: str = setting("balanced", "how exactly to draw", choices=("fast", "balanced", "exact"))
+    exactness: str = setting(
+        "balanced",
+        "accuracy of rendering",
+        choices=("fast", "balanced", "exact"),
+    )
     resolution: str = setting(
         AUTO,
-        "pixels that a frame is drawn at: full, half (a side; the shown picture is enlarged), or auto: half while full "
-        "takes longer than a frame",
+        "render resolution: full, half the width and height (upsampled for display), or auto: half while full is too "
+        "slow",
         choices=RESOLUTIONS,
     )
     restore: str = setting(
         "correct",
-        "what is done with references: correct adds what they say is lacking, none nothing; to compare with: reference "
-        "(the aligned picture alone), srresnet (or NETWORK@RUNTIME)",
+        "use of references: correct adds the difference that they carry, none ignores them",
     )
-    align: str = setting("fast", "aligner of pictures for restorers: fast, reference, unaligned or rotation")
-    erosion: bool = setting(True, "fill occluded pixels of the aligned picture from their clean neighbours")
-    chroma: str = setting("yuv444p", "finest colour sampling of references to ask for", choices=CHROMAS)
+    align: str = setting(
+        "fast", "aligner of pictures for restorers: fast, reference, unaligned or rotation", research=True
+    )
+    erosion: bool = setting(
+        True, "fill occluded pixels of the aligned picture from their clean neighbours", research=True
+    )
+    chroma: str = setting("yuv444p", "chroma format of references to ask for", choices=CHROMAS)
     effects: str = setting(
-        NEEDED, "work of a frame: what the scene and the moment need, or always everything", choices=POLICIES
+        NEEDED,
+        "work of a frame: what the scene and the moment need, or always everything",
+        choices=POLICIES,
+        research=True,
     )
-    threads: int = setting(2, "threads of a render, and of decoding tiles", low=1, high=256)
+    threads: int = setting(2, "threads for rendering and for decoding tiles", low=1, high=256)
     reference_age: int = setting(
         10,
-        "media frames after which a reference is too old; it fades over the last half",
+        "largest age of a reference, in media frames; it fades out over the second half",
         low=0,
         high=1000,
     )
     max_splats: int = setting(
         4_000_000,
-        "largest group of frames that is taken on, in splats; each takes about 1 kB of memory at SH degree 3",
+        "largest group of frames to accept, in splats; one takes about 1 kB of memory at SH degree 3",
         low=1,
         high=MAX_SPLATS,
     )
     max_memory_mb: float = setting(
         2048.0,
-        "memory that the splats on display may take, MB; a stream with larger groups of frames is refused",
+        "largest memory for the splats on display, MB; streams that need more are refused",
         low=1.0,
         high=1e6,
     )
-    start_frame: int = setting(0, "media frame to join at", low=0)
+    start_frame: int = setting(0, "first media frame to play", low=0)
     duration: float | None = setting(None, "seconds to play; the whole clip if not given", low=0.001)
-    start_delay_ms: int = setting(
-        250, "time from asking to play, when the walk begins, to the first frame", low=0, high=10_000
-    )
+    start_delay_ms: int = setting(250, "startup buffer before the first frame, in milliseconds", low=0, high=10_000)
     join_timeout: float = setting(30.0, "seconds to wait for the first frame's data", low=0.1, high=3600)
     reconnect_s: float = setting(
-        10.0, "seconds to try to take a dropped connection up again; 0: it ends the play", low=0.0, high=86_400
+        10.0, "seconds to retry a dropped connection; 0 ends playback at once", low=0.0, high=86_400
     )
-    pose_rate: float = setting(60.0, "poses sent a second", low=1, high=1000)
+    pose_rate: float = setting(60.0, "poses sent per second", low=1, high=1000)
     interpolate: str = setting(
         AUTO,
-        "draw what moves between media frames too, at --display-rate: off, on, or auto: on a live display, where there "
-        "is time",
+        "interpolation of motion between media frames up to --display-rate: off, on, or auto: on a live display while "
+        "time allows",
         choices=INTERPOLATIONS,
     )
-    display_rate: float = setting(60.0, "pictures a second that the display shows, for --interpolate", low=1, high=1000)
-    drop_late: bool = setting(True, "skip frames that would be shown after the next one is due")
-    token: str = setting("", "token of a server that asks for one")
-    ca: str = setting("", "PEM file of the authority that the server's certificate is from; the system's when empty")
+    display_rate: float = setting(
+        60.0, "refresh rate of the display in pictures per second, for --interpolate", low=1, high=1000
+    )
+    drop_late: bool = setting(True, "skip frames that are late by more than one frame interval")
+    token: str = setting("", "access token of the server")
+    ca: str = setting("", "PEM file of the certificate authority; the system's authorities when empty")
 
     def __post_init__(self) -> None:
         check_settings(self)

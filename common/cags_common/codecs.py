@@ -1,7 +1,7 @@
 """Tile codecs by name: how a player turns a bundle's payloads into splats.
 
-``svq`` is this project's own. The seam exists for the baselines that it is compared with; they share bundles, sessions,
-rate policies and the client, and differ here alone.
+``svq`` is this project's own. The seam exists for the codecs that it is compared with (:mod:`cags_research.codecs`);
+they share bundles, sessions, rate policies and the client, and differ here alone.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.dequantise import Dequantiser
-from cags_common.errors import BundleError, DecodeError
+from cags_common.errors import BundleError, ConfigError, DecodeError
 from cags_common.geometry import F32
 from cags_common.lod import check_order
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.motion.chunk import VERSION as MOTION_VERSION
 from cags_common.motion.chunk import Chunk, ChunkDecoder
+from cags_common.registry import Registry
 from cags_common.splats import Ids, Splats
 from cags_common.svq import CodebookSet
 from cags_common.tile_kinds import TileKind
@@ -260,24 +261,10 @@ def _step_tables(manifest: Manifest, books: CodebookSet) -> Steps | None:
     return Steps(np.array(motion.moves, np.float32), np.array(motion.turns, np.float32))
 
 
-def _density(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:
-    from cags_common.baselines.density import DensityTileCodec
-
-    return DensityTileCodec(manifest, codebooks)
-
-
-def _video(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:
-    from cags_common.baselines.video import VideoTileCodec
-
-    return VideoTileCodec(manifest, codebooks)
-
-
-TILE_CODECS: dict[str, Callable[[Manifest, bytes | memoryview], TileCodec]] = {
-    "svq": SvqTileCodec,
-    "density": _density,
-    "video": _video,
-}
-
+TILE_CODECS: Registry[Callable[[Manifest, bytes | memoryview], TileCodec]] = Registry(
+    "codec", "cags.tile_codecs", {"svq": SvqTileCodec}
+)
+"""Tile codecs by the name that a manifest gives."""
 
 WHOLE_TILES_CODEC = "video"
 """Codec of bundles whose LoD k is the whole tile at quality k: any payload opens a tile."""
@@ -288,6 +275,8 @@ def tile_codec(manifest: Manifest, codebooks: bytes | memoryview) -> TileCodec:
 
     Raises :class:`BundleError` for an unknown codec and :class:`DecodeError` for codebooks that it does not read.
     """
-    if manifest.codec not in TILE_CODECS:
-        raise BundleError(f"codec {manifest.codec!r} is unknown; this program reads: {', '.join(TILE_CODECS)}")
-    return TILE_CODECS[manifest.codec](manifest, codebooks)
+    try:
+        opener = TILE_CODECS.find(manifest.codec)
+    except ConfigError as error:
+        raise BundleError(f"bundle of another codec: {error}") from error
+    return opener(manifest, codebooks)

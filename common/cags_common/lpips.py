@@ -7,19 +7,14 @@ and ``lin{i}.weight`` for i in 0..4. Nothing is downloaded.
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
-from cags_common.openmp import yield_cores
-
-yield_cores()
-
-import torch  # noqa: E402
-from torch import Tensor  # noqa: E402
-from torch.nn import functional  # noqa: E402
 
 # stride and padding of AlexNet's five convolutions; a 3x3 max-pool of stride 2 precedes the second and the third
 CONVOLUTIONS = ((4, 2), (1, 2), (1, 1), (1, 1), (1, 1))
@@ -37,45 +32,47 @@ SMALLEST_SIDE_PX = 31
 class Lpips:
     """Distance between two images; 0 for equal ones, about 0.7 for unrelated ones."""
 
-    def __init__(self, weights: str | Path, device: str = "cpu") -> None:
+    def __init__(self, weights: str | Path) -> None:
         """Read the weights. Raises :class:`ConfigError` naming the file when it is missing or of another layout."""
-        arrays = _read_weights(Path(weights))
-        self.device = torch.device(device)
+        arrays = {name: np.asarray(array, np.float32) for name, array in _read_weights(Path(weights)).items()}
+        self._convolutions = [(arrays[f"conv{i}.weight"], arrays[f"conv{i}.bias"]) for i in range(5)]
+        self._linear = [arrays[f"lin{i}.weight"].reshape(-1) for i in range(5)]
 
-        def tensor(name: str) -> Tensor:
-            return torch.from_numpy(np.ascontiguousarray(arrays[name], dtype=np.float32)).to(self.device)
-
-        self._convolutions = [(tensor(f"conv{i}.weight"), tensor(f"conv{i}.bias")) for i in range(5)]
-        self._linear = [tensor(f"lin{i}.weight").reshape(1, -1, 1, 1) for i in range(5)]
-        self._shift = torch.tensor(SHIFT, device=self.device).reshape(1, 3, 1, 1)
-        self._scale = torch.tensor(SCALE, device=self.device).reshape(1, 3, 1, 1)
-
-    @torch.inference_mode()
     def distance(self, a: F32, b: F32) -> float:
         """Distance of two images [H, W, 3] in [0, 1] of equal size, at least 31 pixels a side."""
         if a.shape != b.shape or min(a.shape[:2]) < SMALLEST_SIDE_PX:
             raise ValueError(
                 f"images {a.shape} and {b.shape} must be equal in size and at least {SMALLEST_SIDE_PX} px a side"
             )
-        total = torch.zeros((), device=self.device)
-        for weight, x, y in zip(self._linear, self._features(a), self._features(b), strict=True):
-            total += ((_unit(x) - _unit(y)).square() * weight).sum(dim=1).mean()
-        return float(total)
+        layers = zip(self._linear, self._features(a), self._features(b), strict=True)
+        return float(sum((np.square(_unit(x) - _unit(y)) @ weight).mean() for weight, x, y in layers))
 
-    def _features(self, image: F32) -> list[Tensor]:
-        x = torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)).to(self.device)
-        x = (x.permute(2, 0, 1)[None] * 2 - 1 - self._shift) / self._scale
-        features = []
+    def _features(self, image: F32) -> Iterator[F32]:
+        """What AlexNet's five layers [H', W', C] say of ``image`` [H, W, 3]."""
+        x = ((image * 2 - 1 - np.array(SHIFT, np.float32)) / np.array(SCALE, np.float32)).astype(np.float32)
         for index, ((weight, bias), (stride, padding)) in enumerate(zip(self._convolutions, CONVOLUTIONS, strict=True)):
             if index in POOLED_BEFORE:
-                x = functional.max_pool2d(x, kernel_size=3, stride=2)
-            x = functional.relu(functional.conv2d(x, weight, bias, stride=stride, padding=padding))
-            features.append(x)
-        return features
+                x = _pooled(x)
+            x = np.maximum(_convolved(x, weight, stride, padding) + bias, 0)
+            yield x
 
 
-def _unit(x: Tensor) -> Tensor:
-    return x / (x.square().sum(dim=1, keepdim=True).sqrt() + EPSILON)
+def _convolved(x: F32, weight: F32, stride: int, padding: int) -> F32:
+    """``x`` [H, W, C] under kernels ``weight`` [C', C, k, k], zeros around it."""
+    bordered = np.pad(x, ((padding, padding), (padding, padding), (0, 0)))
+    windows = sliding_window_view(bordered, weight.shape[2:], axis=(0, 1))[::stride, ::stride]  # [H', W', C, k, k]
+    return np.tensordot(windows, weight, axes=((2, 3, 4), (1, 2, 3)))
+
+
+def _pooled(x: F32) -> F32:
+    """Largest of every second 3x3 window."""
+    largest: F32 = sliding_window_view(x, (3, 3), axis=(0, 1))[::2, ::2].max(axis=(-2, -1))
+    return largest
+
+
+def _unit(x: F32) -> F32:
+    """Features [H, W, C] of length 1 at every pixel."""
+    return np.asarray(x / (np.sqrt(np.square(x).sum(axis=-1, keepdims=True)) + EPSILON), dtype=np.float32)
 
 
 def _read_weights(path: Path) -> dict[str, np.ndarray]:

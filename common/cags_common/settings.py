@@ -16,7 +16,7 @@ import types
 import typing
 from dataclasses import MISSING, Field, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
 
 from cags_common.errors import ConfigError
 
@@ -35,9 +35,14 @@ def setting(
     low: float | None = None,
     high: float | None = None,
     choices: tuple[str, ...] | None = None,
+    research: bool = False,
 ) -> Any:
-    """A dataclass field with a one-line description (unit included) and its range ``[low, high]`` or its choices."""
-    return field(default=default, metadata={"help": help, "low": low, "high": high, "choices": choices})
+    """A dataclass field with a one-line description (unit included) and its range ``[low, high]`` or its choices.
+
+    One that only ``research`` changes is shown by ``--help-all`` and not by ``--help``.
+    """
+    metadata = {"help": help, "low": low, "high": high, "choices": choices, "research": research}
+    return field(default=default, metadata=metadata)
 
 
 def check_settings(settings: DataclassInstance) -> None:
@@ -56,7 +61,20 @@ def add_settings(parser: argparse.ArgumentParser, cls: type[DataclassInstance]) 
     parser.add_argument(
         "--config", metavar="FILE", help="TOML file with the same names as the flags (dashes as underscores)"
     )
+    if any(f.metadata.get("research") for f in fields(cls)):
+        parser.add_argument("--help-all", action=_HelpAll, nargs=0, help="show this, and the flags of experiments")
     add_flags(parser, cls)
+
+
+class _HelpAll(argparse.Action):
+    """Shows the help of every flag."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """See :class:`argparse.Action`."""
+        for action in parser._actions:
+            action.help = getattr(action, "full_help", action.help)
+        parser.print_help()
+        parser.exit()
 
 
 def add_flags(parser: argparse._ActionsContainer, cls: type[DataclassInstance]) -> None:
@@ -70,11 +88,13 @@ def add_flags(parser: argparse._ActionsContainer, cls: type[DataclassInstance]) 
         flag = "--" + f.name.replace("_", "-")
         text = text.replace("%", "%%")
         if kind is bool:
-            parser.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
+            action = parser.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
         else:
-            parser.add_argument(
+            action = parser.add_argument(
                 flag, type=kind, choices=f.metadata["choices"], default=None, metavar=_metavar(f, kind), help=text
             )
+        if f.metadata["research"]:
+            action.full_help, action.help = action.help, argparse.SUPPRESS  # type: ignore[attr-defined]
 
 
 def given_flags(arguments: argparse.Namespace, cls: type[DataclassInstance]) -> list[str]:

@@ -7,9 +7,9 @@ from typing import Any, Protocol, Self
 
 from numpy.typing import NDArray
 
-from cags_common.errors import ConfigError
 from cags_common.geometry import F64
 from cags_common.lod import LodLayer
+from cags_common.registry import Registry
 from cags_common.splats import Ids, Splats
 from cags_encoder.settings import EncodeSettings
 
@@ -66,23 +66,10 @@ def _svq(samples: Splats, settings: EncodeSettings, weights: F64 | None) -> Clip
     return SvqCodec.train(samples, settings, weights)
 
 
-def _density(samples: Splats, settings: EncodeSettings, _weights: F64 | None) -> ClipCodec:
-    from cags_encoder.baselines.density import DensityCodec
-
-    return DensityCodec(samples, settings)
-
-
-def _video(samples: Splats, settings: EncodeSettings, _weights: F64 | None) -> ClipCodec:
-    from cags_encoder.baselines.video import VideoCodec
-
-    return VideoCodec(samples, settings)
-
-
-CLIP_CODECS: dict[str, Callable[[Splats, EncodeSettings, F64 | None], ClipCodec]] = {
-    "svq": _svq,
-    "density": _density,
-    "video": _video,
-}
+CLIP_CODECS: Registry[Callable[[Splats, EncodeSettings, F64 | None], ClipCodec]] = Registry(
+    "codec =", "cags.clip_codecs", {"svq": _svq}
+)
+"""Makers of codecs by name, from samples [n], settings and the samples' weights [n]."""
 
 
 def train_codec(samples: Splats, settings: EncodeSettings, weights: F64 | None = None) -> ClipCodec:
@@ -90,6 +77,4 @@ def train_codec(samples: Splats, settings: EncodeSettings, weights: F64 | None =
 
     ``weights`` [n] > 0 say how much each sample counts, to codecs that can use it.
     """
-    if settings.codec not in CLIP_CODECS:
-        raise ConfigError(f"codec = {settings.codec!r} is unknown; known: {', '.join(CLIP_CODECS)}")
-    return CLIP_CODECS[settings.codec](samples, settings, weights)
+    return CLIP_CODECS.find(settings.codec)(samples, settings, weights)

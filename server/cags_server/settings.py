@@ -22,55 +22,67 @@ class ServerSettings:
     fov: str = setting("lstm", "how the field of view of the reference is chosen")
     fov_margin: float = setting(0.1, "margin of the fixed field of view, share of the client's", low=0.0, high=4.0)
     fov_quantile: float = setting(
-        0.9, "share of the viewer's errors that the quantile field of view holds", low=0.01, high=0.9999
+        0.9, "quantile of prediction errors that the quantile field of view covers", low=0.01, high=0.9999
     )
     fov_gain: float = setting(0.7, "factor on the margins of the LSTM field of view", low=0.0, high=10.0)
-    abr: str = setting("utility", "how the byte budget is spent on tiles")
+    abr: str = setting("utility", "rate policy: utility sends the layers with the largest gain a byte first")
     lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
     references: str = setting(
         "auto",
-        "what references say: what the client lacks (difference), the scene (picture), auto: whichever leaves less, or "
-        "none",
+        "content of references: difference to the client's splats, picture of the scene, auto: the better of both, "
+        "or none",
         choices=("auto", "difference", "picture", "none"),
     )
     reference_footprint: str = setting(
         CLIENT,
-        "how references are drawn: as the client sees the splats (client), or as any picture of their size (plain)",
+        "splat footprint of references: that of the client's picture (client) or of the reference's own pixels (plain)",
         choices=(CLIENT, PLAIN),
+        research=True,
     )
     reference_every: int = setting(
-        1, "media frames for one reference picture; more save rendering and cost quality", low=1, high=30
+        1, "media frames per reference; larger values save rendering time and reduce quality", low=1, high=30
     )
     reference_width: int = setting(400, "width of reference pictures, pixels (even for yuv420p)", low=16, high=4096)
     reference_height: int = setting(300, "height of reference pictures, pixels (even for yuv420p)", low=16, high=4096)
     reference_crf: float = setting(
-        20.0, "best H.264 quality of reference pictures, lower is better; less where the link is slow", low=0.0, high=51
+        20.0, "best H.264 quality (CRF) of references, lower is better; the rate control may raise it", low=0.0, high=51
     )
     reference_chroma: str = setting(
-        "yuv444p", "finest colour sampling of references; clients may ask for yuv420p", choices=("yuv420p", "yuv444p")
+        "yuv444p", "chroma format of references; a client may ask for yuv420p", choices=("yuv420p", "yuv444p")
     )
     reference_kbps: int | None = setting(
-        None, "cap of the reference video's rate, kilobits a second; none when not given", low=10, high=1_000_000
+        None, "largest bit rate of references, kbps; unlimited when not given", low=10, high=1_000_000
     )
-    reference_full_size: bool = setting(False, "references as large as the client's display (remote rendering)")
+    reference_full_size: bool = setting(
+        False, "references as large as the client's display (remote rendering)", research=True
+    )
     reference_share: float = setting(
-        0.4, "share of the link that the reference video is to take at most; its quality follows", low=0.01, high=1
+        0.4, "target share of the link for references; their quality adapts to it", low=0.01, high=1
     )
     reference_most: float = setting(
-        0.6, "share of the link that references may take; beyond it there are fewer of them, 1: never", low=0.01, high=1
+        0.6,
+        "largest share of the link for references; excess references are skipped; 1 disables the limit",
+        low=0.01,
+        high=1,
     )
-    tiles_ahead: int = setting(3, "frames by which tiles go before the references that assume them", low=1, high=30)
+    tiles_ahead: int = setting(
+        3, "frames by which tiles are sent ahead of the references that assume them", low=1, high=30
+    )
     opening_tiles: bool = setting(True, "send the base layers of the first frame before the play begins")
     rasteriser: str = setting(
         "auto", "rendering backend: auto (gpu where there is one, else cpu), reference, cpu or gpu"
     )
     render_threads: int = setting(2, "threads of one reference render", low=1, high=256)
-    visible_px: float = setting(0.02, "least contribution of a visible splat, reference pixels", low=0.0, high=1e6)
-    queue_ms: float = setting(150.0, "delay that planned but undelivered data may cause, ms", low=0.0, high=10_000.0)
-    reference_deadline_ms: float = setting(
-        200.0, "time after display at which a reference is of no use, ms", low=0.0, high=10_000.0
+    visible_px: float = setting(
+        0.02, "smallest contribution of a visible splat, in reference pixels", low=0.0, high=1e6
     )
-    tile_deadline_ms: float = setting(1000.0, "time after display at which a tile is stale, ms", low=0.0, high=60_000.0)
+    queue_ms: float = setting(150.0, "largest queueing delay of data in flight, ms", low=0.0, high=10_000.0)
+    reference_deadline_ms: float = setting(
+        200.0, "time after its display at which a queued reference is discarded, ms", low=0.0, high=10_000.0
+    )
+    tile_deadline_ms: float = setting(
+        1000.0, "time after its display at which a queued tile is discarded, ms", low=0.0, high=60_000.0
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -85,32 +97,36 @@ class ServeSettings(ServerSettings):
     bundle: str = setting("", "bundle to serve: a folder or an fsspec URL")
     host: str = setting("127.0.0.1", "address to listen on")
     port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65_535)
-    workers: int = setting(2, "references rendered at the same time", low=1, high=256)
+    workers: int = setting(2, "references rendered in parallel", low=1, high=256)
     max_clients: int = setting(
         32,
-        "clients served at once; more are refused; auto (or 0): as many as the renderer carries, measured",
+        "largest number of clients; further ones are refused; auto (or 0): as many as the renderer can serve, measured",
         low=0,
         high=100_000,
     )
     token: str = setting(
         "",
-        "token that clients must show; several, comma separated, while one replaces another; empty: anybody may watch",
+        "access token, or several separated by commas; anyone may watch when empty",
     )
-    tls_cert: str = setting("", "PEM file of the certificate; with it the server speaks HTTPS and WSS")
+    tls_cert: str = setting("", "PEM file of the TLS certificate; enables HTTPS and WSS")
     tls_key: str = setting("", "PEM file of the certificate's private key")
-    origins: str = setting("", "web origins whose pages may connect, comma separated, or *; this host's own always may")
-    hosts: str = setting(
-        "", "names under which this server is reached, comma separated; needed behind a proxy on this machine"
+    origins: str = setting(
+        "", "web origins allowed to connect, comma separated, or *; the server's own origin is always allowed"
     )
-    max_pose_rate: float = setting(2000.0, "poses a client may send, a second", low=1.0, high=1e6)
-    max_message_rate: float = setting(1000.0, "messages a client may send, a second", low=1.0, high=1e6)
-    max_queue_mb: float = setting(16.0, "data that may wait for one client, MB", low=0.1, high=4096.0)
-    idle_s: float = setting(15.0, "time without a message after which a client is dropped, s", low=0.5, high=3600.0)
-    slow_s: float = setting(10.0, "time a client may take to accept one packet, s", low=0.5, high=3600.0)
-    session_logs: str = setting("", "folder for one JSON-lines file a session; none when empty")
-    event_traces: str = setting("", "folder for a trace of every step of sending, a file a session; none when empty")
+    hosts: str = setting("", "host names of this server, comma separated; required behind a proxy on the same machine")
+    max_pose_rate: float = setting(2000.0, "largest pose rate of a client, poses per second", low=1.0, high=1e6)
+    max_message_rate: float = setting(
+        1000.0, "largest message rate of a client, messages per second", low=1.0, high=1e6
+    )
+    max_queue_mb: float = setting(16.0, "largest send queue of one client, MB", low=0.1, high=4096.0)
+    idle_s: float = setting(
+        15.0, "time without a message after which a client is disconnected, seconds", low=0.5, high=3600.0
+    )
+    slow_s: float = setting(10.0, "longest time to write one packet to a client, seconds", low=0.5, high=3600.0)
+    session_logs: str = setting("", "folder for session logs, one JSON-lines file per session; off when empty")
+    event_traces: str = setting("", "folder for traces of all send events, one file per session; off when empty")
     log_format: str = setting("text", "format of the log on stderr", choices=("text", "json"))
-    drain_s: float = setting(2.0, "time for goodbyes when the server is stopped, seconds", low=0.0, high=600.0)
+    drain_s: float = setting(2.0, "time for closing sessions at shutdown, seconds", low=0.0, high=600.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import tomllib
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 from cags_bench.cli import SUBCOMMANDS as EXPERIMENTS
@@ -68,7 +69,7 @@ def test_every_module_is_imported_by_another() -> None:
     known = {name for name, path in sources() if path.stem not in {"__init__", "__main__"}}
     started = {
         *PROJECT["project"]["scripts"].values(),
-        *PROJECT["project"]["entry-points"]["cags.rasterisers"].values(),
+        *chain.from_iterable(group.values() for group in PROJECT["project"]["entry-points"].values()),
     }
     used = {entry.partition(":")[0] for entry in started} | {f"cags_bench.{name}.command" for name in EXPERIMENTS}
     for name, path in sources():

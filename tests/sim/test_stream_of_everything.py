@@ -38,7 +38,7 @@ def clip() -> list[Splats]:
     return frames
 
 
-@pytest.fixture(scope="module", params=sorted(TILE_CODECS))
+@pytest.fixture(scope="module", params=sorted(TILE_CODECS.names()))
 def bundle(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[BundleReader]:
     url = str(tmp_path_factory.mktemp("bundles") / request.param)
     encode(clip(), EncodeSettings(codec=request.param, train_splats=256, lod_order="paper"), url)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from cags_research.configurations import PUBLISHED, REMOTE_RENDERING
+
 
 @dataclass(frozen=True)
 class Method:
@@ -19,10 +21,6 @@ class Method:
     client: Mapping[str, Any] = field(default_factory=dict)
 
 
-PUBLISHED_SERVER = {"abr": "paper", "fov": "lstm", "references": "picture", "reference_footprint": "plain"}
-PUBLISHED_CLIENT = {"restore": "srresnet", "erosion": True}
-"""The paper's references and what its client does with them."""
-
 METHODS: dict[str, Method] = {
     "cags": Method("CAGS (ours)", "the defaults of this program"),
     "cags-paper": Method(
@@ -30,9 +28,9 @@ METHODS: dict[str, Method] = {
         "66-bit SVQ in the printed order of layers, the four-step rate policy, the LSTM's field of view; references "
         "are pictures drawn as any of their size, aligned and eroded (PRPA), restored by the paper's network, which is "
         "trained here: its weights are not public",
-        encode={"quantiser": "paper-66", "lod_order": "paper"},
-        server=PUBLISHED_SERVER,
-        client=PUBLISHED_CLIENT,
+        encode=PUBLISHED.encode,
+        server=PUBLISHED.server,
+        client=PUBLISHED.client,
     ),
     "sr-align-ref": Method(
         "SR align ref.",
@@ -64,19 +62,8 @@ METHODS: dict[str, Method] = {
         "plain remote rendering: no splats are sent; the video of the predicted view, at the client's own size with a "
         "margin of 10 %, may fill 85 % of the link (up to crf 14); the client corrects where it looks by a homography, "
         "not where it stands",
-        server={
-            "abr": "none",
-            "references": "picture",
-            "opening_tiles": False,
-            "reference_full_size": True,
-            "reference_share": 0.85,
-            "reference_most": 1.0,
-            "reference_crf": 14.0,
-            "reference_chroma": "yuv420p",
-            "fov": "fixed",
-            "fov_margin": 0.1,
-        },
-        client={"restore": "reference", "align": "rotation"},
+        server=REMOTE_RENDERING.server,
+        client=REMOTE_RENDERING.client,
     ),
     "pictures": Method(
         "pictures alone",
@@ -86,9 +73,9 @@ METHODS: dict[str, Method] = {
     "no-prpa": Method(
         "as published, w/o PRPA",
         "the published way, restored from a picture that is not aligned",
-        encode={"quantiser": "paper-66", "lod_order": "paper"},
-        server=PUBLISHED_SERVER,
-        client={**PUBLISHED_CLIENT, "align": "unaligned"},
+        encode=PUBLISHED.encode,
+        server=PUBLISHED.server,
+        client={**PUBLISHED.client, "align": "unaligned"},
     ),
     "no-adaptive-fov": Method(
         "w/o adaptive FoV",

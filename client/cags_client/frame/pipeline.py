@@ -18,7 +18,6 @@ from cags_client.frame.changes import Changes
 from cags_client.frame.presented import PresentedFrame
 from cags_client.frame.resolution import Resolutions
 from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer
-from cags_client.frame.restore.networks.weights import Weights
 from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
@@ -77,7 +76,7 @@ class ClientPipeline:
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._resolutions = Resolutions(1e3 / info.fps)
-        self._weights: dict[str, Weights] = {}
+        self._weights: bytes | None = None
         self._restorer_wanted = self.live.restore
         self._restorer = self._made_restorer()
 
@@ -128,13 +127,15 @@ class ClientPipeline:
         self._store.end(message.frame, removed)
 
     def on_weights(self, data: bytes) -> None:
-        """Weights trained for this content, in place of those of the program. Raises :class:`DecodeError`."""
+        """Weights of a restorer trained for this content; without one they are left. Raises :class:`DecodeError`."""
+        wanted = self.settings.restore
+        if wanted in (CORRECT, NONE):
+            return
         try:
-            weights = Weights.from_bytes(data, "weights of the content")
-            restore.create(weights.network, weights={weights.network: weights})
+            restore.create(wanted, threads=self.settings.threads, weights=data)
         except ConfigError as error:
             raise DecodeError(str(error)) from error
-        self._weights[weights.network] = weights
+        self._weights = data
         self._restorer_wanted = ""  # made anew before the next frame
 
     @property
@@ -294,7 +295,7 @@ class ClientPipeline:
             corrects=name == CORRECT,
             stale=reference is not None and (reference.frame < time or self._outdated(reference)),
             restorer=self._restorer.needs if self._restorer is not None else frozenset(),
-            replaces=name in restore.REPLACING,
+            replaces=self._restorer is not None and self._restorer.replaces,
             depth_shown=self.live.depth_shown,
         )
 

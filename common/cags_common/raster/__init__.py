@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from functools import cache
-from importlib.metadata import entry_points
 
 from cags_common.errors import ConfigError
 from cags_common.raster.base import (
@@ -23,6 +22,7 @@ from cags_common.raster.base import (
     RenderOptions,
     Shortcuts,
 )
+from cags_common.registry import Registry
 
 __all__ = [
     "FACTORIES",
@@ -54,25 +54,13 @@ def _cpu() -> Rasteriser:
     return CpuRasteriser()
 
 
-PLUGINS = "cags.rasterisers"
-"""The entry points by which packages above this one add backends: ``gpu`` comes from :mod:`cags_gpu`."""
+FACTORIES: Registry[Callable[[], Rasteriser]] = Registry(
+    "rasteriser", "cags.rasterisers", {"reference": _reference, "cpu": _cpu}, extra="gpu"
+)
+"""Backends by name: ``gpu`` comes from :mod:`cags_gpu`.
 
-
-def _plugin(name: str) -> Callable[[], Rasteriser]:
-    """A backend of another package; its factory raises :class:`ConfigError` where that is not installed."""
-
-    def make() -> Rasteriser:
-        found = entry_points(group=PLUGINS, name=name)
-        if not found:
-            raise ConfigError(f"rasteriser {name!r} is not installed; install the program again: pip install -e .")
-        made: Rasteriser = next(iter(found)).load()()
-        return made
-
-    return make
-
-
-FACTORIES: dict[str, Callable[[], Rasteriser]] = {"reference": _reference, "cpu": _cpu, "gpu": _plugin("gpu")}
-"""Backends by name. A factory raises :class:`ConfigError` with the reason when its backend cannot run here."""
+A factory raises :class:`ConfigError` with the reason when its backend cannot run here.
+"""
 
 
 def create(name: str = "auto") -> Rasteriser:
@@ -83,9 +71,7 @@ def create(name: str = "auto") -> Rasteriser:
     """
     if name == "auto":
         return _automatic()
-    if name not in FACTORIES:
-        raise ConfigError(f"rasteriser {name!r} is unknown; known: auto, {', '.join(FACTORIES)}")
-    return FACTORIES[name]()
+    return FACTORIES.find(name, also=("auto",))()
 
 
 def chosen(name: str, tell: Callable[[str], None] = _log.info) -> str:

@@ -8,8 +8,8 @@ pytest.importorskip("torch")
 from cags_client.frame import align
 from cags_client.frame.align import ReferencePicture
 from cags_client.frame.restore import RestoreInput
-from cags_client.frame.restore.networks import Weights, from_weights
 from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_research.restore.networks import Weights, from_weights
 
 
 def shipped():

@@ -106,7 +106,7 @@ def test_pictures_of_one_colour_are_restored_to_finite_colours(restorer: str, le
 
 
 @pytest.mark.parametrize("depth", [float(DENORMAL), 1e-30, 1e30, 3e38, np.inf, np.nan, -1.0])
-@pytest.mark.parametrize("name", sorted(ALIGNERS))
+@pytest.mark.parametrize("name", sorted(ALIGNERS.names()))
 def test_depths_at_the_limits_of_float32_give_no_colour_that_is_not_finite(name: str, depth: float) -> None:
     picture = np.random.default_rng(0).random((36, 48, 3)).astype(np.float32)
     there = Camera(SMALL, Pose((0.1, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
@@ -151,7 +151,9 @@ def test_kmeans_of_degenerate_data_is_no_worse_than_one_mean(points: np.ndarray,
 # ----------------------------------------------------------------------------------------------------- limits of policy
 
 
-@pytest.mark.parametrize("name", sorted(set(RATE_POLICIES) - {"buffer"}))  # which looks at the wait, not the budget
+@pytest.mark.parametrize(
+    "name", sorted(set(RATE_POLICIES.names()) - {"buffer"})
+)  # which looks at the wait, not the budget
 @pytest.mark.parametrize("bps", [0.0, 1.0, 10e9, 1e15])
 @given(data=st.data())
 def test_rate_policies_keep_to_any_budget(name: str, bps: float, data: st.DataObject) -> None:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from cags_common.errors import ConfigError
-from cags_common.lpips import Lpips
+from cags_common.lpips import CONVOLUTIONS, EPSILON, POOLED_BEFORE, SCALE, SHIFT, Lpips
 
+PARTS = ("conv", "weight"), ("conv", "bias"), ("lin", "weight")
 SHARED = Path(__file__).parents[4] / "shared" / "lpips"
 needs_weights = pytest.mark.skipif(
     not SHARED.exists(), reason="the LPIPS weights beside the checkout (../shared/lpips) are absent"
@@ -33,6 +34,32 @@ def test_pictures_of_unequal_or_tiny_size_are_refused():
         lpips.distance(np.zeros((40, 40, 3), np.float32), np.zeros((40, 41, 3), np.float32))
     with pytest.raises(ValueError, match="31 px"):
         lpips.distance(np.zeros((8, 8, 3), np.float32), np.zeros((8, 8, 3), np.float32))
+
+
+def test_the_network_is_that_which_torch_runs(tmp_path):
+    """Of random weights and pictures of odd sizes."""
+    torch = pytest.importorskip("torch")
+    functional = torch.nn.functional
+    rng = np.random.default_rng(5)
+    sizes = [(8, 3, 11), (12, 8, 5), (16, 12, 3), (10, 16, 3), (9, 10, 3)]
+    arrays = {}
+    for i, (out, into, kernel) in enumerate(sizes):
+        arrays[f"conv{i}.weight"] = rng.normal(0, (into * kernel**2) ** -0.5, (out, into, kernel, kernel)).astype("f")
+        arrays[f"conv{i}.bias"] = rng.normal(0, 0.1, out).astype("f")
+        arrays[f"lin{i}.weight"] = rng.random((1, out, 1, 1)).astype("f")
+    np.savez(tmp_path / "w.npz", **arrays)
+    pictures = rng.random((2, 67, 90, 3)).astype("f")
+
+    x = torch.from_numpy(pictures).permute(0, 3, 1, 2) * 2 - 1
+    x = (x - torch.tensor(SHIFT).reshape(1, 3, 1, 1)) / torch.tensor(SCALE).reshape(1, 3, 1, 1)
+    expected = 0.0
+    for i, (stride, padding) in enumerate(CONVOLUTIONS):
+        x = functional.max_pool2d(x, 3, 2) if i in POOLED_BEFORE else x
+        weight, bias, linear = (torch.from_numpy(arrays[f"{n}{i}.{part}"]) for n, part in PARTS)
+        x = functional.relu(functional.conv2d(x, weight, bias, stride=stride, padding=padding))
+        unit = x / (x.square().sum(1, keepdim=True).sqrt() + EPSILON)
+        expected += float(((unit[0] - unit[1]).square() * linear[0]).sum(0).mean())
+    assert Lpips(tmp_path / "w.npz").distance(*pictures) == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"PK\x03\x04 not really", b"\x93NUMPY"])

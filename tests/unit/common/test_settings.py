@@ -94,3 +94,26 @@ def test_one_file_may_serve_several_commands(tmp_path):
     config.write_text("[clients]\nport = 2\n")
     with pytest.raises(ConfigError, match="unknown key 'clients'"):
         parse("--config", str(config))
+
+
+@dataclass(frozen=True)
+class WithResearch:
+    mode: str = setting("fast", "how")
+    odd: bool = setting(True, "only experiments change it", research=True)
+
+
+@pytest.mark.parametrize(("flag", "shown"), [("--help", False), ("--help-all", True)])
+def test_what_only_research_changes_is_shown_when_asked_for(capsys, flag, shown):
+    parser = argparse.ArgumentParser()
+    add_settings(parser, WithResearch)
+    with pytest.raises(SystemExit):
+        parser.parse_args([flag])
+    said = capsys.readouterr().out
+    assert "--mode" in said
+    assert ("--no-odd" in said, "only experiments change it" in said) == (shown, shown)
+    assert load_settings(WithResearch, parser.parse_args(["--no-odd"])) == WithResearch(odd=False)
+
+
+def test_help_all_is_there_only_where_it_shows_more():
+    with pytest.raises(SystemExit):
+        parse("--help-all")

@@ -14,7 +14,7 @@ Mask = NDArray[np.bool_]
 
 
 class FastAligner:
-    """The same result as :class:`cags_client.frame.align.oracle.OracleAligner` to a 1/32 pixel of sampling."""
+    """The same result as :class:`cags_research.align.oracle.OracleAligner` to a 1/32 pixel of sampling."""
 
     name = "fast"
 

@@ -1,22 +1,18 @@
-"""What is done with references: ``correct`` adds what is lacking; the others are there to compare with.
+"""What is done with references: ``correct`` adds what the client's picture lacks, ``none`` leaves it alone.
 
-``create(name) -> Restorer`` makes the restorers of aligned pictures: the paper's networks, and the aligned reference
-alone. ``correct`` and ``none`` need none.
+``create(name) -> Restorer`` makes another kind: one that turns the client's picture and an aligned reference into the
+picture to show. Those exist to be compared with (:mod:`cags_research.restore`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from cags_client.frame.restore.base import RestoreInput, Restorer
-from cags_client.frame.restore.reference import ReferenceRestorer
 from cags_common.errors import ConfigError
+from cags_common.registry import Registry
 from cags_protocol.messages import ANY_REFERENCE, NO_REFERENCES, PICTURES_ONLY
-
-if TYPE_CHECKING:
-    from cags_client.frame.restore.networks.weights import Weights
 
 __all__ = [
     "CORRECT",
@@ -24,6 +20,7 @@ __all__ = [
     "RESTORERS",
     "RestoreInput",
     "Restorer",
+    "RestorerOptions",
     "check_name",
     "create",
     "references_wanted",
@@ -34,45 +31,44 @@ CORRECT, NONE = "correct", "none"
 """What needs no restorer: adding what is lacking, and nothing."""
 
 
-def _network(name: str, threads: int | None = None, weights: Weights | None = None) -> Restorer:
-    from cags_client.frame.restore import networks
+@dataclass(frozen=True)
+class RestorerOptions:
+    """What a restorer is made with; each uses what it can."""
 
-    if weights is not None:
-        return networks.from_weights(weights, name.partition("@")[2], threads)
-    return networks.create(name, threads)
-
-
-NETWORK_NAMES = ("srresnet", "sr-align-ref", "cr-no-ref")
-
-RESTORERS: dict[str, Callable[[], Restorer]] = {
-    "reference": ReferenceRestorer,
-    **{name: partial(_network, name) for name in NETWORK_NAMES},
-}
-"""Restorers of aligned pictures by name; a network may name its runtime (``srresnet@openvino``)."""
-
-REPLACING = frozenset({"reference", "sr-align-ref", "cr-no-ref"})
-"""Restorers that do not correct the distorted picture but stand in its place: they run at the highest LoD too."""
+    runtime: str = ""
+    """What runs its network (``openvino`` of ``srresnet@openvino``); empty: its default."""
+    threads: int | None = None
+    """Threads to compute on; None leaves their number to it."""
+    weights: bytes | None = None
+    """Weights file trained for the content, in place of those that come with the program."""
 
 
-def create(name: str, *, threads: int | None = None, weights: Mapping[str, Weights] | None = None) -> Restorer:
-    """The restorer of aligned pictures called ``name``; a network's may name its runtime (``srresnet@openvino``).
+RESTORERS: Registry[Callable[[RestorerOptions], Restorer]] = Registry("restorer", "cags.restorers", {})
+"""Restorers of aligned pictures by name."""
 
-    ``weights`` are the content's own, by network; they come before those of the program. ``threads`` None leaves their
-    number to the restorer. Raises :class:`ConfigError` for an unknown one.
+
+def create(name: str, *, threads: int | None = None, weights: bytes | None = None) -> Restorer:
+    """The restorer of aligned pictures called ``name``; it may name what runs its network (``srresnet@openvino``).
+
+    Raises :class:`ConfigError` for an unknown one, for one whose packages are not installed, and for ``weights`` that
+    are no weights file.
     """
-    check_name(name)
-    network = name.partition("@")[0]
-    if network in NETWORK_NAMES:
-        return _network(name, threads, (weights or {}).get(network))
-    if name not in RESTORERS:
-        raise ConfigError(f"restorer {name!r} works on no aligned picture; these do: {', '.join(RESTORERS)}")
-    return RESTORERS[name]()
+    if name in (CORRECT, NONE):
+        raise ConfigError(f"restorer {name!r} works on no aligned picture; these do: {', '.join(RESTORERS.names())}")
+    return _maker(name)(RestorerOptions(name.partition("@")[2], threads, weights))
 
 
 def check_name(name: str) -> None:
-    """Raise :class:`ConfigError` where nothing called ``name`` can be done with references; nothing is loaded."""
-    if name not in (CORRECT, NONE, *RESTORERS) and name.partition("@")[0] not in NETWORK_NAMES:
-        raise ConfigError(f"restorer {name!r} is unknown; known: {', '.join((CORRECT, NONE, *RESTORERS))}")
+    """Raise :class:`ConfigError` where nothing called ``name`` can be done with references here; no network is made."""
+    if name not in (CORRECT, NONE):
+        _maker(name)
+
+
+def _maker(name: str) -> Callable[[RestorerOptions], Restorer]:
+    kind, known = name.partition("@")[0], RESTORERS.names()
+    if kind not in known:
+        raise ConfigError(f"restorer {name!r} is unknown; known: {', '.join((CORRECT, NONE, *known))}")
+    return RESTORERS.find(kind)
 
 
 def references_wanted(name: str) -> str:

@@ -34,6 +34,11 @@ class Restorer(Protocol):
         """What it looks at: alignment, erosion (of aligned colours)."""
         ...
 
+    @property
+    def replaces(self) -> bool:
+        """Whether its picture stands in place of the client's own: it then runs at the highest LoD too."""
+        ...
+
     def restore(self, inputs: RestoreInput) -> F32:
         """The picture to show, [H, W, 3] float32, finite, in [0, 1]. The inputs are not changed."""
         ...

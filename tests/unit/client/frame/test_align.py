@@ -11,7 +11,7 @@ from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
 
 TOLERANCE = 2e-5
-TRUE_ALIGNERS = sorted(set(ALIGNERS) - {"unaligned", "rotation"})
+TRUE_ALIGNERS = sorted(set(ALIGNERS.names()) - {"unaligned", "rotation"})
 LARGE = Intrinsics.of_fov(160, 120, 1.0, 0.8)
 SMALL = Intrinsics.of_fov(40, 30, 1.0, 0.8)
 
@@ -288,7 +288,7 @@ def test_colours_are_made_at_once_where_they_are_asked_for_and_are_the_same_late
 
 
 def test_an_unknown_aligner_is_named() -> None:
-    with pytest.raises(ConfigError, match="'magic' is unknown; known: reference, fast"):
+    with pytest.raises(ConfigError, match="'magic' is unknown; known: fast, reference"):
         create("magic")
 
 

@@ -15,7 +15,7 @@ from cags_common.geometry import Camera, Intrinsics, Pose
 LARGE = Intrinsics.of_fov(160, 120, 1.0, 0.8)
 SMALL = Intrinsics.of_fov(40, 30, 1.0, 0.8)
 CAMERA = Camera(LARGE, Pose.identity())
-OF_PICTURES = sorted(set(RESTORERS) - {CORRECT, NONE})
+OF_PICTURES = RESTORERS.names()
 
 
 def smooth(height: int, width: int, sigma: float, seed: int = 0) -> np.ndarray:
@@ -62,10 +62,15 @@ def test_an_unknown_restorer_is_named(name: str) -> None:
             asked(name)
 
 
+def test_a_runtime_is_for_networks_alone() -> None:
+    with pytest.raises(ConfigError, match="'reference' runs no network: leave '@torch' out"):
+        restore.create("reference@torch")
+
+
 @pytest.mark.parametrize("name", [CORRECT, NONE])
 def test_what_works_on_no_aligned_picture_is_not_made(name: str) -> None:
     restore.check_name(name)
-    with pytest.raises(ConfigError, match=f"'{name}' works on no aligned picture; these do: reference, srresnet"):
+    with pytest.raises(ConfigError, match=f"'{name}' works on no aligned picture; these do: cr-no-ref, reference"):
         restore.create(name)
 
 

@@ -129,7 +129,7 @@ def observations(draw: st.DrawFn) -> Observation:
     return Observation(3, draw(bytes_), tuple(tiles), gains, 5, layered=layered, timely_bytes=draw(bytes_))
 
 
-@pytest.mark.parametrize("name", list(RATE_POLICIES))
+@pytest.mark.parametrize("name", RATE_POLICIES.names())
 @given(observations())
 def test_decisions_are_sound(name: str, observation: Observation) -> None:
     """Each tile rises at most once, from where it is, within its layers, and (but for ``buffer``) within bounds."""

@@ -1,0 +1,34 @@
+"""Restorers that run a network."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cags_client.frame.restore.base import ALIGNED, RestoreInput
+from cags_common.geometry import F32
+from cags_research.restore.networks.inputs import filled, reach
+from cags_research.restore.networks.runtimes import Runtime
+
+
+class PictureRestorer:
+    """The paper's network and its one-input variants, at full resolution.
+
+    One that only corrects shows the distorted picture where the reference says nothing near a pixel. Those that
+    replace it go without: they show what the paper's configurations show.
+    """
+
+    needs = ALIGNED
+
+    def __init__(self, runtime: Runtime, name: str, *, replaces: bool) -> None:
+        self.name, self.replaces = name, replaces
+        self._runtime = runtime
+
+    def restore(self, inputs: RestoreInput) -> F32:
+        """See :class:`cags_client.frame.restore.base.Restorer`."""
+        distorted, aligned = inputs.distorted, inputs.aligned
+        if not self.replaces and not aligned.confidence.any():
+            return distorted
+        shown = self._runtime.run(filled(aligned.rgb, aligned.confidence, distorted), distorted)
+        if not self.replaces:
+            shown = distorted + reach(aligned.confidence)[..., None] * (shown - distorted)
+        return np.clip(shown, 0.0, 1.0)

@@ -1,0 +1,164 @@
+"""``cags-train restore``: from scenes to a weights file, with a report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cags_common.errors import ConfigError
+from cags_common.settings import add_flags, add_settings, load_settings
+from cags_research.training.pairs.settings import PairSettings
+from cags_research.training.restore.settings import TrainSettings
+
+if TYPE_CHECKING:
+    from cags_research.restore.networks.weights import Weights
+    from cags_research.training.pairs.crops import Crops
+    from cags_research.training.restore.trainer import Trainer
+
+EXAMPLES = """\
+  cags-train restore --scene procedural:seed=5 --held-out procedural:seed=9 --out srresnet/
+  cags-train restore --scene a.ply --scene b.splat --held-out c.sog --poses walk.csv --steps 12000 --out srresnet/
+  cags-train restore --network sr-align-ref --patch 96 --batch 8 --scene a.ply --held-out c.sog --out alone/
+  cags-train restore --bundle mine.cags --rate 3e-4 --steps 800 --out fine/   # fine-tune; clients fetch the weights
+  cags-train restore --start srresnet/srresnet.npz --rate 3e-4 --scene mine.ply --held-out mine.ply --out fine/"""
+
+HELD_OUT_VIEWS_SHARE = 0.5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of the command."""
+    parser.add_argument("--scene", action="append", default=[], metavar="SCENE", help="scene to train on; repeatable")
+    parser.add_argument(
+        "--held-out", action="append", default=[], metavar="SCENE", help="scene to score on; repeatable"
+    )
+    parser.add_argument(
+        "--bundle",
+        default=None,
+        metavar="DIR",
+        help="fine-tune for this encoded scene, from --start or the program's weights, and store the weights in it",
+    )
+    parser.add_argument(
+        "--poses", action="append", default=[], metavar="FILE", help="head-motion trace to look along; repeatable"
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of weights, checkpoint and report")
+    parser.add_argument("--pairs", default=None, metavar="DIR", help="folder of made pairs (default: OUT/pairs)")
+    parser.add_argument("--start", default=None, metavar="FILE", help="weights to start from (fine-tuning)")
+    parser.add_argument("--restart", action="store_true", help="ignore the checkpoint in OUT")
+    parser.add_argument("--json", action="store_true", help="print the history as JSON lines to stdout")
+    add_settings(parser, TrainSettings)
+    add_flags(parser.add_argument_group("pairs"), PairSettings)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make what pairs are missing, train, and write ``NETWORK.npz``, ``report.md`` and ``curves.png``."""
+    from cags_research.training.restore.trainer import Trainer
+
+    settings = load_settings(TrainSettings, arguments, PairSettings)
+    pairs = load_settings(PairSettings, arguments, TrainSettings)
+    if arguments.bundle:
+        _aim_at_bundle(arguments)
+    if not arguments.scene or not arguments.held_out:
+        raise ConfigError("give at least one --scene to train on and one --held-out to score on")
+    if settings.patch > pairs.crop:
+        raise ConfigError(f"patch = {settings.patch} is larger than crop = {pairs.crop}; make crops larger")
+    out = Path(arguments.out)
+    out.mkdir(parents=True, exist_ok=True)
+    train, held_out = _data(arguments, pairs, out)
+    trainer = Trainer(settings, train, held_out, pairs.seed)
+    _prepare(trainer, arguments, out)
+    _train(trainer, settings, out, as_json=arguments.json)
+    weights = _finish(trainer, settings, arguments, out)
+    if arguments.bundle:
+        _store(weights, trainer, arguments.bundle)
+    return 0
+
+
+def _aim_at_bundle(arguments: argparse.Namespace) -> None:
+    """Train on the bundle; score on other views of it, unless other scenes are named."""
+    from cags_research.training.pairs.ladder import is_bundle
+
+    if not is_bundle(arguments.bundle):
+        raise ConfigError(f"--bundle {arguments.bundle}: is no encoded scene on this machine; run cags-encode first")
+    arguments.scene = [*arguments.scene, arguments.bundle]
+    arguments.held_out = arguments.held_out or [arguments.bundle]
+
+
+def _store(weights: Weights, trainer: Trainer, bundle: str) -> None:
+    """Put the weights into the bundle, if they are better than those that training began with."""
+    from cags_common.bundle.weights import store_weights
+
+    if trainer.best_line.step == 0:
+        print(f"{bundle}: no step was better than the weights at the start; nothing is stored", file=sys.stderr)
+        return
+    store_weights(bundle, weights.to_bytes())
+    print(f"{bundle}: holds the weights now; servers that open it offer them", file=sys.stderr)
+
+
+def _data(arguments: argparse.Namespace, pairs: PairSettings, out: Path) -> tuple[Crops, Crops]:
+    from cags_encoder.progress import progress_bar
+    from cags_research.training.restore.data import crops_of_scenes
+
+    folder = Path(arguments.pairs) if arguments.pairs else out / "pairs"
+    fewer = replace(pairs, views=max(1, int(pairs.views * HELD_OUT_VIEWS_SHARE)), seed=pairs.seed + 1)
+    with progress_bar() as tell:
+        train = crops_of_scenes(arguments.scene, arguments.poses, pairs, folder, tell)
+        held_out = crops_of_scenes(arguments.held_out, arguments.poses, fewer, folder, tell)
+    return train, held_out
+
+
+def _prepare(trainer: Trainer, arguments: argparse.Namespace, out: Path) -> None:
+    """Start from given weights, or go on from the checkpoint that is there."""
+    from cags_research.restore.networks.weights import Weights
+    from cags_research.training.restore.checkpoint import Checkpoint
+
+    if arguments.start:
+        trainer.start_from(Weights.load(Path(arguments.start)))
+    elif arguments.bundle:
+        trainer.start_from(Weights.shipped(trainer.settings.network))
+    checkpoint = out / "checkpoint.npz"
+    if checkpoint.exists() and not arguments.restart:
+        trainer.resume(Checkpoint.load(checkpoint))
+
+
+def _train(trainer: Trainer, settings: TrainSettings, out: Path, *, as_json: bool) -> None:
+    from cags_encoder.progress import progress_bar
+
+    with progress_bar() as tell:
+
+        def told(done: int, total: int, line: Any) -> None:
+            tell(f"train {settings.network}", done, total)
+            if line is not None and as_json:
+                print(json.dumps(asdict(line)), flush=True)
+
+        trainer.run(told, lambda checkpoint: checkpoint.save(out / "checkpoint.npz"))
+
+
+def _finish(trainer: Trainer, settings: TrainSettings, arguments: argparse.Namespace, out: Path) -> Weights:
+    from cags_research.restore.networks.weights import Weights
+    from cags_research.training.restore.report import write_report
+
+    best = trainer.best_line
+    about = {
+        "network": settings.network,
+        "command": "cags-train " + shlex.join(sys.argv[1:]),
+        "scenes": arguments.scene,
+        "held_out": arguments.held_out,
+        "poses": [Path(walk).name for walk in arguments.poses],
+        "training": asdict(settings),
+        "best": asdict(best),
+        "crops": {"train": len(trainer.train), "held_out": len(trainer.held_out)},
+    }
+    weights = Weights(settings.network, trainer.best, {k: v for k, v in about.items() if k != "network"})
+    weights.save(out / f"{settings.network}.npz")
+    page = write_report(out, trainer.history, about)
+    print(
+        f"{out / settings.network}.npz: {best.gain_db:+.2f} dB over the distorted picture on held-out crops "
+        f"(step {best.step}); {page}",
+        file=sys.stderr,
+    )
+    return weights

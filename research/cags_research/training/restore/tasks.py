@@ -1,0 +1,62 @@
+"""What each network is fed and what it answers, in training: the same inputs as in the client."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor, nn
+
+from cags_research.restore.networks.inputs import filled
+from cags_research.restore.networks.srresnet import Sees, SrResNet
+from cags_research.training.restore.dataset import Batch
+
+Task = Callable[[nn.Module, Batch, torch.device], Tensor]
+"""What a network makes of a batch: the restored pictures [B, S, S, 3] in the client's view, before clipping."""
+
+
+def restore_srresnet(network: nn.Module, batch: Batch, device: torch.device) -> Tensor:
+    """The paper's network and its one-input variants."""
+    aligned = filled(batch.aligned, batch.confidence[..., 0], batch.distorted)
+    restored: Tensor = network(torch.from_numpy(aligned).to(device), torch.from_numpy(batch.distorted).to(device))
+    return restored
+
+
+NETWORKS: Mapping[str, tuple[Callable[[], nn.Module], Task]] = {
+    "srresnet": (lambda: SrResNet(Sees.BOTH), restore_srresnet),
+    "sr-align-ref": (lambda: SrResNet(Sees.REFERENCE), restore_srresnet),
+    "cr-no-ref": (lambda: SrResNet(Sees.DISTORTED), restore_srresnet),
+}
+"""Network and task by name."""
+
+ERROR_FLOOR = 1e-6
+"""Squared error (60 dB) under which pictures count as equal: nothing may be lost at the top of the ladder."""
+
+
+def batch_loss(restored: Tensor, batch: Batch, device: torch.device) -> Tensor:
+    """The loss of a batch."""
+    truth, covered = (torch.from_numpy(image).to(device) for image in (batch.truth, batch.covered))
+    return loss(restored, truth, covered)
+
+
+def loss(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
+    """Mean over patches of the logarithm of the squared error: a decibel counts the same at every LoD.
+
+    The error is taken in the displayed range, where values outside [0, 1] are clipped; a twentieth of what was clipped
+    counts still, so that its gradient does not die. Void (``covered`` [B, S, S, 1] of 0) counts a tenth of what the
+    scene covers.
+    """
+    shown = restored.clamp(0, 1)
+    shown = shown + 0.05 * (restored - shown)
+    weight = 0.1 + 0.9 * covered
+    squared = ((shown - truth) ** 2 * weight).mean(dim=(1, 2, 3)) / weight.mean(dim=(1, 2, 3))
+    return torch.log(squared + ERROR_FLOOR).mean()
+
+
+def covered_psnr(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
+    """PSNR [B] in dB of displayed pictures over the pixels that the scene covers, at most 60."""
+    weight = (covered >= 0.5).to(truth.dtype)
+    squared = ((restored.clamp(0, 1) - truth) ** 2 * weight).sum(dim=(1, 2, 3)) / (3 * weight.sum(dim=(1, 2, 3))).clamp(
+        min=1
+    )
+    return -10 * torch.log10(squared.clamp(min=1e-6))

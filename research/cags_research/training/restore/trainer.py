@@ -1,0 +1,201 @@
+"""The training loop: resumable, stops early, keeps the running average that scored best on held-out scenes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from cags_common.errors import ConfigError
+from cags_common.geometry import F32
+from cags_research.restore.networks import Weights, network_of
+from cags_research.restore.networks.runtimes.torch_eager import channels_last
+from cags_research.training.pairs.crops import Crops
+from cags_research.training.restore.checkpoint import Checkpoint
+from cags_research.training.restore.dataset import Batch, draw_batch, plain_batch
+from cags_research.training.restore.settings import TrainSettings
+from cags_research.training.restore.tasks import NETWORKS, batch_loss, covered_psnr
+
+WARM_UP = 0.02
+"""Share of the steps over which the learning rate rises."""
+
+SMALLEST_RATE = 0.01
+"""Share of the learning rate that is left at the end."""
+
+MAX_GRADIENT_NORM = 1.0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One line of the training's history."""
+
+    step: int
+    loss: float  # mean since the line before
+    gain_db: float  # mean gain over the distorted picture on held-out crops
+    lowest_gain_db: float  # mean gain of the tenth of them where the distorted picture is best
+    worst_gain_db: float  # the least gain of any held-out crop
+
+
+@dataclass(eq=False)
+class Trainer:
+    """Trains one network on crops; the same data, settings and seed give the same weights (for one thread count)."""
+
+    settings: TrainSettings
+    train: Crops
+    held_out: Crops
+    seed: int
+    history: list[Progress] = field(default_factory=list)
+    best: dict[str, F32] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        torch.manual_seed(self.seed)
+        self._device = torch.device(self.settings.device)
+        make, self._task = NETWORKS[self.settings.network]
+        self._network = channels_last(make(), self._device)
+        self._average = {name: p.detach().clone() for name, p in self._network.named_parameters()}
+        self._optimiser = torch.optim.Adam(self._network.parameters(), lr=self.settings.rate)
+        self._step = 0
+        self._losses: list[float] = []
+        self._started = False
+
+    def start_from(self, weights: Weights) -> None:
+        """Begin with known weights (fine-tuning). Raises :class:`ConfigError` where they are of another network."""
+        if weights.network != self.settings.network:
+            raise ConfigError(f"weights are of {weights.network!r}, training is of {self.settings.network!r}")
+        self._network.load_state_dict(network_of(weights).state_dict())
+        self._started = True
+        self._average = {name: p.detach().clone() for name, p in self._network.named_parameters()}
+
+    @property
+    def step(self) -> int:
+        """Steps done."""
+        return self._step
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps are done, or no evaluation of the last ``patience`` was the best."""
+        if self._step >= self.settings.steps:
+            return True
+        gains = [line.gain_db for line in self.history]
+        return bool(gains) and len(gains) - 1 - int(np.argmax(gains)) >= self.settings.patience
+
+    @property
+    def best_line(self) -> Progress:
+        """The evaluation whose weights are kept."""
+        return max(self.history, key=lambda line: line.gain_db)
+
+    def run(self, tell: Callable[[int, int, Progress | None], None], save: Callable[[Checkpoint], None]) -> None:
+        """Train to the end; ``save`` is called after each evaluation, ``tell`` after each step."""
+        torch.set_num_threads(self.settings.threads)
+        if self._step == 0 and self._started:
+            self._evaluated()  # what is there already must be beaten
+        while not self.finished:
+            self._advance()
+            line = None
+            if self._step % self.settings.evaluate_every == 0 or self._step == self.settings.steps:
+                line = self._evaluated()
+                save(self.checkpoint())
+            tell(self._step, self.settings.steps, line)
+
+    def _advance(self) -> None:
+        s = self.settings
+        batch = draw_batch(self.train, s.batch, s.patch, self.seed, self._step)
+        for group in self._optimiser.param_groups:
+            group["lr"] = s.rate * _schedule(self._step / s.steps)
+        value = batch_loss(self._task(self._network, batch, self._device), batch, self._device)
+        self._optimiser.zero_grad(set_to_none=True)
+        value.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRADIENT_NORM)
+        self._optimiser.step()
+        decay = min(s.average, (1 + self._step) / (10 + self._step))
+        with torch.no_grad():
+            for name, parameter in self._network.named_parameters():
+                self._average[name].lerp_(parameter, 1 - decay)
+        self._losses.append(float(value.detach()))
+        self._step += 1
+
+    def _evaluated(self) -> Progress:
+        network = channels_last(NETWORKS[self.settings.network][0](), self._device)
+        network.load_state_dict(self._average)
+        after, before = self._scores(network.eval())
+        gains, top = after - before, before >= np.quantile(before, 0.9)
+        line = Progress(
+            step=self._step,
+            loss=float(np.mean(self._losses)) if self._losses else math.nan,
+            gain_db=float(gains.mean()),
+            lowest_gain_db=float(gains[top].mean()),
+            worst_gain_db=float(gains.min()),
+        )
+        if not self.history or line.gain_db > max(known.gain_db for known in self.history):
+            self.best = {name: p.cpu().numpy().copy() for name, p in self._average.items()}
+        self.history.append(line)
+        self._losses.clear()
+        return line
+
+    def _scores(self, network: nn.Module) -> F32:
+        """PSNR of every held-out crop [2, N] in dB: restored and distorted."""
+        scores = []
+        with torch.inference_mode():
+            for start in range(0, len(self.held_out), self.settings.batch):
+                rows = np.arange(start, min(start + self.settings.batch, len(self.held_out)))
+                batch = plain_batch(self.held_out, rows, self.settings.patch)
+                pictures = (self._task(network, batch, self._device), self._tensor(batch.distorted))
+                scores.append(np.stack([self._psnr(picture, batch) for picture in pictures]))
+        return np.concatenate(scores, axis=1)
+
+    def _psnr(self, pictures: Tensor, batch: Batch) -> F32:
+        psnr: F32 = covered_psnr(pictures, self._tensor(batch.truth), self._tensor(batch.covered)).cpu().numpy()
+        return psnr
+
+    def _tensor(self, array: F32) -> Tensor:
+        return torch.from_numpy(array).to(self._device)
+
+    # ---------------------------------------------------------------------------------------------------- checkpoints
+
+    def checkpoint(self) -> Checkpoint:
+        """Everything that a resumed training needs."""
+        arrays: dict[str, F32] = {}
+        for name, parameter in self._network.named_parameters():
+            arrays[f"network/{name}"] = parameter.detach().cpu().numpy().copy()
+            arrays[f"average/{name}"] = self._average[name].cpu().numpy().copy()
+            state = self._optimiser.state.get(parameter, {})
+            for moment in ("exp_avg", "exp_avg_sq"):
+                if moment in state:
+                    arrays[f"{moment}/{name}"] = state[moment].cpu().numpy().copy()
+        arrays |= {f"best/{name}": array for name, array in self.best.items()}
+        history = [list(astuple(line)) for line in self.history]
+        facts: dict[str, Any] = {"step": self._step, "history": history, "key": self._key()}
+        return Checkpoint(arrays, facts)
+
+    def resume(self, checkpoint: Checkpoint) -> None:
+        """Go on from ``checkpoint``. Raises :class:`ConfigError` for one of other settings or another network."""
+        if checkpoint.facts.get("key") != self._key():
+            raise ConfigError(
+                "the checkpoint is of other settings, data or seed; give the same, another --out, or remove it"
+            )
+        arrays = checkpoint.arrays
+        self._step = int(checkpoint.facts["step"])
+        self.history[:] = [Progress(int(step), *scores) for step, *scores in checkpoint.facts["history"]]
+        self.best = {name.removeprefix("best/"): a for name, a in arrays.items() if name.startswith("best/")}
+        for name, parameter in self._network.named_parameters():
+            parameter.data.copy_(torch.from_numpy(arrays[f"network/{name}"]))
+            self._average[name].copy_(torch.from_numpy(arrays[f"average/{name}"]))
+            if f"exp_avg/{name}" in arrays:
+                moments = {m: self._tensor(arrays[f"{m}/{name}"].copy()) for m in ("exp_avg", "exp_avg_sq")}
+                self._optimiser.state[parameter] = {"step": torch.tensor(float(self._step)), **moments}
+
+    def _key(self) -> str:
+        return repr((self.settings, self.seed, len(self.train), len(self.held_out)))
+
+
+def _schedule(done: float) -> float:
+    """Share of the learning rate when the share ``done`` of the steps is done."""
+    if done < WARM_UP:
+        return done / WARM_UP
+    fall = 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP)))
+    return SMALLEST_RATE + (1 - SMALLEST_RATE) * fall

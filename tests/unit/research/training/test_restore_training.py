@@ -1,0 +1,174 @@
+"""Training of restorers: data that may be augmented, a loss that does not die, training that resumes where it was."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from cags_common.errors import CagsError, ConfigError, SceneError  # noqa: E402
+from cags_research.restore.networks import Weights  # noqa: E402
+from cags_research.training.pairs.crops import Crops  # noqa: E402
+from cags_research.training.pairs.ladder import draw_lods  # noqa: E402
+from cags_research.training.pairs.settings import PairSettings  # noqa: E402
+from cags_research.training.restore.checkpoint import Checkpoint  # noqa: E402
+from cags_research.training.restore.dataset import draw_batch, plain_batch  # noqa: E402
+from cags_research.training.restore.report import write_report  # noqa: E402
+from cags_research.training.restore.settings import TrainSettings  # noqa: E402
+from cags_research.training.restore.tasks import NETWORKS, covered_psnr, loss  # noqa: E402
+from cags_research.training.restore.trainer import Trainer  # noqa: E402
+
+SIDE = 32
+
+
+def crops(count=12, seed=0):
+    """Pictures of random blocks, the reference the same picture; distorted ones are off by one colour a crop."""
+    rng = np.random.default_rng(seed)
+    truth = rng.integers(60, 180, (count, SIDE // 8, SIDE // 8, 3)).repeat(8, 1).repeat(8, 2)
+    off = rng.integers(-40, 40, (count, 1, 1, 3))
+    distorted, truth = ((truth + shift).astype(np.uint8) for shift in (off, 0))
+    full = np.full((count, SIDE, SIDE), 255, np.uint8)
+    return Crops(distorted=distorted, aligned=truth, confidence=full, truth=truth, covered=full)
+
+
+def settings(**changes):
+    small = {"steps": 6, "batch": 2, "patch": 16, "evaluate_every": 2, "rate": 1e-3}
+    return TrainSettings(**{**small, **changes})
+
+
+def run(trainer, stop_at=None):
+    saved = []
+    trainer.run(lambda *_: None, saved.append)
+    return saved
+
+
+def test_crops_come_back_from_their_file(tmp_path):
+    crops().save(tmp_path / "a.npz")
+    back = Crops.load(tmp_path / "a.npz")
+    for f in fields(Crops):
+        np.testing.assert_array_equal(getattr(back, f.name), getattr(crops(), f.name))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_damaged_crops_are_named(tmp_path):
+    (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 no")
+    with pytest.raises(SceneError, match=r"a\.npz"):
+        Crops.load(tmp_path / "a.npz")
+
+
+def test_a_batch_depends_on_seed_and_step_alone():
+    one, same, other = (draw_batch(crops(), 4, 16, 7, step) for step in (3, 3, 4))
+    np.testing.assert_array_equal(one.truth, same.truth)
+    assert not np.array_equal(one.truth, other.truth)
+
+
+def test_turning_keeps_pixels_together():
+    batch = draw_batch(crops(), 32, 16, 0, 0)
+    np.testing.assert_array_equal(batch.aligned, batch.truth)  # the reference is the true picture in these crops
+    off = batch.distorted - batch.truth
+    np.testing.assert_allclose(off, np.broadcast_to(off[:, :1, :1], off.shape), atol=1e-6)
+    plain = plain_batch(crops(), np.arange(12), 16)
+    assert any(not np.array_equal(one, other) for one in batch.truth for other in plain.truth)
+
+
+def test_patches_must_fit_the_crops():
+    with pytest.raises(ValueError, match="larger than the crops"):
+        draw_batch(crops(), 1, SIDE + 8, 0, 0)
+
+
+def test_the_loss_pulls_back_what_is_beyond_the_displayed_range():
+    restored = torch.full((1, 4, 4, 3), 1.5, requires_grad=True)
+    loss(restored, torch.full((1, 4, 4, 3), 0.9), torch.ones(1, 4, 4, 1)).backward()
+    assert (restored.grad > 0).all()
+
+
+def test_void_counts_less_than_what_is_covered():
+    truth, restored = torch.zeros(1, 4, 4, 3), torch.zeros(1, 4, 4, 3)
+    restored[:, :2] = 0.1
+    covered = torch.zeros(1, 4, 4, 1)
+    covered[:, :2] = 1
+    wrong_where_covered = loss(restored, truth, covered)
+    assert wrong_where_covered > loss(restored, truth, 1 - covered) + 1
+
+
+def test_psnr_is_over_covered_pixels():
+    restored, covered = torch.zeros(1, 2, 2, 3), torch.tensor([1.0, 0.0, 0.0, 0.0]).reshape(1, 2, 2, 1)
+    restored[0, 0, 0] = 0.1
+    assert covered_psnr(restored, torch.zeros(1, 2, 2, 3), covered).item() == pytest.approx(20.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", list(NETWORKS))
+def test_every_network_trains_and_the_best_average_is_kept(name):
+    trainer = Trainer(settings(network=name), crops(), crops(4, seed=1), 0)
+    saved = run(trainer)
+    assert trainer.finished
+    assert [line.step for line in trainer.history] == [2, 4, 6]
+    assert len(saved) == 3
+    assert set(trainer.best) == {n for n, _ in NETWORKS[name][0]().named_parameters()}
+
+
+def test_resumed_training_ends_where_unbroken_training_does(tmp_path):
+    saved = run(whole := Trainer(settings(), crops(), crops(4, seed=1), 0))
+    saved[0].save(tmp_path / "c.npz")
+    resumed = Trainer(settings(), crops(), crops(4, seed=1), 0)
+    resumed.resume(Checkpoint.load(tmp_path / "c.npz"))
+    assert resumed.step == 2
+    run(resumed)
+    for name, array in whole.best.items():
+        np.testing.assert_allclose(resumed.best[name], array, atol=1e-6)
+    assert [line.step for line in resumed.history] == [2, 4, 6]
+
+
+def test_a_checkpoint_of_other_settings_is_refused():
+    checkpoint = Trainer(settings(), crops(), crops(4), 0).checkpoint()
+    with pytest.raises(ConfigError, match="other settings"):
+        Trainer(settings(rate=1e-4), crops(), crops(4), 0).resume(checkpoint)
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path):
+    (tmp_path / "c.npz").write_bytes(b"x" * 100)
+    with pytest.raises(ConfigError, match=r"c\.npz"):
+        Checkpoint.load(tmp_path / "c.npz")
+
+
+def test_training_stops_when_nothing_gets_better():
+    held_out = replace(crops(4), distorted=crops(4).truth)  # nothing can be gained there
+    trainer = Trainer(settings(steps=1000, patience=2, rate=1e-6), crops(), held_out, 0)
+    run(trainer)
+    assert trainer.step <= 8
+
+
+def test_fine_tuning_starts_from_given_weights():
+    first = Trainer(settings(), crops(), crops(4), 0)
+    run(first)
+    tuned = Trainer(settings(), crops(), crops(4), 0)
+    tuned.start_from(Weights("srresnet", first.best, {}))
+    state = tuned.checkpoint().arrays
+    np.testing.assert_array_equal(state["network/head.weight"], first.best["head.weight"])
+    with pytest.raises(ConfigError, match="'cr-no-ref'"):
+        tuned.start_from(Weights("cr-no-ref", {}, {}))
+
+
+def test_the_report_has_curves_and_facts(tmp_path):
+    trainer = Trainer(settings(), crops(), crops(4), 0)
+    run(trainer)
+    page = write_report(tmp_path, trainer.history, {"network": "srresnet", "command": "cags-train restore"})
+    text = page.read_text()
+    assert "cags-train restore" in text
+    assert text.count("\n| ") == 1 + len(trainer.history)
+    assert (tmp_path / "curves.png").stat().st_size > 1000
+
+
+def test_lods_stay_on_the_ladder_and_cover_it():
+    rng = np.random.default_rng(0)
+    drawn = np.concatenate([draw_lods(rng, 5, 12) for _ in range(300)])
+    assert drawn.min() == 0
+    assert drawn.max() == 12
+    assert len(np.unique(drawn)) == 13
+
+
+@pytest.mark.parametrize("wrong", [{"quantisers": "none"}, {"views": 0}, {"crf_low": 99.0}])
+def test_settings_of_pairs_are_checked(wrong):
+    with pytest.raises(CagsError):
+        PairSettings(**wrong)
