@@ -1,10 +1,10 @@
-/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 4, three levels. */
+/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 5, three levels. */
 import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
 import type { Kernels } from "../decode/kernels.ts";
 import { classTables, CLASSES, knots } from "./knots.ts";
 
-export const MOTION_VERSION = 4;
+export const MOTION_VERSION = 5;
 export const LEVELS = 3;
 const REFINEMENT = 4;
 const MAX_SPAN = 64;
@@ -15,8 +15,8 @@ const MAX_FINER = 8;
 const MAX_UNIT = 1e30;
 const MAX_ESCAPES = 1 << 23;
 const ESCAPE = 254;
-const [STARTS, TURNS, LIVES, FADES, MOVES] = [1, 2, 4, 8, 16] as const;
-const HEAD_BYTES = 36;
+const [STARTS, TURNS, LIVES, FADES, MOVES, STILLS] = [1, 2, 4, 8, 16, 32] as const;
+const HEAD_BYTES = 40;
 const FADE_WIDTHS = Array.from({ length: 48 }, (_, i) => 2 ** (i / 4 - 3));
 const FADE_STEP = 4;
 const LIFE_EDGES = [2, 3, 5, 8];
@@ -75,16 +75,23 @@ export class MotionTile {
   /** Where levels that were read had residuals: moves, turns. */
   private told: readonly (Uint8Array | undefined)[];
   private waiting = new Map<number, Uint8Array>();
+  /** Rows of the splats of which levels speak; undefined: of all. */
+  private readonly movers: Int32Array | undefined;
+  /** Moves and turns [span + 1, movers, parts], as far as told. */
+  private trees: Trees;
   private readonly kernels: Kernels;
 
   /** Decode level 0. Raises {@link DecodeError}. */
   constructor(payload: Uint8Array, kernels: Kernels) {
     this.kernels = kernels;
-    const { head, rigid, escapes, symbols } = sections(payload);
-    const rows = (head.span + 1) * head.splats;
+    const { head, rigid, who, escapes, symbols } = sections(payload);
+    this.movers = readMovers(head, who);
+    const rows = (head.span + 1) * (this.movers?.length ?? head.splats);
     const told = [head.flags & MOVES ? new Uint8Array(3 * rows) : undefined, head.flags & TURNS ? new Uint8Array(4 * rows) : undefined];
-    this.chunk = withReader(kernels, escapes, symbols, (reader) => opened(head, rigid, reader, told));
+    const { blank, trees } = withReader(kernels, escapes, symbols, (reader) => opened(head, rigid, reader, told));
     this.told = told;
+    this.trees = trees;
+    this.chunk = this.withTrees(blank);
   }
 
   get length(): number {
@@ -136,9 +143,44 @@ export class MotionTile {
       return trees;
     });
     this.told = told;
-    this.chunk = { ...chunk, moves: sum(chunk.moves, moves), turns: sum(chunk.turns, turns) };
+    this.trees = [sum(this.trees[0], moves), sum(this.trees[1], turns)];
+    this.chunk = this.withTrees(chunk);
     this.levels += 1;
   }
+
+  private withTrees(chunk: Chunk): Chunk {
+    const of = (tree: Int32Array | undefined, parts: number): Int32Array | undefined => {
+      const { movers } = this;
+      return tree && movers ? scattered(tree, movers, chunk, parts) : tree;
+    };
+    return { ...chunk, moves: of(this.trees[0], 3), turns: of(this.trees[1], 4) };
+  }
+}
+
+type Trees = readonly [Int32Array | undefined, Int32Array | undefined];
+
+/** `tree` [span + 1, movers, parts] as of all splats. */
+function scattered(tree: Int32Array, movers: Int32Array, { span, splats }: Chunk, parts: number): Int32Array {
+  const out = new Int32Array((span + 1) * splats * parts);
+  for (let sample = 0, from = 0; sample <= span; sample++) {
+    for (const row of movers) {
+      const to = (sample * splats + row) * parts;
+      for (let part = 0; part < parts; part++) out[to + part] = tree[from++]!;
+    }
+  }
+  return out;
+}
+
+/** Rows of the splats of which levels speak; undefined: of all. Raises {@link DecodeError}. */
+function readMovers(head: Head, who: Uint8Array): Int32Array | undefined {
+  if (!(head.flags & STILLS)) {
+    if (who.length) throw new DecodeError("motion: says who moves, and that all do");
+    return undefined;
+  }
+  const bits = unsqueeze(who, (head.splats + 7) >> 3, "motion: who moves");
+  const rows: number[] = [];
+  for (let i = 0; i < head.splats; i++) if ((bits[i >> 3]! >> (7 - (i & 7))) & 1) rows.push(i);
+  return Int32Array.from(rows);
 }
 
 function sum(have: Int32Array | undefined, more: Int32Array | undefined): Int32Array | undefined {
@@ -147,29 +189,33 @@ function sum(have: Int32Array | undefined, more: Int32Array | undefined): Int32A
   return more;
 }
 
-function sections(payload: Uint8Array): { head: Head; rigid: Uint8Array; escapes: Uint8Array; symbols: Uint8Array } {
+function sections(payload: Uint8Array): { head: Head; rigid: Uint8Array; who: Uint8Array; escapes: Uint8Array; symbols: Uint8Array } {
   if (payload.length < HEAD_BYTES) throw new DecodeError(`motion: ${payload.length} bytes are too few for a chunk`);
   const v = new DataView(payload.buffer, payload.byteOffset, HEAD_BYTES);
   const [version, flags, span, levels] = [v.getUint8(0), v.getUint8(1), v.getUint8(2), v.getUint8(3)];
   const [frame, tile, splats, block] = [v.getUint32(4, true), v.getUint32(8, true), v.getUint32(12, true), v.getUint16(16, true)];
   const [finer, finerTurns, unit] = [v.getUint8(18), v.getUint8(19), v.getFloat32(20, true)];
-  const sizes = [v.getUint32(24, true), v.getUint32(28, true), v.getUint32(32, true)];
-  if (version !== MOTION_VERSION || levels !== LEVELS || flags & ~(STARTS | TURNS | LIVES | FADES | MOVES)) {
+  const sizes = [24, 28, 32, 36].map((at) => v.getUint32(at, true)) as [number, number, number, number];
+  if (version !== MOTION_VERSION || levels !== LEVELS || flags & ~(STARTS | TURNS | LIVES | FADES | MOVES | STILLS)) {
     throw new DecodeError(`motion: version ${version}, ${levels} levels, flags ${flags}; this program reads ${MOTION_VERSION}`);
   }
   const small = splats <= MAX_SPLATS && splats * (span + 1) <= MAX_SAMPLES;
   const bounds = span >= 1 && span <= MAX_SPAN && small && block <= MAX_BLOCK && unit >= 0 && unit <= MAX_UNIT;
-  const bytes = sizes[0]! + sizes[1]! + sizes[2]!;
+  const bytes = sizes[0] + sizes[1] + sizes[2] + sizes[3];
   if (!bounds || Math.max(finer, finerTurns) > MAX_FINER || bytes !== payload.length - HEAD_BYTES) {
     throw new DecodeError(`motion: claims a span of ${span}, ${splats} splats, ${bytes} bytes; beyond bounds`);
   }
-  const rigid = HEAD_BYTES + sizes[0]!;
-  const escapes = rigid + sizes[1]!;
+  const rigid = HEAD_BYTES + sizes[0];
+  const who = rigid + sizes[1];
+  const escapes = who + sizes[2];
   const head = { flags, span, looks: [frame, tile] as const, splats, block, finer: [finer, finerTurns] as const, unit };
-  return { head, rigid: payload.subarray(HEAD_BYTES, rigid), escapes: payload.subarray(rigid, escapes), symbols: payload.subarray(escapes) };
+  return {
+    head, rigid: payload.subarray(HEAD_BYTES, rigid), who: payload.subarray(rigid, who),
+    escapes: payload.subarray(who, escapes), symbols: payload.subarray(escapes),
+  };
 }
 
-function opened(head: Head, rigid: Uint8Array, reader: SymbolReader, told: (Uint8Array | undefined)[]): Chunk {
+function opened(head: Head, rigid: Uint8Array, reader: SymbolReader, told: (Uint8Array | undefined)[]): { blank: Chunk; trees: Trees } {
   const { span, splats, flags } = head;
   const lives = flags & LIVES ? reader.plain(new Uint8Array(splats).fill(LIFE_TABLE)) : undefined;
   if (lives?.some((life) => life > span + 1)) throw new DecodeError(`motion: a life beyond a span of ${span}`);
@@ -178,9 +224,9 @@ function opened(head: Head, rigid: Uint8Array, reader: SymbolReader, told: (Uint
     looks: head.looks, span, splats, lives, fades, blocks: readBlocks(head, rigid), moves: undefined, turns: undefined,
     starts: (flags & STARTS) > 0, finer: head.finer,
   };
-  const [moves, turns] = readTrees(reader, blank, 0, told);
+  const trees = readTrees(reader, blank, 0, told);
   reader.finish();
-  return { ...blank, moves, turns };
+  return { blank, trees };
 }
 
 function readTrees(
@@ -322,7 +368,8 @@ class SymbolReader {
       const [escapes, escape, samples] = [scope.put(this.escapes), scope.take(8), scope.take(4 * told.length)];
       const tree = scope.take(36);
       const first = turn ? TURN_TABLE : MOVE_TABLE;
-      const numbers = [chunk.span, chunk.splats, turn ? 4 : 3, turn ? 1 : 0, order.length / 5, first, REAL_TABLE];
+      const parts = turn ? 4 : 3;
+      const numbers = [chunk.span, told.length / parts / (chunk.span + 1), parts, turn ? 1 : 0, order.length / 5, first, REAL_TABLE];
       k.i32(tree, 9).set([...numbers, knotsAt, classesAt]);
       k.view(escape, 8).setBigInt64(0, BigInt(this.at), true);
       const count = BigInt(this.escapes.length);
