@@ -15,6 +15,7 @@ COPY client client
 COPY shaper shaper
 COPY research research
 COPY bench bench
+COPY web web
 RUN python -m venv /opt/cags && /opt/cags/bin/pip install -c constraints.txt ./kernels '.[scale]'
 
 FROM python:3.11-slim

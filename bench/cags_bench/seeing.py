@@ -63,7 +63,7 @@ def available_restorers() -> list[str]:
     from cags_common.errors import ConfigError
 
     names = []
-    for name in restore.RESTORERS:
+    for name in restore.RESTORERS.names():
         try:
             restore.create(name)
         except ConfigError:

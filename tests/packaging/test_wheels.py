@@ -37,7 +37,7 @@ def test_one_wheel_of_the_kernels_serves_every_python() -> None:
 
 def test_the_extras_that_the_documentation_names_exist_and_can_be_resolved_together() -> None:
     extras = project()["project"]["optional-dependencies"]
-    assert {"view", "gpu", "train", "scale", "dev"} <= set(extras)
+    assert {"view", "gpu", "research", "web", "scale", "dev"} <= set(extras)
     assert all(extras.values())  # none is empty
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     named = {

@@ -42,7 +42,7 @@ STARTS, TURNS, LIVES, FADES, MOVES, STILLS = 1, 2, 4, 8, 16, 32
 DEADZONES = (0.2, 0.1, 0.15)
 """Of each level, units beyond half a one up to which a residual is none: most of the bits tell such noise."""
 
-FEW_STILL = 0.1
+FEW_STILL = 0.5
 """Share of splats that keep their places up to which nothing is said of them."""
 
 FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
@@ -151,7 +151,7 @@ def encode(
 
 
 def _movers(left: dict[str, F64], levels: dict[str, int]) -> NDArray[np.bool_] | None:
-    """[n] splats of which a level says anything; None where they are nearly all.
+    """[n] splats of which a level says anything; None where they are most.
 
     Nothing is said where every residual falls into the dead zone, in whatever level.
     """

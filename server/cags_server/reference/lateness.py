@@ -11,9 +11,6 @@ from __future__ import annotations
 WINDOW = 8
 """References over which lateness is looked at."""
 
-FIRST_WEIGHS = 2
-"""The first reference counts as after so many that came in time."""
-
 OFTEN, SELDOM = 0.4, 0.1
 """Shares of late references from which on there is no comparison, and up to which they count as in time."""
 
@@ -27,14 +24,13 @@ class Lateness:
     def __init__(self) -> None:
         self.often = False
         """Whether they come late so often that nothing is compared."""
-        self._share, self._seen = 0.0, FIRST_WEIGHS
+        self._share = 0.0
         self._in_time = 0
         self._patience, self._resumed = PATIENCE, MOST_PATIENCE
 
     def observe(self, *, late: bool) -> None:
         """A reference will come ``late``, or in time."""
-        self._seen = min(self._seen + 1, WINDOW)
-        self._share += (late - self._share) / self._seen
+        self._share += (late - self._share) / WINDOW
         self._in_time = 0 if late else self._in_time + 1
         self._resumed += 1
         if not self.often and self._share > OFTEN:

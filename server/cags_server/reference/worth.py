@@ -8,6 +8,8 @@ see, however few of them there are.
 
 from __future__ import annotations
 
+from cags_server.reference.lateness import Lateness
+
 SOON_FRAMES, LONG_FRAMES = 40.0, 60.0
 """Tiles that are through within so many frames will do; from so many on they will not. Between the two all stays."""
 
@@ -17,6 +19,7 @@ class Worth:
 
     def __init__(self) -> None:
         self._tiles_will_do = False
+        self._work = Lateness()
 
     def observe(self, coming_bytes: int, link_bps: float, period_us: float) -> None:
         """Tiles of ``coming_bytes`` are still to come over a link of ``link_bps``; a frame lasts ``period_us``."""
@@ -24,6 +27,16 @@ class Worth:
         if not SOON_FRAMES < frames < LONG_FRAMES:
             self._tiles_will_do = frames <= SOON_FRAMES
 
-    def pays(self, *, short: bool) -> bool:
-        """Whether references are made on a machine that is ``short`` of time for them, or is not."""
-        return not (short and self._tiles_will_do)
+    def made(self, *, slowly: bool) -> None:
+        """A reference was made, or would have been, ``slowly``: the next one would have been due before it was there."""
+        self._work.observe(late=slowly)
+
+    @property
+    def short(self) -> bool:
+        """Whether the machine often takes too long for references."""
+        return self._work.often
+
+    @property
+    def pays(self) -> bool:
+        """Whether references are to be made."""
+        return not (self.short and self._tiles_will_do)

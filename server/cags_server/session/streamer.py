@@ -346,7 +346,7 @@ class Streamer:
         """Whether frames get references now."""
         if self._coder.kind is None:
             return False
-        return self._settings.references != "auto" or self._worth.pays(short=self._coder.lateness.often)
+        return self._settings.references != "auto" or self._worth.pays
 
     def _next_is_seen(self) -> bool:
         """Whether what was seen last says what the next tiles will show: not in another group of frames."""
@@ -390,8 +390,8 @@ class Streamer:
         self._schedule.rendering = False
         work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
         self._schedule.pace.observe(work_us, len(render.coded.access_unit), rate_bps)
-        if not plan.speaks:
-            self._coder.lateness.observe(late=REFERENCE_WORK * work_us > OVERLOAD * self._schedule.reference_period_us)
+        whole_us = work_us if plan.speaks else REFERENCE_WORK * work_us
+        self._worth.made(slowly=whole_us > OVERLOAD * self._schedule.reference_period_us)
         self.stats.references += plan.speaks
         self.stats.render_ns += render.render_ns
         self.stats.mirror_ns += render.mirror_ns

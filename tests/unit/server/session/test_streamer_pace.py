@@ -283,7 +283,7 @@ def test_frames_are_counted_on_through_a_loop() -> None:
 def test_on_a_short_machine_references_are_left_out_where_tiles_will_do() -> None:
     rig = Rig(replace(SETTINGS, references="auto"))
     rig.play()
-    rig.streamer._coder.lateness.often = True
+    rig.streamer._worth._work.often = True
     sent = [out for _ in range(9) for out in rig.step()]
     assert len(of(ReferenceFrame, sent)) <= 1  # until it was known what is lacking
     ended = [end.frame for end in of(FrameEnd, sent)]
@@ -295,6 +295,6 @@ def test_on_a_short_machine_references_are_left_out_where_tiles_will_do() -> Non
 def test_references_that_were_asked_for_are_made_on_a_short_machine_too(references: str) -> None:
     rig = Rig(replace(SETTINGS, references=references))
     rig.play()
-    rig.streamer._coder.lateness.often = True
+    rig.streamer._worth._work.often = True
     sent = [out for _ in range(6) for out in rig.step()]
     assert len(of(ReferenceFrame, sent)) == 6
