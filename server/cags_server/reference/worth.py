@@ -28,7 +28,7 @@ class Worth:
             self._tiles_will_do = frames <= SOON_FRAMES
 
     def made(self, *, slowly: bool) -> None:
-        """A reference was made, or would have been, ``slowly``: the next one would have been due before it was there."""
+        """A reference was made, or would have been, ``slowly``: the next one was due before it."""
         self._work.observe(late=slowly)
 
     @property
