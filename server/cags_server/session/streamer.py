@@ -374,7 +374,7 @@ class Streamer:
             margins=self._viewer.margins(frame, predicted) if drawn else (0.0, 0.0),
             speaks=speaks,
             idr=speaks and self._video.needs_idr,
-            basis=self._mark(now_us) if speaks else 0,
+            basis=self._mark(now_us) if drawn and self._coder.kind is not None else 0,
         )
 
     # ----------------------------------------------------------------------------------------------------- finishing

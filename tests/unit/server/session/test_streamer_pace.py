@@ -298,3 +298,16 @@ def test_references_that_were_asked_for_are_made_on_a_short_machine_too(referenc
     rig.streamer._worth._work.often = True
     sent = [out for _ in range(6) for out in rig.step()]
     assert len(of(ReferenceFrame, sent)) == 6
+
+
+def test_what_was_sent_last_is_marked_though_no_references_are_made() -> None:
+    """A client shows no further than the newest mark: while it pauses nothing else would bring one."""
+    rig = Rig(replace(SETTINGS, references="auto"))
+    rig.play()
+    rig.streamer._worth._work.often = True
+    rig.step()
+    rig.control("pause", 2, 400_000)
+    before = len(rig.marks)
+    for _ in range(8):
+        rig.step()
+    assert len(rig.marks) >= before + 2
