@@ -45,10 +45,6 @@ def settled(frames):
     return [frame for frame in frames if frame >= SETTLED]
 
 
-@pytest.mark.xfail(
-    reason="open: 0.9 dB worse than a silent client on this link, or a frame missed, by the last bits of the encoding",
-    strict=False,
-)
 def test_a_slow_client_gets_references_of_what_it_draws(scenario, renders, monkeypatch):
     slow = replace(scenario, draw_us=52_000)
     shown = simulate(slow).frames
@@ -62,8 +58,19 @@ def test_a_slow_client_gets_references_of_what_it_draws(scenario, renders, monke
     silent = [f for f in simulate(slow).frames if f["frame"] >= SETTLED]
     assert len(late) >= len(silent) - 2, "it draws as many as one that says nothing of it"
     assert len(settled(renders)) >= 1.3 * len(fewer)
+
+
+@pytest.mark.xfail(
+    reason="open: at 0.5 to 1 Mbps telling the cadence is 0.9 dB worse to 0.5 dB better, 0.2 dB worse in the mean",
+    strict=False,
+)
+def test_the_link_of_a_slow_client_carries_nothing_for_nobody(scenario, monkeypatch):
+    slow = replace(scenario, draw_us=52_000)
+    late = [f for f in simulate(slow).frames if f["frame"] >= SETTLED]
+    monkeypatch.setattr(Cadence, "_choose", lambda self, window_us: None)
+    silent = [f for f in simulate(slow).frames if f["frame"] >= SETTLED]
     mean = [sum(f["psnr_restored_db"] for f in frames) / len(frames) for frames in (late, silent)]
-    assert mean[0] >= mean[1], "and its link carries nothing for nobody"
+    assert mean[0] >= mean[1]
 
 
 def test_a_client_that_draws_in_time_gets_what_one_gets_that_takes_none(scenario):

@@ -50,7 +50,7 @@ def test_the_first_picture_is_pythons_byte_for_byte(viewer: Page, server: Server
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="pictures after a seek differ from Python's; why is not known", strict=False)
+@pytest.mark.xfail(reason="pictures after a seek differ from Python's; why is not known", strict=True)
 def test_frames_from_other_places_and_times_are_pythons(viewer: Page, server: Server, room: Path) -> None:
     viewer.open(server.url, "paused")
     viewer.until(STILL)
@@ -61,7 +61,7 @@ def test_frames_from_other_places_and_times_are_pythons(viewer: Page, server: Se
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="pictures after a seek differ from Python's; why is not known", strict=False)
+@pytest.mark.xfail(reason="pictures after a seek differ from Python's; why is not known", strict=True)
 def test_a_moving_scene_is_pythons(tmp_path: Path) -> None:
     bundle = encoded(MOVING, tmp_path / "moving.cags")
     with served(bundle, tmp_path, *SMALL) as server, page(tmp_path / "profile") as viewer:
