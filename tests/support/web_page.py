@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 import cags_web
 from cags_bench.demo.processes import ProcessGroup
+from cags_web.build import up_to_date
 from support.browser import chromium
 
 ICD = Path("/usr/lib/chromium/vk_swiftshader_icd.json")
@@ -56,6 +57,8 @@ def require_page() -> None:
     """Skip where the page is not built, or its driver is not here."""
     if cags_web.page_folder() is None:
         pytest.skip(f"the viewer is not built; {cags_web.HOW_TO_BUILD}")
+    if not up_to_date():
+        pytest.fail(f"the viewer is older than its sources; {cags_web.HOW_TO_BUILD}", pytrace=False)
     if not ICD.exists():
         pytest.skip(f"no SwiftShader: {ICD} comes with Chromium (apt-get install chromium chromium-driver)")
 

@@ -41,16 +41,20 @@ def build() -> bool:
     """Build the page into ``web/dist``; False where it is there and as its sources are. Raises :class:`BuildError`."""
     if not (WEB / "package-lock.json").is_file():
         raise BuildError(f"no sources of the page in {WEB}; build in a checkout")
-    inputs = _fingerprint()
-    if STAMP.is_file() and STAMP.read_text() == inputs:
+    if up_to_date():
         return False
     environment = _environment()
     node, npm = _node(environment)
     _run([*npm, "ci"], environment)
     _run([sys.executable, str(WEB / "wasm" / "build.py")], environment)
     _run([node, "build.mjs"], environment)
-    STAMP.write_text(inputs)
+    STAMP.write_text(_fingerprint())
     return True
+
+
+def up_to_date() -> bool:
+    """Whether ``web/dist`` was built from the sources as they are."""
+    return STAMP.is_file() and STAMP.read_text() == _fingerprint()
 
 
 def _fingerprint() -> str:

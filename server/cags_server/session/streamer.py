@@ -428,7 +428,7 @@ class Streamer:
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
         """The reference, unless it is too late for anything; then the next one must stand alone."""
         if not render.plan.speaks:
-            return []
+            return self._moving_on(render)
         if now_us >= self._reference_deadline_us(render.plan.display_us):
             self._video.broken()
             return []
@@ -440,6 +440,15 @@ class Streamer:
         rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
         self._coder.lateness.observe(late=late or rare)
         self._reference_budget.spent(record.reference_bytes)
+        return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
+
+    def _moving_on(self, render: FrameRender) -> list[ev.Outgoing]:
+        """That nothing is lacking, for a client which pauses: it would go on to show what its last reference assumed.
+
+        While it plays, references are left behind by themselves.
+        """
+        if self._coder.kind is None or self._schedule.timeline.playing:
+            return []
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:

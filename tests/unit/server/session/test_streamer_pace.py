@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
 from cags_server.session.schedule import MAX_LEAD_STRETCH
 from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
@@ -300,14 +300,18 @@ def test_references_that_were_asked_for_are_made_on_a_short_machine_too(referenc
     assert len(of(ReferenceFrame, sent)) == 6
 
 
-def test_what_was_sent_last_is_marked_though_no_references_are_made() -> None:
-    """A client shows no further than the newest mark: while it pauses nothing else would bring one."""
+def test_a_client_that_pauses_is_moved_on_though_no_references_are_made() -> None:
+    """It shows what its last reference assumes, and no further than the newest mark: both must rise."""
     rig = Rig(replace(SETTINGS, references="auto"))
     rig.play()
     rig.streamer._worth._work.often = True
-    rig.step()
+    for _ in range(6):
+        rig.step()
     rig.control("pause", 2, 400_000)
     before = len(rig.marks)
-    for _ in range(8):
-        rig.step()
-    assert len(rig.marks) >= before + 2
+    told = of(ReferenceFrame, [out for _ in range(9) for out in rig.step()])
+    assert len(told) >= 2
+    assert {ReferenceKind(each.kind) for each in told} == {ReferenceKind.NOTHING}
+    bases = [each.basis for each in told]
+    assert bases == sorted(set(bases))
+    assert set(bases) <= {mark.number for mark in rig.marks[before:]}
