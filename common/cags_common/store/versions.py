@@ -58,8 +58,8 @@ class Versions(Generic[S]):
         """The state to add to what comes after mark ``since``; :meth:`touch` where that changed anything."""
         last = self._all[-1]
         if last.since == since:
-            if last.staged:
-                self._all[-1] = Version(since, last.state.fork(), fresh=False)
+            if last.staged:  # what :meth:`again` asked for is still to be staged, though nothing new should be added
+                self._all[-1] = Version(since, last.state.fork(), fresh=last.fresh)
         else:
             self._all.append(Version(since, last.state.fork(), fresh=False))
         return self._all[-1].state

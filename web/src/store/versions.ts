@@ -49,7 +49,7 @@ export class Versions<S extends Forking<S>> {
   writable(since: number): S {
     const last = this.all.at(-1)!;
     if (last.since !== since) this.all.push(new Version(since, last.state.fork(), false));
-    else if (last.staged) this.all[this.all.length - 1] = new Version(since, last.state.fork(), false);
+    else if (last.staged) this.all[this.all.length - 1] = new Version(since, last.state.fork(), last.fresh);
     return this.newest;
   }
 
