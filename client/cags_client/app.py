@@ -26,9 +26,9 @@ from cags_client.playback.player import Player
 from cags_client.playback.viewpoint import PoseSource
 from cags_client.settings import AUTO, OFF, ClientSettings, LiveSettings
 from cags_common.errors import CagsError, NetworkError
+from cags_common.runtime.wake import woken
 from cags_common.transport import Transport
-from cags_common.wake import woken
-from cags_protocol.client import ClientSession
+from cags_protocol.sessions.client import ClientSession
 
 SINK_BACKLOG = 8
 """Frames that may wait for the sinks; beyond it the display waits, which shows as late frames."""

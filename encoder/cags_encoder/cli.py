@@ -95,9 +95,9 @@ def _encode(arguments: argparse.Namespace) -> None:
     from cags_common.bundle import BundleReader
     from cags_encoder.bundles.describe import summarise
     from cags_encoder.cache import content_key, resume_folder
-    from cags_encoder.executors import open_workers
+    from cags_encoder.execution.executors import open_workers
+    from cags_encoder.execution.progress import progress_bar
     from cags_encoder.pipeline import Resume, encode
-    from cags_encoder.progress import progress_bar
     from cags_encoder.scenes import open_scene
 
     source, out = open_scene(arguments.scene), arguments.out
@@ -132,7 +132,7 @@ def _inspect(url: str, picture: str | None, *, as_json: bool) -> None:
 def _verify(url: str, *, as_json: bool) -> None:
     from cags_common.bundle import BundleReader
     from cags_encoder.bundles.verify import verify
-    from cags_encoder.progress import progress_bar
+    from cags_encoder.execution.progress import progress_bar
 
     with BundleReader.open(url) as reader, progress_bar(lines=True) as progress:
         payloads = verify(reader, url, lambda done, total: progress("verify", done, total))

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from cags_common.bundle import BundleReader
-from cags_common.held_tile import HeldTile
+from cags_common.coding.packing import decode_ids, encode_ids
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_common.packing import decode_ids, encode_ids
-from cags_common.splat_buffer import MOVING_COLUMNS
 from cags_common.splats import Splats
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
+from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.splat_buffer import MOVING_COLUMNS
 from cags_encoder import EncodeSettings, encode
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.reference.mirror import Mirror
 from cags_server.scene.library import SceneLibrary
 from support.codec_scenes import cloud, with_changes

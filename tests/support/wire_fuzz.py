@@ -10,8 +10,8 @@ from typing import Any
 import msgpack
 
 from cags_common.geometry import Pose
-from cags_protocol import messages as m
-from cags_protocol.encoding import decode, encode
+from cags_protocol.wire import messages as m
+from cags_protocol.wire.encoding import decode, encode
 from support.wire_pair import INTRINSICS, hello
 
 SEEDS: list[tuple[m.Message, bytes]] = [

@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import ClientSession, Outgoing
 from cags_protocol import events as ev
-from cags_protocol import messages as m
-from cags_protocol.blobs import blob_chunks
-from cags_protocol.encoding import encode
 from cags_protocol.events import Closed
+from cags_protocol.sessions.blobs import blob_chunks
+from cags_protocol.wire import messages as m
+from cags_protocol.wire.encoding import encode
 from support.node import run_tests
 from support.wire_pair import INTRINSICS, Deliveries, Pair, reference, tile
 

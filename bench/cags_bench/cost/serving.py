@@ -12,8 +12,8 @@ from cags_common import correction
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.h264 import H264Decoder
-from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Hello, ReferenceKind
+from cags_protocol.wire.limits import PROTOCOL_VERSION
+from cags_protocol.wire.messages import Hello, ReferenceKind
 from cags_server.reference.coder import Coded, ReferenceCoder
 from cags_server.settings import ServerSettings
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 
 from cags_bench.network.load import INTRINSICS, ZEROS
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import PROTOCOL_VERSION, ClientSession, Outgoing, ServerSession
 from cags_protocol import events as ev
-from cags_protocol.inventory import pack_inventory, unpack_inventory
-from cags_protocol.messages import Control, FrameEnd, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.wire.inventory import pack_inventory, unpack_inventory
+from cags_protocol.wire.messages import Control, FrameEnd, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_shaper.link import Link, LinkSettings, tcp_wire_bytes
 from cags_shaper.trace import Trace

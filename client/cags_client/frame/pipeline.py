@@ -22,20 +22,20 @@ from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
 from cags_common import correction, raster
+from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import tile_codec
+from cags_common.coding.packing import decode_ids
 from cags_common.correction import Corrected, CorrectSettings, Reference
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
-from cags_common.held_tile import HeldTile
-from cags_common.packing import decode_ids
 from cags_common.passes import Pass, PassPlan, Situation, held_sh_degree, plan_frame
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.halving import enlarged, halved
 from cags_common.store.gof_buffer import Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival, TileOpener
 from cags_common.store.tile_store import TileStore
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from cags_common.tiles.inventory import HeldTile
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 PATIENCE_FRAMES = 3
 """Frames for which a late reference is waited for before more is shown than the one before it assumes."""

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 
 from cags_common.errors import NetworkError
-from cags_common.tasks import watched
+from cags_common.runtime.tasks import watched
 from cags_common.transport import Transport
 
 MAX_UNSENT_BYTES = 512 * 1024

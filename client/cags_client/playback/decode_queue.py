@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 
 from cags_client.playback.jobs import DataEvent, Restarted, Traffic
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import events as ev
 
 DECODE_BATCH = 32

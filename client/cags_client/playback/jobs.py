@@ -10,7 +10,7 @@ from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
 from cags_common.errors import DecodeError
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import events as ev
 
 

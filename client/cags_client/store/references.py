@@ -14,7 +14,7 @@ from cags_common.correction import Reference
 from cags_common.errors import DecodeError
 from cags_common.geometry import DEFAULT_NEAR, F32, Camera
 from cags_common.video.h264 import H264Decoder
-from cags_protocol.messages import ReferenceFrame, ReferenceKind
+from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 
 KEPT = 24
 """References kept: those sent ahead of display and the last few shown."""

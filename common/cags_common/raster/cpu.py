@@ -14,8 +14,8 @@ from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.checks import check_camera, check_residual, drawable, movement, recolouring, replacements
 from cags_common.raster.halving import halved
+from cags_common.runtime.threads import threads_for_rows
 from cags_common.splats import Splats
-from cags_common.threads import threads_for_rows
 
 if TYPE_CHECKING:
     from cags_kernels.raster import RasterCamera, RasterImage, RasterOptions

@@ -1,9 +1,10 @@
 """What is held of one group of frames: tiles at any depth, in any order of arrival.
 
 Tiles are decoded when they arrive (:mod:`cags_common.store.gof_tiles`); :meth:`GofBuffer.commit` makes them visible,
-all of a frame at once, when that frame is shown (:mod:`cags_common.splat_buffer` has the rules by which looks, updates
-and motion become one array of splats). What is shown depends on what came up to a mark and on the frame alone: not on
-how arrivals were batched, nor on what was committed before. Each group of frames has ids, and a store, of its own.
+all of a frame at once, when that frame is shown (:mod:`cags_common.tiles.splat_buffer` has the rules by which looks,
+updates and motion become one array of splats). What is shown depends on what came up to a mark and on the frame alone:
+not on how arrivals were batched, nor on what was committed before. Each group of frames has ids, and a store, of its
+own.
 Showing an earlier frame of the group replays what is held, so a loop or a jump back asks the network for nothing.
 """
 
@@ -19,18 +20,18 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.bundle.codecs import WHOLE_TILES_CODEC
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.motion.chunk import Chunk
-from cags_common.splat_buffer import Slot, SplatBuffer
 from cags_common.splats import Ids, Splats
 from cags_common.store.gof_tiles import GofTiles
 from cags_common.store.motions import HeldMotion, HeldUpdate, LooksValue, Staged
 from cags_common.store.shown import Held, Shown
 from cags_common.store.tile_decode import Arrival, Key, Opener
+from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import TypeAlias
 
-from cags_common.codecs import MotionDecoder
+from cags_common.bundle.codecs import MotionDecoder
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.splats import Ids
 from cags_common.store.motions import (
@@ -32,6 +31,7 @@ from cags_common.store.reorder_buffer import WaitingLayers
 from cags_common.store.shown import Held
 from cags_common.store.tile_decode import Arrival, First, Key, Opened, Opener, OpenMotion, OpenUpdate
 from cags_common.store.versions import Versions
+from cags_common.tiles.inventory import HeldTile
 
 MAX_LATE_BYTES = 8 << 20
 """Bound on layers of replaced tiles that are kept for showing earlier frames again; past it none are."""

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import MotionDecoder, TileDecoder, UpdateDecoder
+from cags_common.bundle.codecs import MotionDecoder, TileDecoder, UpdateDecoder
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps

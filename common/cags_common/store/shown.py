@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import TileDecoder
+from cags_common.bundle.codecs import TileDecoder
 from cags_common.geometry import F32, Camera
-from cags_common.splat_buffer import Slot
 from cags_common.store.tile_decode import Key, Sphere, in_view
 from cags_common.store.versions import Versions
+from cags_common.tiles.splat_buffer import Slot
 
 
 @dataclass(eq=False, kw_only=True)

@@ -11,13 +11,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from cags_common.bundle.codecs import TileCodec
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import TileCodec
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.splats import Ids
 from cags_common.store.gof_buffer import Changes, Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival, Opener, TileOpener
+from cags_common.tiles.inventory import HeldTile
 
 
 class TileStore:

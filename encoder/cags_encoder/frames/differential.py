@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from cags_common.bundle import SourceDelta
 from cags_common.geometry import F64
 from cags_common.splats import Ids, Splats
-from cags_common.tiles import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
-from cags_encoder.codecs import ClipCodec, CodedSplats
+from cags_common.tiles.payloads import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
+from cags_encoder.codecs.registry import ClipCodec, CodedSplats
 from cags_encoder.frames.effect import visible_effect
 from cags_encoder.frames.rows import SplatTable
 from cags_encoder.frames.tiling import CutTile, cut_tiles

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64
-from cags_common.morton import morton_order
 from cags_common.splats import SH_C0, Splats
+from cags_common.tiles.morton import morton_order
 from cags_encoder.frames.rows import identical_rows
 
 Rows = NDArray[np.intp]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from cags_common.bundle import SourceDelta
 from cags_common.bundle.tracks import TrackStatistics
 from cags_common.geometry import F32, F64, axis_bounds
-from cags_common.morton import morton_order
 from cags_common.splats import Ids, Splats
+from cags_common.tiles.morton import morton_order
 from cags_encoder.frames.identity import IdentityTracker
 from cags_encoder.frames.looking import Look
 from cags_encoder.frames.rows import SplatTable

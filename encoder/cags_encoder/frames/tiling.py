@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cags_common.geometry import F32, Vec3, axis_bounds
-from cags_common.morton import morton_order, tile_ranges
 from cags_common.splats import Ids
-from cags_encoder.codecs import CodedSplats
+from cags_common.tiles.morton import morton_order, tile_ranges
+from cags_encoder.codecs.registry import CodedSplats
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ class _Targets(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class CodecAttribute:
-    """How one attribute's codes are read; see ``cags_common.dequantise``. Arrays are C-contiguous."""
+    """How one attribute's codes are read; see ``cags_common.tiles.dequantise``. Arrays are C-contiguous."""
 
     layer_bits: NDArray[np.uint8]  # [layers] bits of the fresh layers, coarse first
     table: F32  # [2**bits, dim]

@@ -18,7 +18,7 @@ from cags_common.correction.compander import compand, expand
 from cags_common.geometry import F32, Intrinsics
 from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
-from cags_protocol.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
+from cags_protocol.wire.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
 from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 

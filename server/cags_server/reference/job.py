@@ -9,7 +9,7 @@ import numpy as np
 
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderOptions
-from cags_protocol.messages import ReferenceKind
+from cags_protocol.wire.messages import ReferenceKind
 from cags_server.predict.base import PoseDistribution
 from cags_server.records import Ahead
 from cags_server.reference.coder import Coded, ReferenceCoder

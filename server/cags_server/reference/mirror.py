@@ -14,14 +14,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-from cags_common.held_tile import HeldTile
-from cags_common.packing import decode_ids
+from cags_common.coding.packing import decode_ids
 from cags_common.raster.base import RasterScene
 from cags_common.splats import Splats
 from cags_common.store.gof_buffer import Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
-from cags_protocol.messages import Buffer, FrameEnd, TileLayers
+from cags_common.tiles.inventory import HeldTile
+from cags_protocol.wire.messages import Buffer, FrameEnd, TileLayers
 from cags_server.scene.decoded_tiles import SharedOpener
 from cags_server.scene.library import SceneLibrary
 

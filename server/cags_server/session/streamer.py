@@ -10,10 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from cags_common.geometry import Camera, Pose
-from cags_common.held_tile import HeldTile
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers, Welcome
+from cags_protocol.wire.messages import (
+    Control,
+    FrameEnd,
+    Hello,
+    Mark,
+    ReferenceFrame,
+    ReferenceKind,
+    TileLayers,
+    Welcome,
+)
 from cags_server.fov import widened
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.bandwidth.base import BandwidthEstimator

@@ -8,13 +8,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import WHOLE_TILES_CODEC
+from cags_common.bundle.codecs import WHOLE_TILES_CODEC
+from cags_common.coding.packing import encode_ids
 from cags_common.geometry import Camera
-from cags_common.held_tile import HeldTile
-from cags_common.packing import encode_ids
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.ratecontrol import TileView, Upgrade
 from cags_server.ratecontrol.priorities import (
     BASE_PRIORITY,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cags_protocol.messages import TileLayers
+from cags_protocol.wire.messages import TileLayers
 
 Key = tuple[int, int]
 

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import ClientSession
-from cags_protocol.inventory import pack_inventory
-from cags_protocol.messages import Control, Hello
+from cags_protocol.wire.inventory import pack_inventory
+from cags_protocol.wire.messages import Control, Hello
 from cags_server.session.connection import Connection
 from support.server_scene import SETTINGS, hello, library
 

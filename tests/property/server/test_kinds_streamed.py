@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from cags_common.bundle import SourceFrame
 from cags_common.geometry import Camera, Pose
-from cags_common.held_tile import HeldTile
 from cags_common.motion.chunk import DEADZONES, LEVELS, REFINEMENT
 from cags_common.splats import Splats
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, PoseSample, TileLayers
+from cags_protocol.wire.messages import Control, PoseSample, TileLayers
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.streamer import Streamer

@@ -21,12 +21,12 @@ from cags_client.settings import ClientSettings
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, NetworkError
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_common.transport import MemoryTransport, memory_pair
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.encoding import encode
-from cags_protocol.messages import Fragment, TileLayers, Welcome
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.messages import Fragment, TileLayers, Welcome
 from support.small_store import books, manifest
 
 MANIFEST = Manifest("t", 30.0, 3, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())

@@ -14,10 +14,10 @@ from pathlib import Path
 import msgpack
 
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
-from cags_protocol import messages as m
-from cags_protocol.encoding import decode, encode
-from cags_protocol.inventory import pack_inventory
+from cags_common.tiles.inventory import HeldTile
+from cags_protocol.wire import messages as m
+from cags_protocol.wire.encoding import decode, encode
+from cags_protocol.wire.inventory import pack_inventory
 
 POSE = Pose((0.25, -1.5, 3.0), (0.5, 0.5, -0.5, 0.5))
 CAMERA = Intrinsics(1600, 1200, 1385.5, 1385.5, 800.0, 600.0)

@@ -1,4 +1,4 @@
-// The C interface of the codec: packed layers of codes to splats; the readable definition is cags_common.dequantise.
+// The C interface of the codec: packed layers of codes to splats; the readable definition is cags_common.tiles.dequantise.
 #pragma once
 #include "cags_kernels.h"
 

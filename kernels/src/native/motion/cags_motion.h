@@ -1,5 +1,5 @@
 // The C interface of motion: entropy coding, trees of residuals, and tiles at a time. The readable definitions are
-// cags_common.rans and cags_common.motion; every function gives the same bits.
+// cags_common.coding.rans and cags_common.motion; every function gives the same bits.
 #pragma once
 #include "cags_kernels.h"
 

@@ -17,7 +17,7 @@ from cags_common.passes import ALWAYS, Pass, PassPlan, Situation, plan_frame
 from cags_common.splats import SH_REST_OF_DEGREE
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
-from cags_protocol.messages import ReferenceKind
+from cags_protocol.wire.messages import ReferenceKind
 from support.client_stage import Stage, walk
 
 PICTURE = ReferenceKind.PICTURE

@@ -5,9 +5,9 @@ from __future__ import annotations
 from cags_client.playback.decode_queue import DECODE_BATCH, DecodeQueue
 from cags_client.playback.jobs import Restarted, Traffic
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import events as ev
-from cags_protocol.messages import ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import ReferenceFrame, TileLayers
 
 
 def tile(number: int, from_lod: int = 0, to_lod: int = 1, size: int = 10) -> ev.TileReceived:

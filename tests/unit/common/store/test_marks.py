@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cags_common.codecs import SvqTileCodec
-from cags_common.held_tile import HeldTile
+from cags_common.bundle.codecs import SvqTileCodec
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import LEVELS
 from cags_common.store.tile_store import TileStore
+from cags_common.tiles.inventory import HeldTile
 from support.closed_loop import encoded_clip
 from support.small_motion import looks, motion, moving, recoloured, update
 from support.small_store import base, books, layer, removed, xs

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import TilePayloads
-from cags_common.codecs import MotionTile, SvqTileCodec
+from cags_common.bundle.codecs import MotionTile, SvqTileCodec
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import DEADZONES, LEVELS, Chunk
-from cags_common.splat_buffer import Slot, SplatBuffer
 from cags_common.store.motions import HeldMotion, to_stage
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 from cags_common.store.versions import Versions
+from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 from support.small_motion import looks, motion, moving, recoloured
 from support.small_store import books, manifest, removed, xs
 
@@ -385,7 +385,7 @@ def test_an_update_of_the_opacity_of_splats_that_are_to_come_waits_for_them() ->
 
 def test_tiles_that_have_ended_or_stand_still_are_not_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:
     counted: list[int] = []
-    import cags_common.splat_buffer as module
+    import cags_common.tiles.splat_buffer as module
 
     move_rows = module.move_rows
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cags_common.codecs import SvqTileCodec
+from cags_common.bundle.codecs import SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
-from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.store.tile_store import TileStore
+from cags_common.tiles.inventory import HeldTile
 from support.small_store import CAPACITY, base, books, layer, manifest, removed, xs
 
 

@@ -12,9 +12,9 @@ import pytest
 
 from cags_common.bundle import BundlePlayer
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_common.tiles.inventory import HeldTile
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.reference.mirror import Mirror
 from cags_server.scene.decoded_tiles import DecodedTiles
 from cags_server.scene.library import SceneLibrary

@@ -10,7 +10,7 @@ import pytest
 from cags_common.geometry import Pose
 from cags_common.raster.base import Footprint
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
 from cags_server.reference.job import FrameJob
 from cags_server.settings import PLAIN
 from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, hello, library

@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.encoding import encode
-from cags_protocol.inventory import pack_inventory
-from cags_protocol.messages import Control, FrameEnd, PoseSample, ReferenceFrame, RefusalCode, TileLayers
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.inventory import pack_inventory
+from cags_protocol.wire.messages import Control, FrameEnd, PoseSample, ReferenceFrame, RefusalCode, TileLayers
 from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.reference.render_slots import RenderSlots
 from cags_server.session.connection import Connection

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, ReferenceFrame
+from cags_protocol.wire.messages import Control, ReferenceFrame
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_server.session.streamer import Streamer
 from support.server_scene import SETTINGS, FakeReader, hello, library

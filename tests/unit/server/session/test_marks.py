@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import pytest
 
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
 from cags_server.session.streamer import MARK_EVERY_US
 from support.server_scene import SETTINGS, FakeReader, hello, library
 from support.streamer_rig import Rig, of

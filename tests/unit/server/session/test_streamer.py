@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import HeldTile
 from cags_common.video.h264 import H264Decoder
 from cags_protocol import events as ev
-from cags_protocol.messages import Blob, FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import Blob, FrameEnd, ReferenceFrame, TileLayers
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_server.ratecontrol.byte_budget import MESSAGE_OVERHEAD_BYTES
 from cags_server.session.streamer import Streamer
