@@ -19,12 +19,12 @@ from cags_encoder.execution.executors import Shared, Workers, ahead
 from cags_encoder.execution.journal import FrameRecord, Journal
 from cags_encoder.frames.differential import DecoderCopy
 from cags_encoder.frames.moving import MovingGroups
-from cags_encoder.frames.placing import ClipPlacer, Placed
 from cags_encoder.frames.tasks import AnyCut, look, pack, quantise, quantise_looks
 from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails
 from cags_encoder.scenes import FrameSource
 from cags_encoder.settings import EncodeSettings
+from cags_encoder.tracks.placing import ClipPlacer, Placed
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,10 +20,6 @@ LARGER = {
     "encoder/cags_encoder/formats": "a file a format",
     "bench/cags_bench/cost": "a file a stage that is measured",
     "tests/support": "a builder a file",
-    "common/cags_common": "not ordered yet: splats, tiles and the ways of a process side by side",
-    "protocol/cags_protocol": "not ordered yet: messages, sessions and the sending",
-    "encoder/cags_encoder": "not ordered yet: one more than the most",
-    "tests/unit/common": "mirrors common",
 }
 """Folders with more modules than the others may have, and why."""
 NOT_OF_A_COMMAND = {

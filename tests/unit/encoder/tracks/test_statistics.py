@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cags_common.bundle.tracks import TrackStatistics
-from cags_encoder.frames.identity import IdentityTracker
-from cags_encoder.frames.track_statistics import TrackCounter
 from cags_encoder.pipeline import SplatSequence
 from cags_encoder.scenes import FrameSource, open_scene
+from cags_encoder.tracks.identity import IdentityTracker
+from cags_encoder.tracks.statistics import TrackCounter
 from support.codec_scenes import cloud, with_changes
 
 

@@ -13,10 +13,10 @@ from cags_common.bundle.tracks import TrackStatistics
 from cags_common.geometry import F32, F64, axis_bounds
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.morton import morton_order
-from cags_encoder.frames.identity import IdentityTracker
-from cags_encoder.frames.looking import Look
-from cags_encoder.frames.rows import SplatTable
 from cags_encoder.sampling import check_degree
+from cags_encoder.tracks.identity import IdentityTracker
+from cags_encoder.tracks.looking import Look
+from cags_encoder.tracks.rows import SplatTable
 
 MOTION = ("means", "quats")
 """Columns of splats that motion is told of, apart from everything else."""

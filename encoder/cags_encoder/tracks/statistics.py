@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cags_common.bundle.tracks import ChangedShares, TrackStatistics
 from cags_common.geometry import F64
 from cags_common.splats import Splats
-from cags_encoder.frames.effect import attribute_effects
+from cags_encoder.tracks.effect import attribute_effects
 
 VISIBLE = 0.01
 """Share of a pixel's colour that a change must make to count (:class:`ChangedShares` says so)."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cags_common.geometry import F32, F64
 from cags_common.splats import SH_C0, Splats
 from cags_common.tiles.morton import morton_order
-from cags_encoder.frames.rows import identical_rows
+from cags_encoder.tracks.rows import identical_rows
 
 Rows = NDArray[np.intp]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cags_common.splats import Splats
-from cags_encoder.frames.linking import Looks, Tracks, link
+from cags_encoder.tracks.linking import Looks, Tracks, link
 from support.codec_scenes import cloud, with_changes
 from support.tracked_clips import TrueFrame, disguised, linked
 

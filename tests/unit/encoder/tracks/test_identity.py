@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cags_common.errors import SceneError
-from cags_encoder.frames.identity import IdentityTracker
+from cags_encoder.tracks.identity import IdentityTracker
 from support.codec_scenes import cloud, with_changes
 
 RANDOM = np.random.default_rng(0)

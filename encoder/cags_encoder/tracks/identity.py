@@ -1,7 +1,7 @@
 """Which splat of one frame is which of the next.
 
 Sources that know identities give them; for others, and where those of the source are plainly wrong, splats are linked
-with those of the frame before (:mod:`cags_encoder.frames.linking`). A splat that is not found again is a new one, and
+with those of the frame before (:mod:`cags_encoder.tracks.linking`). A splat that is not found again is a new one, and
 one that is missing from a frame has ended: an identity is one unbroken track. Frames that share too little start a new
 group of frames.
 """
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from cags_common.bundle.tracks import TrackStatistics
 from cags_common.errors import SceneError
 from cags_common.splats import Ids, Splats
-from cags_encoder.frames.linking import Looks, Rows, Tracks, alike, link
-from cags_encoder.frames.track_statistics import TrackCounter
+from cags_encoder.tracks.linking import Looks, Rows, Tracks, alike, link
+from cags_encoder.tracks.statistics import TrackCounter
 
 MIN_OVERLAP = 0.25
 """Share of rows that must be found again; with fewer a key frame costs no more than the differences."""

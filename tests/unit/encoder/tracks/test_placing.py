@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cags_encoder.frames.placing import ROOM, Placer
+from cags_encoder.tracks.placing import ROOM, Placer
 from support.codec_scenes import cloud
 
 
