@@ -200,9 +200,6 @@ class FakeScene:
         for name in MOVING_COLUMNS:
             getattr(self._splats, name)[rows] = getattr(splats, name)[rows]
 
-    def recolour(self, rows: Any, sh0: Any) -> None:
-        self._splats.sh0[rows] = sh0
-
     def render(self, camera: Any, options: Any) -> RenderedView:
         rotation, translation = camera.world_to_camera
         x, y, z = (self._splats.means @ rotation.T + translation).T

@@ -31,10 +31,27 @@ struct Scratch {
 
 bool side(int value) { return value >= 1 && value <= kMaxSide; }
 
-bool valid(const CagsLackInput& in) { return side(in.width) && side(in.height) && in.threads >= 1 && in.knee >= 1e-3f && in.knee <= 10.0f; }
+int64_t lack_values(int width, int height) { return int64_t{width + 1} * (height + 2) * kTap; }
 
-bool valid(const CagsAddInput& in) {
-  return side(in.width) && side(in.height) && side(in.reference_width) && side(in.reference_height) && in.threads >= 1 && in.stride >= 1;
+bool valid(const CagsLackInput& in, int64_t length) {
+  if (!side(in.width) || !side(in.height) || in.threads < 1 || !(in.knee >= 1e-3f && in.knee <= 10.0f)) return false;
+  const int64_t picture = int64_t{in.width} * in.height * 3;
+  return in.coded && in.coded_length == picture && in.own_length == (in.own ? picture : 0) && length == lack_values(in.width, in.height);
+}
+
+int64_t veto_values(const CagsAddInput& in) {
+  if (!in.veto) return 0;
+  const int64_t cell = in.coarse_veto ? kVetoCell : 1;
+  return ((in.width + cell - 1) / cell) * ((in.height + cell - 1) / cell);
+}
+
+bool valid(const CagsAddInput& in, int64_t shown_length, int64_t confidence_length) {
+  if (!side(in.width) || !side(in.height) || !side(in.reference_width) || !side(in.reference_height)) return false;
+  if (in.threads < 1 || in.stride < 1) return false;
+  const int64_t pixels = int64_t{in.width} * in.height;
+  return in.rgb_length == 3 * pixels && in.alpha_length == pixels && in.depth_length == pixels &&
+         in.lack_length == lack_values(in.reference_width, in.reference_height) && in.veto_length == veto_values(in) &&
+         shown_length == 3 * pixels && confidence_length == pixels;
 }
 
 void lack_of(const CagsLackInput& in, int16_t* lack) {
@@ -159,12 +176,13 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
 }  // namespace
 }  // namespace cags::correct
 
-int32_t cags_lack(const CagsLackInput* input, int16_t* lack) {
-  if (!cags::correct::valid(*input)) return CAGS_INVALID;
+int32_t cags_lack(const CagsLackInput* input, int16_t* lack, int64_t length) {
+  if (!lack || !cags::correct::valid(*input, length)) return CAGS_INVALID;
   return cags::guarded([&] { cags::correct::lack_of(*input, lack); });
 }
 
-int32_t cags_add_lack(const CagsAddInput* input, float* shown, float* confidence) {
-  if (!cags::correct::valid(*input)) return CAGS_INVALID;
+int32_t cags_add_lack(const CagsAddInput* input, float* shown, int64_t shown_length, float* confidence,
+                      int64_t confidence_length) {
+  if (!shown || !confidence || !cags::correct::valid(*input, shown_length, confidence_length)) return CAGS_INVALID;
   return cags::guarded([&] { cags::correct::add(*input, shown, confidence); });
 }

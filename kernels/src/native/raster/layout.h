@@ -31,7 +31,6 @@ struct SceneData {
   const uint32_t* tie;          // hash of the splat's content: decides between equal depths
   const float* rest;            // [padded / kLanes][sh_rest * 3][kLanes]
   const uint8_t* degree;        // [padded / kLanes] highest SH degree with a coefficient other than zero
-  const uint32_t* revision;     // [padded / kLanes] changes with the block's splats; never 0
 };
 
 // Camera and options in the form that the stages use.
@@ -41,7 +40,6 @@ struct View {
   float dilation, variance;                         // squared pixels added before and after the filter
   int width, height, tiles_x, tiles_y;
   int sh_degree, exactness, depth;
-  float colour_turn;              // squared sine of the angle after which colours are evaluated again; 0: always
   float brightest;                // no colour comes out above it
   float void_alpha, stop;                           // a block is finished when no pixel transmits more than `stop`
 };
@@ -63,40 +61,29 @@ struct alignas(64) Colours {
   float rgb[3][kLanes];
 };
 
-// The colours of a block of splats as they were last evaluated: from where, of which coefficients.
-struct alignas(64) CachedColours {
-  Colours colours;
-  double position[3];             // of the camera
-  uint32_t revision;              // of the block; 0: holds nothing
-  int32_t degree;
-};
-
 // A frame's working memory. Splats are projected in chunks; a chunk's records start at chunk * chunk_size.
 struct FrameData {
   int chunks, chunk_size;
   Record* records;                // [chunks * chunk_size]
   int32_t* splat;                 // [chunks * chunk_size] which splat a record is
   int32_t* chunk_records;         // [chunks]
-  CachedColours* colours;         // [padded / kLanes], null when colours are evaluated every time
   uint32_t* tile_cursor;          // [chunks][tiles] number of entries, later where the chunk's next one goes
   uint32_t* tile_start;           // [tiles + 1]
   uint32_t* chunk_slot;           // [chunks + 1] first slot of each chunk
   uint64_t* entries;              // [tile_start[tiles]] depth bits << 32 | record
-  float* slots;                   // [tile_start[tiles]][slot_width] what each entry summed over its pixels
-  int slot_width;                 // 0, 1 (contribution) or 4 (weighted residual, weight)
+  float* slots;                   // [tile_start[tiles]] what each entry contributed to its pixels; null: nobody asks
 };
 
+// Where pixels go; null: nobody asks.
 struct Targets {
   float *rgb, *alpha, *depth;
-  const float* residual;          // [height, width, 3] for the adjoint
 };
 
-// A view at half the resolution and where the whole one goes, without alpha or depth where they are null; `width` and `height`
-// are the whole one's. No colour comes out above `brightest`.
-struct UpsampleJob {
-  Targets half, whole;
+// A picture of half the pixels a side, and where the whole one goes, whose size is `width` x `height`.
+struct EnlargeJob {
+  const float* half;
+  float* whole;
   int width, height;
-  float void_alpha, brightest;
 };
 
 // Per-thread memory of the tile stage.

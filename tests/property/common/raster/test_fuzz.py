@@ -5,8 +5,6 @@ The nightly run repeats this under the address and undefined-behaviour sanitizer
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import hypothesis.extra.numpy as hnp
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from hypothesis import strategies as st
 import cags_kernels
 from cags_common.errors import SceneError
 from cags_common.geometry import Camera, Intrinsics, Pose
-from cags_common.raster import DepthKind, Exactness, Footprint, RenderOptions, Shortcuts, create
+from cags_common.raster import DepthKind, Exactness, Footprint, RenderOptions, create
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from support.raster_scenes import F, assert_sound
 
@@ -54,14 +52,13 @@ def cameras(draw: st.DrawFn) -> Camera:
 
 options = st.builds(
     RenderOptions,
-    footprint=st.sampled_from([Footprint.classic(), Footprint.antialiased(), Footprint(0.01, 1 / 12), Footprint(1e-4)]),
+    footprint=st.sampled_from([Footprint.classic(), Footprint(0.0, 0.3), Footprint(0.01, 1 / 12), Footprint(1e-4)]),
     exactness=st.sampled_from(Exactness),
     depth=st.sampled_from(DepthKind),
     contribution=st.booleans(),
     void_alpha=st.floats(0, 1),
     max_sh_degree=st.integers(0, 3),
     threads=st.integers(1, 3),
-    shortcuts=st.builds(Shortcuts, colour_angle_rad=st.floats(0, 0.5), half_resolution=st.booleans()),
 )
 quick = settings(max_examples=150, suppress_health_check=list(HealthCheck))
 
@@ -71,22 +68,10 @@ quick = settings(max_examples=150, suppress_health_check=list(HealthCheck))
 def test_any_scene_renders_soundly(splats: Splats, cam: Camera, chosen: RenderOptions):
     scene = create("cpu").load(splats)
     if np.abs(splats.sh0).max(initial=0) < 1e30 and np.abs(splats.sh_rest).max(initial=0) < 1e30:
-        for _ in range(2):  # the second frame finds what the first one kept
-            assert_sound(scene.render(cam, chosen))
+        assert_sound(scene.render(cam, chosen))
     else:  # colours themselves overflow; the geometry must not
         view = scene.render(cam, chosen)
         assert ((view.alpha >= 0) & (view.alpha <= 1)).all()
-
-
-@quick
-@given(scenes(usual), cameras(), options)
-def test_any_scene_back_projects_soundly(splats: Splats, cam: Camera, chosen: RenderOptions):
-    scene = create("cpu").load(splats)
-    residual = np.linspace(-1, 1, cam.width_px * cam.height_px * 3, dtype=F).reshape(cam.height_px, cam.width_px, 3)
-    back = scene.back_project(cam, residual, replace(chosen, shortcuts=Shortcuts()))
-    assert np.isfinite(back.weighted_residual).all()
-    assert (back.weight >= 0).all()
-    assert back.weight.sum() <= cam.width_px * cam.height_px * 1.001
 
 
 @quick

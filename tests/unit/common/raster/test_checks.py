@@ -50,8 +50,6 @@ def test_an_empty_scene_is_black_and_void(backend):
     assert not view.alpha.any()
     assert np.isinf(view.depth).all()
     assert view.contribution.shape == (0,)
-    back = scene.back_project(camera(), np.ones((64, 96, 3), np.float32), RenderOptions())
-    assert back.weighted_residual.shape == (0, 3)
 
 
 def test_wrong_shapes_are_refused():

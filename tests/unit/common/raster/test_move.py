@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -62,18 +60,6 @@ def test_rows_in_any_order_and_twice_move_alike_and_no_rows_change_nothing() -> 
     scene.move(rows, new)
     scene.move(np.zeros(0, np.intp), splats)
     other.update(np.unique(rows), new.take(np.unique(rows)))
-    np.testing.assert_array_equal(scene.render(CAMERA, RenderOptions()).rgb, other.render(CAMERA, RenderOptions()).rgb)
-
-
-def test_colours_that_were_corrected_stay() -> None:
-    splats, rows = random_splats(1, harmonics=0), np.arange(1000)
-    colours = splats.sh0[rows] + np.float32(0.3)
-    scene, other = create("cpu").load(splats), create("cpu").load(replace(splats, sh0=splats.sh0 + np.float32(0)))
-    scene.recolour(rows, colours)
-    new = moved(splats, rows, 2)
-    scene.move(rows, new)
-    other.update(rows, new.take(rows))
-    other.recolour(rows, colours)
     np.testing.assert_array_equal(scene.render(CAMERA, RenderOptions()).rgb, other.render(CAMERA, RenderOptions()).rgb)
 
 

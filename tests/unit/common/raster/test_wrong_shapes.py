@@ -9,7 +9,7 @@ import pytest
 
 from cags_kernels import codec, native_available
 from cags_kernels.correct import AddParameters, DrawnView, add, lack
-from cags_kernels.raster import NativeScene, RasterCamera, RasterImage, RasterOptions, RasterStatistics, enlarge
+from cags_kernels.raster import NativeScene, RasterCamera, RasterOptions, enlarge
 
 pytestmark = pytest.mark.skipif(not native_available(), reason="the native library is not built")
 
@@ -45,8 +45,6 @@ def test_rows_that_are_not_the_splats_change_nothing(rows: list) -> None:
     scene = NativeScene(tuple(arrays()))
     with pytest.raises(ValueError, match="rows"):
         scene.update(np.array(rows), tuple(arrays()))
-    with pytest.raises(ValueError, match="rows"):
-        scene.recolour(np.array(rows), np.ones((*np.shape(rows), 3) if len(rows) == 5 else (N, 3), np.float32))
 
 
 def test_another_number_of_coefficients_changes_nothing() -> None:
@@ -66,17 +64,6 @@ def test_pictures_of_impossible_sizes_are_not_drawn(size: tuple[int, int]) -> No
 def test_a_camera_of_another_shape_draws_nothing() -> None:
     with pytest.raises(ValueError, match="rotation"):
         NativeScene(tuple(arrays())).render(replace(CAMERA, rotation=np.eye(2)), OPTIONS)
-
-
-@pytest.mark.parametrize("plane", ["rgb", "alpha", "depth"])
-def test_planes_that_are_not_half_are_not_brought_up(plane: str) -> None:
-    scene = NativeScene(tuple(arrays()))
-    good = {name: np.zeros((8, 8, 3) if name == "rgb" else (8, 8), np.float32) for name in ("rgb", "alpha", "depth")}
-    statistics = RasterStatistics(0, 0, 0, 0, 0, 0)
-    half = RasterImage(**good, contribution=None, statistics=statistics)
-    assert scene.upsample(half, 16, 16, OPTIONS).rgb.shape == (16, 16, 3)
-    with pytest.raises(ValueError, match="is not half of 16x16"):
-        scene.upsample(replace(half, **{plane: good[plane][:4].copy()}), 16, 16, OPTIONS)
 
 
 def attribute(**changes: object) -> codec.CodecAttribute:

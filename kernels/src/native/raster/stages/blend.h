@@ -1,4 +1,4 @@
-// Stage 5: front-to-back compositing of one row of blocks of 4x4 pixels, and its adjoint.
+// Stage 5: front-to-back compositing of one row of blocks of 4x4 pixels.
 //
 // A row's splats are taken in words of up to 64, in two passes: the alphas of all its blocks, and, block by block, the sums that
 // hang together through the transmittance. One loop over both would chain some fifty cycles behind each other, more than a
@@ -24,8 +24,7 @@ struct Local {
   float l11, l12, s0, l22, t0, log2_opacity, r, g, b, z;
 };
 
-// A block's pixels. `depth` is the sum of weight x z, or the median's z (0 while transmittance is above one half).
-// In the adjoint `rgb` holds the residual.
+// A block's pixels. `depth` is the sum of weight x z.
 struct alignas(64) BlockState {
   float transmittance[kBlockPixels], rgb[3][kBlockPixels], depth[kBlockPixels];
 };
@@ -49,7 +48,7 @@ struct alignas(64) Run {
 struct BlendInput {
   const Local* splats;
   float stop;
-  float* sums;    // a splat's contribution, or its (weight x residual, weight)
+  float* sums;    // a splat's contribution
 };
 
 // The places of a byte's bits, the lowest first.
@@ -148,12 +147,10 @@ template <int kDepth, bool kContribution>
     const Local& splat = input.splats[i];
     Floats total{};
     for (int j = 0; j < kVectors; j++) {
-      const Floats w = transmittance[j] * load(*alpha + j * kWidth), after = transmittance[j] - w;
+      const Floats w = transmittance[j] * load(*alpha + j * kWidth);
       r[j] += w * splat.r, g[j] += w * splat.g, b[j] += w * splat.b;
       if constexpr (kDepth == CAGS_DEPTH_EXPECTED) depth[j] += w * splat.z;
-      if constexpr (kDepth == CAGS_DEPTH_MEDIAN)
-        depth[j] = select((transmittance[j] >= 0.5f) & (after < 0.5f), all(splat.z), depth[j]);
-      transmittance[j] = after;
+      transmittance[j] -= w;
       if constexpr (kContribution) total += w;
     }
     if constexpr (kContribution) input.sums[i] += sum(total);
@@ -164,31 +161,6 @@ template <int kDepth, bool kContribution>
     store(state.transmittance + j * kWidth, transmittance[j]);
     store(state.rgb[0] + j * kWidth, r[j]), store(state.rgb[1] + j * kWidth, g[j]), store(state.rgb[2] + j * kWidth, b[j]);
     if constexpr (kDepth != CAGS_DEPTH_NONE) store(state.depth + j * kWidth, depth[j]);
-  }
-  return !bits(most > input.stop);
-}
-
-// The adjoint's second pass: adds (weight x residual, weight) of each splat to input.sums.
-[[gnu::noinline]] inline bool accumulate_back(const BlendInput& input, uint64_t members, const float (*alpha)[kBlockPixels], BlockState& state) {
-  Floats transmittance[kVectors];
-  for (int j = 0; j < kVectors; j++) transmittance[j] = load(state.transmittance + j * kWidth);
-  Floats residual[3][kVectors];
-  for (int c = 0; c < 3; c++)
-    for (int j = 0; j < kVectors; j++) residual[c][j] = load(state.rgb[c] + j * kWidth);
-  for (; members; members &= members - 1, alpha++) {
-    Floats total[4] = {};
-    for (int j = 0; j < kVectors; j++) {
-      const Floats w = transmittance[j] * load(*alpha + j * kWidth);
-      transmittance[j] -= w;
-      for (int c = 0; c < 3; c++) total[c] += w * residual[c][j];
-      total[3] += w;
-    }
-    add_sums(total, input.sums + 4 * __builtin_ctzll(members));
-  }
-  Floats most = transmittance[0];
-  for (int j = 0; j < kVectors; j++) {
-    most = greater(most, transmittance[j]);
-    store(state.transmittance + j * kWidth, transmittance[j]);
   }
   return !bits(most > input.stop);
 }

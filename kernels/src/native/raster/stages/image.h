@@ -25,11 +25,11 @@ inline TileArea area_of(const View& view, int tile) {
 
 inline Quad load_quad(const float* p) { return load<Quad>(p); }
 
-// Depth of four pixels: expected or median, infinite where void.
+// Depth of four pixels, infinite where void.
 inline Quad finished_depth(const View& view, Quad depth, Quad alpha) {
   typedef int32_t QuadMask __attribute__((vector_size(16)));
   const QuadMask known = (alpha >= view.void_alpha) & (alpha > 0.0f) & (depth > 0.0f);
-  const Quad value = view.depth == CAGS_DEPTH_MEDIAN ? depth : depth / alpha;
+  const Quad value = depth / alpha;
   return Quad((known & QuadMask(value)) | (~known & QuadMask(Quad{} + kVoidDepth)));
 }
 
@@ -84,7 +84,7 @@ inline void write_run(const View& view, const BlockState& state, int at, const T
 
 inline Targets moved(const Targets& targets, size_t pixels) {
   const auto from = [pixels](float* p, int channels) { return p ? p + channels * pixels : nullptr; };
-  return {from(targets.rgb, 3), from(targets.alpha, 1), from(targets.depth, 1), nullptr};
+  return {from(targets.rgb, 3), from(targets.alpha, 1), from(targets.depth, 1)};
 }
 
 inline void write_rows(const View& view, const TileArea& area, const BlockState* blocks, const Targets& targets) {
@@ -98,7 +98,7 @@ inline void write_rows(const View& view, const TileArea& area, const BlockState*
         continue;
       }
       PixelRun run;
-      write_run(view, state, at, {run.rgb, run.alpha, run.depth, nullptr});
+      write_run(view, state, at, {run.rgb, run.alpha, run.depth});
       if (to.rgb) std::memcpy(to.rgb, run.rgb, 3 * n * sizeof(float));
       if (to.alpha) std::memcpy(to.alpha, run.alpha, n * sizeof(float));
       if (to.depth) std::memcpy(to.depth, run.depth, n * sizeof(float));
@@ -140,15 +140,6 @@ inline void write_void(const View& view, const TileArea& area, const Targets& ta
     if (targets.alpha) std::memset(targets.alpha + at, 0, area.width * sizeof(float));
     for (int x = 0; targets.depth && x < area.width; x++) targets.depth[at + x] = kVoidDepth;
   }
-}
-
-inline void load_residual(const View& view, const TileArea& area, const float* residual, BlockState* blocks) {
-  for (int y = 0; y < area.height; y++)
-    for (int x = 0; x < area.width; x++) {
-      const float* from = residual + 3 * (size_t(area.y + y) * view.width + area.x + x);
-      BlockState& state = blocks[y / kBlock * kBlocksPerSide + x / kBlock];
-      for (int c = 0; c < 3; c++) state.rgb[c][y % kBlock * kBlock + x % kBlock] = from[c];
-    }
 }
 
 }  // namespace
