@@ -15,7 +15,7 @@ from typing import Any
 
 from cags_common.errors import NetworkError
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_common.transport import websocket
 from cags_common.transport.base import ConnectionEndedError
 from cags_protocol import PROTOCOL_VERSION, SUBPROTOCOL
@@ -143,7 +143,7 @@ def _now_us() -> int:
 
 async def evictions(port: int, rate: str = "900") -> None:
     """Acknowledgements with as many evicted records as one may have, within the quota of messages."""
-    records = tuple(HeldTile(2**30 + i, i, 1) for i in range(512))
+    records = tuple(InventoryEntry(2**30 + i, i, 1) for i in range(512))
     data = encode(Ack((SeqRange(0, 0),), 1, 0, 0, records))
     await _flood(port, lambda number: data, float(rate))
 

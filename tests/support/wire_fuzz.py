@@ -17,7 +17,7 @@ from support.wire_pair import INTRINSICS, hello
 SEEDS: list[tuple[m.Message, bytes]] = [
     (hello(inventory=b"\1\0\0\0\2\0\3"), b""),
     (m.PoseBatch((m.PoseSample(1, Pose.identity()),)), b""),
-    (m.Ack((m.SeqRange(3, 4), m.SeqRange(1, 1)), 2, 1, 5, (m.HeldTile(0, 0, 1),)), b""),
+    (m.Ack((m.SeqRange(3, 4), m.SeqRange(1, 1)), 2, 1, 5, (m.InventoryEntry(0, 0, 1),)), b""),
     (m.Control("seek", 4, 9, 2.0, True), b""),
     (m.KeyframeRequest(4), b""),
     (m.Bye("x"), b""),

@@ -42,7 +42,7 @@ class Referring:
         return replace(camera, intrinsics=camera.intrinsics.resized(self._coder.width_px, self._coder.height_px))
 
     def drawn(self) -> tuple[F32, F32 | None]:
-        """The truth [h, w, 3], and the client's own view where the server needs it."""
+        """The truth [h, w, 3], and the client's render from the reference camera where the server needs it."""
         truth = self._seen(self.moment.true)
         return truth, self._seen(self.moment.held) if self._coder.compares else None
 

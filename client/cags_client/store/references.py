@@ -24,7 +24,7 @@ MAX_REFERENCE_PIXELS = 1 << 21
 
 
 AROUND_PX = 3
-"""Radius of the neighbourhoods in which a picture is compared with the client's own view, its pixels."""
+"""Radius in pixels of the neighbourhoods in which a picture and the render from its camera are compared."""
 
 NOISE_WEIGHT = 2.0
 """Weight of what coding has left, which is not the same everywhere."""

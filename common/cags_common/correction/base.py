@@ -59,7 +59,7 @@ class Reference:
     coded: F32  # [h, w, 3] in [0, 1]
     camera: Camera
     picture: bool = False
-    """A picture of the scene, from which the client subtracts its own view; else a companded difference."""
+    """A picture of the scene, from which the client subtracts its own render; else a companded difference."""
     knee: float = 0.1
     """Differences below it are coded about linearly."""
 
@@ -89,7 +89,7 @@ class Corrector(Protocol):
         ...
 
     def needs_own(self, reference: Reference) -> bool:
-        """Whether :meth:`correct` has to be given the client's own view of ``reference``: of a picture not yet seen."""
+        """Whether :meth:`correct` needs ``own``: a render from the camera of a picture not yet seen."""
         ...
 
     def correct(
@@ -154,7 +154,9 @@ def checked_depth(view: RenderedView, camera: Camera) -> F32:
 def checked_own(own: F32, reference: Reference) -> F32:
     """``own``. Raises ``ValueError`` where it is not of the reference's size."""
     if own.shape != reference.coded.shape:
-        raise ValueError(f"an own view of shape {own.shape} for a reference of shape {reference.coded.shape}")
+        raise ValueError(
+            f"render from the reference camera: shape {own.shape}, but the reference has {reference.coded.shape}"
+        )
     return own
 
 

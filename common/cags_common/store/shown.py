@@ -16,7 +16,7 @@ from cags_common.tiles.splat_buffer import Slot
 
 
 @dataclass(eq=False, kw_only=True)
-class Held(Slot):
+class StoredLooks(Slot):
     """One tile of looks: what is decoded of it, and how many rows it still owns."""
 
     sphere: Sphere
@@ -42,7 +42,7 @@ class Shown:
 
     owner: NDArray[np.int32]
     """[capacity] by splat id: place in ``tiles`` of the tile that it is from; -1 where there is no splat."""
-    tiles: Sequence[Held]
+    tiles: Sequence[StoredLooks]
 
     @property
     def splats(self) -> int:

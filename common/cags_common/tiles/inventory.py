@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class HeldTile:
+class InventoryEntry:
     """A client holds LoDs 0 .. ``lods`` - 1 of a tile of a media frame; ``lods`` = 0: nothing of it."""
 
     frame: int

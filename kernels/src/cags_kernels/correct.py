@@ -56,7 +56,7 @@ class _AddInput(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class DrawnView:
-    """A client's own view."""
+    """A client's view."""
 
     rgb: F32  # [H, W, 3]
     alpha: F32  # [H, W]

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from cags_common.errors import ProtocolError
-from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
 from cags_protocol.cadence import EVERY_FRAME
 from cags_protocol.delivery.assembly import Assembler, ReceivedPackets
@@ -107,7 +107,7 @@ class ClientSession(Session[ev.ClientEvent]):
         if self._state is State.OPEN:
             self._say(KeyframeRequest(reference_seq), now_us)
 
-    def report_evictions(self, tiles: Iterable[HeldTile]) -> None:
+    def report_evictions(self, tiles: Iterable[InventoryEntry]) -> None:
         """Tell the server, with the next acknowledgements, what the store dropped (``lods`` = what is left)."""
         for tile in tiles:
             self._evicted[tile.frame, tile.tile] = tile.lods
@@ -139,7 +139,7 @@ class ClientSession(Session[ev.ClientEvent]):
         some = list(self._evicted.items())[: limits.MAX_EVICTED_TILES]
         for key, _ in some:
             del self._evicted[key]
-        evicted = tuple(HeldTile(frame, tile, lods) for (frame, tile), lods in some)
+        evicted = tuple(InventoryEntry(frame, tile, lods) for (frame, tile), lods in some)
         delay_us = max(now_us - self._received_us, 0)
         self._say(Ack(self._packets.ranges, self._received_us, delay_us, self.buffered_bytes, evicted), now_us)
         self._unacked, self._acked_us = 0, now_us

@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import ClassVar
 
 from cags_common.geometry import DEFAULT_NEAR, Intrinsics, Pose
-from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_common.tiles.lod import MAX_LODS
 from cags_protocol.cadence import EVERY_FRAME, LEAST_PERMILLE
 from cags_protocol.wire import limits
@@ -68,7 +68,7 @@ class SeqRange:
 
 
 _SAMPLE = Record(PoseSample, ("t_us", "pose"), (_TIME, POSE))
-_HELD = Record(HeldTile, ("frame", "tile", "lods"), (_FRAME, _TILE, _LOD))
+_HELD = Record(InventoryEntry, ("frame", "tile", "lods"), (_FRAME, _TILE, _LOD))
 _RANGE = Record(SeqRange, ("first", "last"), (_SEQ, _SEQ))
 
 # ---------------------------------------------------------------------------------------------------- client to server
@@ -129,7 +129,7 @@ class Ack(Message):
     received_us: int = wire(_TIME)
     delay_us: int = wire(_TIME, 0)
     buffered_bytes: int = wire(_BYTES, 0)
-    evicted: tuple[HeldTile, ...] = wire(ListOf(_HELD, limits.MAX_EVICTED_TILES), ())
+    evicted: tuple[InventoryEntry, ...] = wire(ListOf(_HELD, limits.MAX_EVICTED_TILES), ())
 
 
 CONTROL_ACTIONS = ("play", "pause", "seek", "rate")

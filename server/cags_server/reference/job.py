@@ -109,7 +109,7 @@ class FrameJob:
         return Footprint.of(self.client, camera.intrinsics)
 
     def _held(self, options: RenderOptions) -> F32 | None:
-        """The client's own view [h, w, 3]; None where it holds nothing, or nobody asks."""
+        """The client's render from the reference camera [h, w, 3]; None where it holds nothing, or nobody asks."""
         scene: RasterScene | None = None
         if self.mirror is not None:
             scene = self.mirror.scene_at(self.plan.frame, self.plan.basis)

@@ -95,7 +95,7 @@ class Weather(RuleBasedStateMachine):
 
     @rule(frames=st.lists(st.integers(0, 100), max_size=600))
     def evict(self, frames):
-        self.pair.client.report_evictions(m.HeldTile(frame, 0, 0) for frame in frames)
+        self.pair.client.report_evictions(m.InventoryEntry(frame, 0, 0) for frame in frames)
 
     @rule(damage=st.floats(0, 0.1), lose=st.floats(0, 0.3), double=st.floats(0, 0.5), late_ms=st.integers(1, 300))
     def bad_weather(self, damage, lose, double, late_ms):

@@ -52,7 +52,7 @@ def reference(**changed: object) -> Reference:
 def by_definition(
     splats: Splats, ref: Reference, settings: CorrectSettings | None = None, veto: np.ndarray | None = None
 ) -> Corrected:
-    """Corrected from the device's own view: a z-test may hang on the last bit of a depth."""
+    """Corrected from the device's own rendering: a z-test may hang on the last bit of a depth."""
     scene = rasteriser().load(splats)
     own = None
     if ref.picture:

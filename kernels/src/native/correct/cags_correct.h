@@ -5,7 +5,7 @@
 
 struct CagsLackInput {
   const float* coded;  // [height, width, 3] in [0, 1]
-  const float* own;    // [height, width, 3], the client's own view: `coded` is a picture; null: a companded difference
+  const float* own;    // [height, width, 3], the client's render from the reference camera: `coded` is a picture; null: a companded difference
   int32_t width, height;
   float knee;  // of the difference
   int32_t threads;

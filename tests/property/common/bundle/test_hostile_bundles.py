@@ -26,7 +26,7 @@ NAMES = ("manifest.json", "codebooks.bin", "gof_0000.bin", "source/gof_0000.bin"
 PEAK_BYTES = 64 << 20
 
 
-class Held:
+class FilesInMemory:
     """A bundle's files in memory."""
 
     def __init__(self, files: dict[str, bytes]) -> None:
@@ -83,7 +83,7 @@ def damaged(rng: np.random.Generator) -> dict[str, bytes]:
 
 def plays(files: dict[str, bytes]) -> bool:
     """Whether the bundle opens and plays; any other error than the two that are promised fails the test."""
-    store = Held(files)
+    store = FilesInMemory(files)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:

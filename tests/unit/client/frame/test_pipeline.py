@@ -157,7 +157,7 @@ class CountingScene:
 
 
 @pytest.mark.parametrize(("kind", "counted"), [(PICTURE, [0, 1, 1, 1, 2]), (DIFFERENCE, [0, 0, 0, 0, 0])])
-def test_the_own_view_is_drawn_for_a_picture_when_looks_change_and_never_for_a_difference(
+def test_the_reference_render_is_drawn_for_a_picture_when_looks_change_and_never_for_a_difference(
     reader: BundleReader, kind: ReferenceKind, counted: list[int]
 ) -> None:
     stage, pose = Stage(reader), walk(reader)

@@ -111,10 +111,10 @@ def test_an_identity_shows_the_picture(corrector: Corrector) -> None:
     assert (out.confidence == 1).all()
 
 
-def test_an_own_view_counts_until_the_next_and_a_new_picture_asks_for_one(corrector: Corrector) -> None:
+def test_a_reference_render_counts_until_the_next_and_a_new_picture_asks_for_one(corrector: Corrector) -> None:
     drawn, first, second = view(CLIENT), picture(SERVER, seed=1), picture(SERVER, seed=2)
     assert corrector.needs_own(first)
-    with pytest.raises(ValueError, match="own view"):
+    with pytest.raises(ValueError, match="reference camera"):
         corrector.correct(drawn, CLIENT, first)
     dark, bright = (np.full(first.coded.shape, grey, F) for grey in (0.2, 0.6))
     shown = corrector.correct(drawn, CLIENT, first, dark)
@@ -125,7 +125,7 @@ def test_an_own_view_counts_until_the_next_and_a_new_picture_asks_for_one(correc
     assert np.abs(other.rgb - shown.rgb).max() > 0.1
     assert corrector.needs_own(second)
     assert not corrector.needs_own(difference(SERVER))
-    with pytest.raises(ValueError, match="own view"):
+    with pytest.raises(ValueError, match="reference camera"):
         corrector.correct(drawn, CLIENT, second)
 
 
@@ -161,7 +161,7 @@ def test_what_does_not_fit_is_refused(corrector: Corrector) -> None:
         corrector.correct(drawn, SERVER, reference)
     with pytest.raises(ValueError, match=r"veto of shape \(3, 3\)"):
         corrector.correct(drawn, CLIENT, reference, veto=np.zeros((3, 3), F))
-    with pytest.raises(ValueError, match="own view of shape"):
+    with pytest.raises(ValueError, match="render from the reference camera: shape"):
         corrector.correct(drawn, CLIENT, picture(SERVER), np.zeros((3, 3, 3), F))
 
 

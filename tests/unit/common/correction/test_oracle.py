@@ -152,5 +152,5 @@ def test_references_that_make_no_sense_are_refused() -> None:
     for knee in (0.0, -1.0, float("nan"), 1e9):
         with pytest.raises(ValueError, match="knee = "):
             replace(difference(SERVER), knee=knee)
-    with pytest.raises(ValueError, match="client's own view"):
+    with pytest.raises(ValueError, match="client's render from the reference camera"):
         lacking(picture(SERVER), None)

@@ -2,7 +2,7 @@ import pytest
 
 from cags_common.errors import ProtocolError
 from cags_common.geometry import Pose
-from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import ClientSession, Outgoing, ServerSession, ServerSessionSettings, SessionTimers, State
 from cags_protocol import events as ev
 from cags_protocol.sessions.blobs import blob_chunks
@@ -201,7 +201,7 @@ def test_an_idle_server_marks_its_samples_application_limited():
 
 def test_evictions_reach_the_server():
     pair = Pair().open()
-    gone = tuple(HeldTile(frame, 1, 0) for frame in range(1200))
+    gone = tuple(InventoryEntry(frame, 1, 0) for frame in range(1200))
     pair.client.report_evictions(gone)
     pair.client.buffered_bytes = 777
     pair.queue(tile(0, 0, 10))

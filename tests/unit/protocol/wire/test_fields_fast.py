@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
-from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol.wire.encoding import decode, encode
 from cags_protocol.wire.fields import Integer, ListOf, Record
 from cags_protocol.wire.messages import Ack, SeqRange
@@ -46,7 +46,7 @@ def test_the_fast_way_says_the_same_as_the_slow_one(raw):
 
 def test_an_acknowledgement_full_of_evictions_costs_little_more_than_its_records():
     """Interleaved, as machines are shared: 512 records cost less than 100 plain acknowledgements."""
-    full = encode(Ack((SeqRange(0, 0),), 1, 0, 0, tuple(HeldTile(2**30 + i, i, 1) for i in range(512))))
+    full = encode(Ack((SeqRange(0, 0),), 1, 0, 0, tuple(InventoryEntry(2**30 + i, i, 1) for i in range(512))))
     plain = encode(Ack((SeqRange(0, 0),), 1, 0, 0))
 
     def cost(data, times):

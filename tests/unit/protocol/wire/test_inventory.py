@@ -3,14 +3,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
-from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_common.tiles.lod import MAX_LODS
 from cags_protocol.wire.encoding import decode, encode
 from cags_protocol.wire.inventory import MAX_INVENTORY_TILES, pack_inventory, unpack_inventory
 from cags_protocol.wire.limits import MAX_CLIENT_MESSAGE_BYTES
 from support.wire_pair import hello
 
-TILES = st.builds(HeldTile, st.integers(0, 2**31 - 1), st.integers(0, 2**16 - 1), st.integers(1, MAX_LODS))
+TILES = st.builds(InventoryEntry, st.integers(0, 2**31 - 1), st.integers(0, 2**16 - 1), st.integers(1, MAX_LODS))
 
 
 @given(st.lists(TILES, max_size=40))
@@ -21,7 +21,7 @@ def test_an_inventory_survives_the_wire(tiles):
 
 
 def test_the_newest_tiles_are_kept_and_empty_ones_left_out():
-    packed = pack_inventory(HeldTile(i, 0, i % 2) for i in range(4 * MAX_INVENTORY_TILES))
+    packed = pack_inventory(InventoryEntry(i, 0, i % 2) for i in range(4 * MAX_INVENTORY_TILES))
     tiles = unpack_inventory(packed)
     assert len(tiles) == MAX_INVENTORY_TILES
     assert tiles[0].frame == 4 * MAX_INVENTORY_TILES - 1

@@ -6,7 +6,7 @@ import pytest
 
 from cags_common.errors import ProtocolError
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.tiles.inventory import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol.wire import limits
 from cags_protocol.wire import messages as m
 from cags_protocol.wire.encoding import DamagedError, VersionError, decode, encode, printable
@@ -19,7 +19,7 @@ EXAMPLES: list[tuple[m.Message, bytes]] = [
     (hello(token="secret", start_frame=7, inventory=b"\1\2"), b""),
     (hello(references="picture", chroma="yuv420p"), b""),
     (m.PoseBatch((m.PoseSample(1, POSE), m.PoseSample(2, Pose.identity()))), b""),
-    (m.Ack((m.SeqRange(5, 9), m.SeqRange(1, 3)), 77, 5, 100, (HeldTile(1, 2, 3),)), b""),
+    (m.Ack((m.SeqRange(5, 9), m.SeqRange(1, 3)), 77, 5, 100, (InventoryEntry(1, 2, 3),)), b""),
     (m.Control("seek", 12, 99, 0.5, True), b""),
     (m.KeyframeRequest(4), b""),
     (m.Bye("done"), b""),
