@@ -11,7 +11,7 @@ enum CagsDepth : int32_t { CAGS_DEPTH_NONE = 0, CAGS_DEPTH_EXPECTED = 1 };
 // Splats as arrays of rows; every value finite, quaternions of non-zero norm (the caller checks and names what is not).
 struct CagsSplats {
   int64_t count;
-  int32_t sh_rest_count;  // view-dependent coefficients a channel: 0, 3, 8 or 15
+  int32_t sh_rest_count;         // view-dependent coefficients a channel: 0, 3, 8 or 15
   const float* means;            // [count, 3] world
   const float* quats;            // [count, 4] wxyz
   const float* log_scales;       // [count, 3]
@@ -22,8 +22,8 @@ struct CagsSplats {
 };
 
 struct CagsCamera {
-  double rotation[9];  // world to camera, row-major
-  double position[3];  // of the camera, world
+  double rotation[9];     // world to camera, row-major
+  double position[3];     // of the camera, world
   double fx, fy, cx, cy;  // pixels; pixel centres at + 0.5
   double near_plane;
   int32_t width, height;
@@ -32,7 +32,7 @@ struct CagsCamera {
 struct CagsRasterOptions {
   float dilation, filter;  // squared pixels, see Footprint
   float void_alpha;
-  float brightest;       // no colour comes out above it
+  float brightest;  // no colour comes out above it
   int32_t exactness, depth, max_sh_degree, threads;
 };
 
@@ -71,13 +71,14 @@ CAGS_API int32_t cags_use_instruction_set(const char* name);  // for tests and b
 CAGS_API int32_t cags_raster_scene_create(const CagsSplats* splats, int32_t threads, CagsRasterScene** scene);
 CAGS_API void cags_raster_scene_destroy(CagsRasterScene* scene);
 CAGS_API int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* splats);
-// `all` has a splat for each of the scene's, of which those at rising `rows` moved: position, rotation and opacity are taken from there.
-// Nothing is changed where one of them cannot be drawn (CAGS_INVALID).
-CAGS_API int32_t cags_raster_scene_move(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all, int32_t threads);
+// `all` has a splat for each of the scene's, of which those at rising `rows` moved: position, rotation and opacity are taken from
+// there. Nothing is changed where one of them cannot be drawn (CAGS_INVALID).
+CAGS_API int32_t cags_raster_scene_move(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all,
+                                        int32_t threads);
 CAGS_API int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* camera, const CagsRasterOptions* options,
                                     const CagsRasterTargets* targets, CagsRasterStatistics* statistics);
 
 // Brings a picture [(height + 1) / 2, (width + 1) / 2, 3] up to `whole` [height, width, 3], both in [0, 1].
 // Lengths are in floats.
-CAGS_API int32_t cags_enlarge(const float* half, int64_t half_length, int32_t width, int32_t height, int32_t threads, float* whole,
-                              int64_t whole_length);
+CAGS_API int32_t cags_enlarge(const float* half, int64_t half_length, int32_t width, int32_t height, int32_t threads,
+                              float* whole, int64_t whole_length);

@@ -8,8 +8,14 @@
 
 namespace {
 
-#define CAGS_WHOLE(type) {#type, "", 0, int64_t{sizeof(type)}}
-#define CAGS_FIELD(type, field) {#type, #field, int64_t{offsetof(type, field)}, int64_t{sizeof(type::field)}}
+#define CAGS_WHOLE(type)                   \
+  {                                        \
+    #type, "", 0, int64_t { sizeof(type) } \
+  }
+#define CAGS_FIELD(type, field)                                                    \
+  {                                                                                \
+    #type, #field, int64_t{offsetof(type, field)}, int64_t { sizeof(type::field) } \
+  }
 
 constexpr CagsField kFields[] = {
     CAGS_WHOLE(CagsSplats),

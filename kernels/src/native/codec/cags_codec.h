@@ -25,8 +25,8 @@ struct CagsCodecTile {
 };
 
 struct CagsCodecTargets {
-  uint32_t* codes;                // [attributes, count]; may be the same memory as before
-  float* columns[CAGS_COLUMNS];   // [count, stride]
+  uint32_t* codes;               // [attributes, count]; may be the same memory as before
+  float* columns[CAGS_COLUMNS];  // [count, stride]
 };
 
 CAGS_API int32_t cags_codec_dequantise(const CagsCodecTile* tile, const CagsCodecAttribute* attributes,

@@ -5,7 +5,8 @@
 
 struct CagsLackInput {
   const float* coded;  // [height, width, 3] in [0, 1]
-  const float* own;    // [height, width, 3], the client's render from the reference camera: `coded` is a picture; null: a companded difference
+  const float* own;  // [height, width, 3], the client's render from the reference camera: `coded` is a picture; null: a companded
+                     // difference
   int32_t width, height;
   float knee;  // of the difference
   int32_t threads;
@@ -21,7 +22,7 @@ struct CagsAddInput {
   float cell_x, cell_y;  // client pixels a reference pixel
   int32_t stride;        // every stride-th pixel of every stride-th row may hide others
   float depth_tolerance, slope_cells, border_px, hole_alpha;
-  int32_t coarse_veto;   // whether the veto's values are of cells of 16 x 16 pixels
+  int32_t coarse_veto;  // whether the veto's values are of cells of 16 x 16 pixels
   int32_t threads;
   int64_t rgb_length, alpha_length, depth_length, lack_length, veto_length;  // values
 };

@@ -44,15 +44,16 @@ bool valid(const CagsSplats& splats) {
   const int k = splats.sh_rest_count;
   if (splats.count < 0 || splats.count > kMaxSplats || !(k == 0 || k == 3 || k == 8 || k == 15)) return false;
   const int64_t each[] = {3, 4, 3, 1, 3, 3 * k};
-  return std::equal(each, each + 6, splats.lengths, [&](int64_t floats, int64_t length) { return length == floats * splats.count; });
+  return std::equal(each, each + 6, splats.lengths,
+                    [&](int64_t floats, int64_t length) { return length == floats * splats.count; });
 }
 
 // Whether each target is of the view's size, or not there.
 bool fits(const CagsRasterTargets& to, const CagsCamera& camera, int64_t splats) {
   const int64_t pixels = int64_t{camera.width} * camera.height;
   auto fit = [](const float* target, int64_t length, int64_t wanted) { return length == (target ? wanted : 0); };
-  return fit(to.rgb, to.lengths[0], 3 * pixels) && fit(to.alpha, to.lengths[1], pixels) &&
-         fit(to.depth, to.lengths[2], pixels) && fit(to.contribution, to.lengths[3], splats);
+  return fit(to.rgb, to.lengths[0], 3 * pixels) && fit(to.alpha, to.lengths[1], pixels) && fit(to.depth, to.lengths[2], pixels) &&
+         fit(to.contribution, to.lengths[3], splats);
 }
 
 bool inside(const CagsRasterScene& scene, const int64_t* rows, int64_t count) {
@@ -63,16 +64,15 @@ bool valid(const CagsCamera& camera, const CagsRasterOptions& options) {
   return camera.width >= 1 && camera.width <= kMaxSide && camera.height >= 1 && camera.height <= kMaxSide && camera.fx > 0 &&
          camera.fy > 0 && camera.near_plane > 0 && options.threads >= 1 && options.exactness >= CAGS_FAST &&
          options.exactness <= CAGS_EXACT && options.depth >= CAGS_DEPTH_NONE && options.depth <= CAGS_DEPTH_EXPECTED &&
-         options.max_sh_degree >= 0 && options.brightest >= 0 && options.dilation >= 0 && options.filter >= 0 && options.dilation + options.filter > 0;
+         options.max_sh_degree >= 0 && options.brightest >= 0 && options.dilation >= 0 && options.filter >= 0 &&
+         options.dilation + options.filter > 0;
 }
 
 }  // namespace
 
 int32_t cags_raster_scene_create(const CagsSplats* splats, int32_t threads, CagsRasterScene** scene) {
   if (!valid(*splats) || threads < 1) return CAGS_INVALID;
-  return cags::guarded([&] {
-    *scene = new CagsRasterScene(*splats, std::min(threads, cags::kMaxThreads));
-  });
+  return cags::guarded([&] { *scene = new CagsRasterScene(*splats, std::min(threads, cags::kMaxThreads)); });
 }
 
 void cags_raster_scene_destroy(CagsRasterScene* scene) { delete scene; }
@@ -84,9 +84,11 @@ int32_t cags_raster_scene_update(CagsRasterScene* scene, const int64_t* rows, in
   return CAGS_OK;
 }
 
-int32_t cags_raster_scene_move(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all, int32_t threads) {
+int32_t cags_raster_scene_move(CagsRasterScene* scene, const int64_t* rows, int64_t count, const CagsSplats* all,
+                               int32_t threads) {
   if (count < 0 || threads < 1 || !inside(*scene, rows, count)) return CAGS_INVALID;
-  if (!valid(*all) || all->count != scene->scene.count() || all->sh_rest_count != scene->scene.data().sh_rest) return CAGS_INVALID;
+  if (!valid(*all) || all->count != scene->scene.count() || all->sh_rest_count != scene->scene.data().sh_rest)
+    return CAGS_INVALID;
   threads = std::min(threads, cags::kMaxThreads);
   bool good = false;
   const int32_t status = cags::guarded([&] {
@@ -110,7 +112,8 @@ int32_t cags_raster_render(CagsRasterScene* scene, const CagsCamera* camera, con
 int32_t cags_enlarge(const float* half, int64_t half_length, int32_t width, int32_t height, int32_t threads, float* whole,
                      int64_t whole_length) {
   if (!half || !whole || width < 1 || width > kMaxSide || height < 1 || height > kMaxSide || threads < 1) return CAGS_INVALID;
-  if (half_length != int64_t{(width + 1) / 2} * ((height + 1) / 2) * 3 || whole_length != int64_t{width} * height * 3) return CAGS_INVALID;
+  if (half_length != int64_t{(width + 1) / 2} * ((height + 1) / 2) * 3 || whole_length != int64_t{width} * height * 3)
+    return CAGS_INVALID;
   return cags::guarded([&] {
     const cags::raster::EnlargeJob job{half, whole, width, height};
     const int workers = std::min(threads, cags::kMaxThreads), stripes = (height + kStripe - 1) / kStripe;

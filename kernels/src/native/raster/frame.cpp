@@ -14,8 +14,8 @@
 namespace cags::raster {
 namespace {
 
-constexpr int kMinChunk = 2048;   // splats: less is not worth a thread's while
-constexpr int kMaxChunks = 64;    // bounds the counters a tile
+constexpr int kMinChunk = 2048;  // splats: less is not worth a thread's while
+constexpr int kMaxChunks = 64;   // bounds the counters a tile
 
 // Largest transmittance at which a block is given up, by level.
 float stop_of(int exactness) {
@@ -130,8 +130,7 @@ void Frame::prepare_tiles(const View& view, bool contribution, int threads, size
   const size_t fullest = data_.tile_start[tile_order_[0] + 1] - data_.tile_start[tile_order_[0]];
   while (int(workers_.size()) < threads) workers_.push_back(std::make_unique<Worker>());
   scratch_.assign(threads, {});
-  for (int i = 0; i < threads; i++)
-    scratch_[i] = {workers_[i]->spare.reserve(fullest), workers_[i]->work.reserve(work_bytes), 0};
+  for (int i = 0; i < threads; i++) scratch_[i] = {workers_[i]->spare.reserve(fullest), workers_[i]->work.reserve(work_bytes), 0};
   data_.slots = contribution ? slots_.reserve(data_.tile_start[tiles]) : nullptr;
 }
 

@@ -15,10 +15,10 @@ enum Plane { kMean = 0, kAxes = 3, kOpacity = 12, kBase = 13, kPlanes = 16 };
 
 constexpr double kShC0 = 0.28209479177387814;
 constexpr double kLog2E = 1.4426950408889634;
-constexpr float kInvisible = -1e6f;  // log2 of an opacity that draws nothing
+constexpr float kInvisible = -1e6f;   // log2 of an opacity that draws nothing
 constexpr double kLeastNorm = 1e-12;  // a shorter quaternion has no direction
-constexpr int kMoveChunk = 1024;     // splats
-constexpr int kLoadChunk = 4096;     // splats; a multiple of kLanes, so that no two threads write one block
+constexpr int kMoveChunk = 1024;      // splats
+constexpr int kLoadChunk = 4096;      // splats; a multiple of kLanes, so that no two threads write one block
 
 // FNV-1a over the 32-bit words of a splat, then a finaliser: equal for equal splats, whatever their place in the scene.
 class ContentHash {
@@ -57,9 +57,7 @@ void scaled_axes(const float* quat, const float* scale, double out[9]) {
 
 float base_colour(float sh0) { return float(0.5 + kShC0 * sh0); }
 
-float log2_sigmoid(float logit) {
-  return float(std::max(-std::log1p(std::exp(-double(logit))) * kLog2E, double(kInvisible)));
-}
+float log2_sigmoid(float logit) { return float(std::max(-std::log1p(std::exp(-double(logit))) * kLog2E, double(kInvisible))); }
 
 }  // namespace
 

@@ -28,7 +28,7 @@ class Scene {
   void refresh_degree(int block);
 
   int count_, padded_, sh_rest_;
-  AlignedArray<float> geometry_;   // mean, axes, log2_opacity, base: planes of padded_
+  AlignedArray<float> geometry_;  // mean, axes, log2_opacity, base: planes of padded_
   AlignedArray<float> rest_;
   AlignedArray<float> scale_, logit_;  // splat by splat: what need not be worked out again where one only moves
   AlignedArray<uint32_t> tie_;

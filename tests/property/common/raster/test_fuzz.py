@@ -1,6 +1,6 @@
 """Random scenes, cameras and options never crash the native code and never give a pixel that is not finite.
 
-The nightly run repeats this under the address and undefined-behaviour sanitizers, see ``sanitized.py``.
+The nightly run repeats this under the address and undefined-behaviour sanitizers, see ``kernels/sanitize.py``.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ struct alignas(64) Run {
 struct BlendInput {
   const Local* splats;
   float stop;
-  float* sums;    // a splat's contribution
+  float* sums;  // a splat's contribution
 };
 
 // The places of a byte's bits, the lowest first.
@@ -135,7 +135,8 @@ template <int kDegree>
 // Second pass: front to back, sums colours and depth into the block, and each splat's weight into input.sums when
 // kContribution. Returns whether the block is finished.
 template <int kDepth, bool kContribution>
-[[gnu::noinline]] bool accumulate(const BlendInput& input, uint64_t members, const float (*alpha)[kBlockPixels], BlockState& state) {
+[[gnu::noinline]] bool accumulate(const BlendInput& input, uint64_t members, const float (*alpha)[kBlockPixels],
+                                  BlockState& state) {
   Floats transmittance[kVectors], r[kVectors], g[kVectors], b[kVectors], depth[kVectors];
   for (int j = 0; j < kVectors; j++) {
     transmittance[j] = load(state.transmittance + j * kWidth);
@@ -174,7 +175,7 @@ uint8_t blend(const BlendInput& input, const uint8_t* reached, int row, uint8_t 
               int64_t& visits) {
   const int count = alphas<kDegree>(input.splats, reached, row, alive, run);
   visits += count;
-  const float(*alpha)[kBlockPixels] = run.pixel;
+  const float (*alpha)[kBlockPixels] = run.pixel;
   uint8_t done = 0;
   for (int column = 0; column < kBlocksPerSide; column++) {
     const uint64_t members = run.members[column];

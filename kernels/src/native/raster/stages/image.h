@@ -40,10 +40,10 @@ struct Interleaved {
 inline Interleaved interleaved(Quad r, Quad g, Quad b) {
 #if defined(__x86_64__)
   const __m128 rg = _mm_unpacklo_ps(__m128(r), __m128(g)), rg2 = _mm_unpackhi_ps(__m128(r), __m128(g));  // r0 g0 r1 g1, ...
-  const __m128 br = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(1, 1, 0, 0));                          // b0 b0 r1 r1
-  const __m128 gb = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(1, 1, 1, 1));                          // g1 g1 b1 b1
-  const __m128 br2 = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(3, 3, 2, 2));                         // b2 b2 r3 r3
-  const __m128 gb2 = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(3, 3, 3, 3));                         // g3 g3 b3 b3
+  const __m128 br = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(1, 1, 0, 0));                       // b0 b0 r1 r1
+  const __m128 gb = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(1, 1, 1, 1));                       // g1 g1 b1 b1
+  const __m128 br2 = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(3, 3, 2, 2));                      // b2 b2 r3 r3
+  const __m128 gb2 = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(3, 3, 3, 3));                      // g3 g3 b3 b3
   return {{Quad(_mm_shuffle_ps(rg, br, _MM_SHUFFLE(2, 0, 1, 0))), Quad(_mm_shuffle_ps(gb, rg2, _MM_SHUFFLE(1, 0, 2, 0))),
            Quad(_mm_shuffle_ps(br2, gb2, _MM_SHUFFLE(2, 0, 2, 0)))}};
 #else

@@ -51,9 +51,9 @@ inline CameraPoint to_camera(const SceneData& scene, const View& view, int i, in
 }
 
 struct Covariance {
-  Floats xx, xy, yy;       // squared pixels, before dilation
-  Floats minors_over_yy;   // det / (yy + variance), by the factor's 2x2 minors: no cancellation on needles
-  Floats inverse_yy;       // 1 / (yy + variance)
+  Floats xx, xy, yy;      // squared pixels, before dilation
+  Floats minors_over_yy;  // det / (yy + variance), by the factor's 2x2 minors: no cancellation on needles
+  Floats inverse_yy;      // 1 / (yy + variance)
 };
 
 inline Covariance covariance(const SceneData& scene, const View& view, int i, const CameraPoint& p) {

@@ -20,7 +20,8 @@ struct TileWork {
 };
 
 // Brings records of the sorted entries [first, first + n) into the tile's frame.
-inline void gather(const FrameData& frame, const uint64_t* sorted, int first, int n, int total, const TileArea& area, TileWork& work) {
+inline void gather(const FrameData& frame, const uint64_t* sorted, int first, int n, int total, const TileArea& area,
+                   TileWork& work) {
   for (int i = 0; i < n; i++) {
     if (first + i + kPrefetchAhead < total) __builtin_prefetch(frame.records + uint32_t(sorted[first + i + kPrefetchAhead]));
     const Record& r = frame.records[uint32_t(sorted[first + i])];
@@ -57,8 +58,8 @@ inline uint64_t begin_blocks(const TileArea& area, TileWork& work) {
 inline float* slot_of(const FrameData& frame, const View& view, uint32_t record, int tile) {
   const Record& r = frame.records[record];
   const uint32_t column = uint32_t(tile % view.tiles_x - r.tile_x0), row = uint32_t(tile / view.tiles_x - r.tile_y0);
-  const size_t slot = size_t(frame.chunk_slot[record / uint32_t(frame.chunk_size)]) + r.slot +
-                      row * uint32_t(r.tile_x1 - r.tile_x0 + 1) + column;
+  const size_t slot =
+      size_t(frame.chunk_slot[record / uint32_t(frame.chunk_size)]) + r.slot + row * uint32_t(r.tile_x1 - r.tile_x0 + 1) + column;
   return frame.slots + slot;
 }
 
@@ -116,7 +117,8 @@ void composite(const View& view, const FrameData& frame, const Targets& targets,
   if (frame.tile_start[tile] == frame.tile_start[tile + 1]) return write_void(view, area, targets);
   const uint64_t alive = begin_blocks(area, work);
   const bool contribution = frame.slots != nullptr;
-  const Blend blend = view.exactness == CAGS_EXACT ? choose_blend<5>(view.depth, contribution) : choose_blend<3>(view.depth, contribution);
+  const Blend blend =
+      view.exactness == CAGS_EXACT ? choose_blend<5>(view.depth, contribution) : choose_blend<3>(view.depth, contribution);
   blend_tile(view, frame, scratch, tile, alive, blend);
   write_tile(view, area, work.blocks, targets);
 }

@@ -1,8 +1,10 @@
-"""Builds the kernels with the address and undefined-behaviour sanitizers and runs drawing and correction tests on them.
+"""Builds the kernels with the address and undefined-behaviour sanitizers and runs the tests of every kernel on them.
 
-    python tests/property/common/raster/sanitized.py [pytest arguments]
+    python kernels/sanitize.py                      all of them (minutes)
+    python kernels/sanitize.py --short              what continuous integration runs: the kernels' own tests and a fuzz
+    python kernels/sanitize.py tests/unit/kernels   pytest's own arguments
 
-Takes a few minutes. The build goes to a temporary folder; the installed library is not touched.
+The build goes to a temporary folder; the installed library is not touched.
 """
 
 from __future__ import annotations
@@ -13,11 +15,18 @@ import sys
 import tempfile
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[4]
-TESTS = (
-    *("tests/property/common/raster", "tests/stability/raster", "tests/unit/common/raster"),
-    *("tests/stability/correction", "tests/unit/common/correction"),
+ROOT = Path(__file__).resolve().parents[1]
+SHORT = (
+    *("tests/unit/kernels", "tests/property/common/raster/test_fuzz.py"),
+    *("tests/property/common/tiles/test_dequantise_properties.py", "tests/unit/common/coding/test_rans.py"),
 )
+ALL = (
+    *("tests/unit/kernels", "tests/property/common/raster", "tests/stability/raster", "tests/unit/common/raster"),
+    *("tests/stability/correction", "tests/unit/common/correction"),
+    *("tests/unit/common/tiles", "tests/property/common/tiles"),
+    *("tests/unit/common/coding", "tests/unit/common/motion", "tests/property/common/motion"),
+)
+"""Rasteriser, corrector, codec, motion: drawing, adding, tiles to splats, symbols and trees."""
 
 
 def build(folder: str) -> str:
@@ -41,6 +50,8 @@ def runtimes() -> str:
 
 def main() -> int:
     """Exit code of pytest."""
+    chosen = sys.argv[1:]
+    tests = SHORT if chosen == ["--short"] else chosen or ALL
     with tempfile.TemporaryDirectory() as folder:
         environment = {
             **os.environ,
@@ -49,7 +60,7 @@ def main() -> int:
             "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",  # the interpreter itself leaks
             "UBSAN_OPTIONS": "print_stacktrace=1:halt_on_error=1",
         }
-        command = [sys.executable, "-m", "pytest", "-q", "-s", "-p", "no:cacheprovider", *(sys.argv[1:] or TESTS)]
+        command = [sys.executable, "-m", "pytest", "-q", "-s", "-p", "no:cacheprovider", *tests]
         return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
 
 
