@@ -27,6 +27,20 @@ NOT_OF_A_COMMAND = {
     "cags_common.correction.base.CorrectSettings": "of a call: parameters of the seam, which the correctors share",
 }
 """Classes of settings that no command has flags for, and why."""
+TESTED_ELSEWHERE = {
+    "cags_research/align": "tests/unit/client/frame/test_align.py",
+    "cags_research/codecs/encoding": "tests/unit/research/codecs/test_codecs.py",
+    "cags_research/restore/networks/runtimes": "tests/unit/research/restore/networks",
+    "cags_research/training/pairs": "tests/unit/research/training",
+    "cags_bench/demo": "tests/packaging/test_readme.py",
+    "cags_bench/motion": "tests/unit/bench/test_cli.py",
+    "cags_bench/predict": "tests/unit/bench/test_cli.py",
+    "cags_bench/reproduce/experiments": "tests/unit/bench/test_reproduce.py",
+    "cags_bench/sim": "tests/sim/test_virtual_time.py",
+    "cags_bench/stream": "tests/sim/test_virtual_time.py",
+}
+"""Folders without a mirror of their own, and where their tests are."""
+KINDS = ("unit", "property", "stability", "integration")
 OF_SCENES = "cags_encoder.scenes."
 """Settings here are written in a scene's name (``procedural:size=2000``)."""
 
@@ -98,3 +112,27 @@ def test_every_setting_has_a_flag() -> None:
         if not where.startswith(OF_SCENES) and f"--{name.replace('_', '-')}" not in flags
     }
     assert {name.rpartition(".")[0] for name in without} == set(NOT_OF_A_COMMAND)
+
+
+def mirrors(folder: Path) -> bool:
+    """Whether tests lie as ``folder`` (``cags_client/net``) does: in a folder of its name, or in ``test_net*.py``."""
+    short = Path(folder.parts[0].removeprefix("cags_"), *folder.parts[1:])
+    homes = [ROOT / "tests" / kind / short for kind in KINDS]
+    beside = [] if len(folder.parts) == 1 else [test for h in homes for test in h.parent.glob(f"test_{h.name}*.py")]
+    return bool(beside) or any(home.is_dir() and any(home.rglob("test_*.py")) for home in homes)
+
+
+def test_tests_mirror_the_source() -> None:
+    folders = {path.parent for _, path in sources() if path.stem not in {"__init__", "__main__"}}
+    parents = [package.parent for package in (*PACKAGES, KERNELS)]
+    named = {folder.relative_to(parent) for folder in folders for parent in parents if folder.is_relative_to(parent)}
+    without = {str(folder) for folder in named if not mirrors(folder)}
+    assert without - {"cags_web"} == set(TESTED_ELSEWHERE), "one that has a mirror leaves the list"
+    assert [home for home in TESTED_ELSEWHERE.values() if not (ROOT / home).exists()] == []
+
+
+def test_no_folder_of_unit_tests_is_of_nothing() -> None:
+    packages = {package.name.removeprefix("cags_"): package for package in (*PACKAGES, KERNELS)}
+    unit = ROOT / "tests/unit"
+    folders = {path.parent.relative_to(unit) for path in unit.rglob("test_*.py")}
+    assert {str(f) for f in folders if not packages[f.parts[0]].joinpath(*f.parts[1:]).is_dir()} == set()
