@@ -10,6 +10,7 @@ The build goes to a temporary folder; the installed library is not touched.
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -31,9 +32,10 @@ ALL = (
 
 def build(folder: str) -> str:
     """Path of the sanitized library."""
-    configure = ["cmake", "-S", str(ROOT / "kernels"), "-B", folder, "-DCMAKE_CXX_FLAGS=-O1", "-DCAGS_SANITIZE=ON"]
+    cmake = shutil.which("cmake") or "cmake"
+    configure = [cmake, "-S", str(ROOT / "kernels"), "-B", folder, "-DCMAKE_CXX_FLAGS=-O1", "-DCAGS_SANITIZE=ON"]
     subprocess.run(configure, check=True, stdout=subprocess.DEVNULL)
-    subprocess.run(["cmake", "--build", folder, "--parallel", "2"], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([cmake, "--build", folder, "--parallel", "2"], check=True, stdout=subprocess.DEVNULL)
     return str(Path(folder) / "libcags_kernels.so")
 
 
