@@ -22,11 +22,6 @@ LARGER = {
     "tests/support": "a builder a file",
 }
 """Folders with more modules than the others may have, and why."""
-NOT_OF_A_COMMAND = {
-    "cags_client.frame.align.base.AlignSettings": "of a call: the paper's parameters, of which --erosion sets one",
-    "cags_common.correction.base.CorrectSettings": "of a call: parameters of the seam, which the correctors share",
-}
-"""Classes of settings that no command has flags for, and why."""
 TESTED_ELSEWHERE = {
     "cags_research/align": "tests/unit/client/frame/test_align.py",
     "cags_research/codecs/encoding": "tests/unit/research/codecs/test_codecs.py",
@@ -111,7 +106,7 @@ def test_every_setting_has_a_flag() -> None:
         for where, name in settings()
         if not where.startswith(OF_SCENES) and f"--{name.replace('_', '-')}" not in flags
     }
-    assert {name.rpartition(".")[0] for name in without} == set(NOT_OF_A_COMMAND)
+    assert without == set()
 
 
 def mirrors(folder: Path) -> bool:

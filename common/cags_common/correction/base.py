@@ -16,7 +16,7 @@ import numpy as np
 
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import RenderedView
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_settings, parameter
 
 CELL_PX = 8
 """Side of the cells whose mean depth fills holes."""
@@ -39,14 +39,14 @@ LEAST_KNEE, LARGEST_KNEE = 1e-3, 10.0
 class CorrectSettings:
     """How what is lacking is brought to the client's view."""
 
-    depth_tolerance: float = setting(
+    depth_tolerance: float = parameter(
         0.03, "a pixel is hidden where it lies this share of the depth behind what the reference shows", low=0, high=1
     )
-    slope_cells: float = setting(
+    slope_cells: float = parameter(
         1.0, "depth change over this many reference pixels of the surface's own slope hides nothing", low=0, high=8
     )
-    border_px: float = setting(3.0, "corrections fade over this many reference pixels at the border", low=0, high=64)
-    hole_alpha: float = setting(0.3, "pixels of less opacity take their depth from around them", low=0, high=1)
+    border_px: float = parameter(3.0, "corrections fade over this many reference pixels at the border", low=0, high=64)
+    hole_alpha: float = parameter(0.3, "pixels of less opacity take their depth from around them", low=0, high=1)
 
     def __post_init__(self) -> None:
         check_settings(self)
