@@ -139,7 +139,7 @@ class GofBuffer:
         return self._tiles.take_dropped()
 
     def end(self, frame: int, removed: Ids) -> None:
-        """Nothing more is planned for ``frame``; ``removed`` ids end there. Raises :class:`DecodeError`."""
+        """The server plans nothing more for ``frame``; splats ``removed`` [n] end there. Raises :class:`DecodeError`."""
         self._tiles.check_ids(removed, f"removed ids of frame {frame}")
         with self._lock:
             if frame not in self._ended:

@@ -36,7 +36,7 @@ _COLUMN_OF = {
 
 @dataclass(frozen=True, slots=True)
 class FreshLayers:
-    """Layers of one attribute that its codes do not hold yet: ``parts[i]`` is layer ``first + i``."""
+    """New layers of one attribute, to be appended to its codes: ``parts[i]`` is layer ``first + i``."""
 
     first: int
     parts: tuple[PackedCodes, ...]

@@ -47,7 +47,7 @@ _CRC_MARK = b"\xa3crc\xce"
 
 
 class DamagedError(ProtocolError):
-    """A message that did not arrive as it was sent, or never was one: its CRC cannot be found or does not match."""
+    """A message was damaged on its way, or is not a message: its CRC is missing or does not match."""
 
 
 class VersionError(ProtocolError):
