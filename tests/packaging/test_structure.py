@@ -35,6 +35,12 @@ TESTED_ELSEWHERE = {
     "cags_bench/stream": "tests/sim/test_virtual_time.py",
 }
 """Folders without a mirror of their own, and where their tests are."""
+OLD_NAMES = {
+    *("own_view", "stand_in", "bending", "past", "carry", "expected", "veil", "parallax", "pair", "local", "merged"),
+    *("gof_store", "opening", "joining", "arrivals", "actions", "waiting", "board", "dial", "sight", "lingering"),
+    "staleness",
+}
+"""Names of modules that said less than those which took their place."""
 KINDS = ("unit", "property", "stability", "integration")
 OF_SCENES = "cags_encoder.scenes."
 """Settings here are written in a scene's name (``procedural:size=2000``)."""
@@ -131,3 +137,18 @@ def test_no_folder_of_unit_tests_is_of_nothing() -> None:
     unit = ROOT / "tests/unit"
     folders = {path.parent.relative_to(unit) for path in unit.rglob("test_*.py")}
     assert {str(f) for f in folders if not packages[f.parts[0]].joinpath(*f.parts[1:]).is_dir()} == set()
+
+
+def test_no_module_has_a_name_that_was_given_up() -> None:
+    assert {name for name, _ in sources() if name.rpartition(".")[2] in OLD_NAMES} == set()
+
+
+def test_no_two_classes_of_a_package_have_one_name() -> None:
+    """Experiments, each of which is read by itself, excepted."""
+    public: dict[tuple[str, str], list[str]] = {}
+    for name, path in sources():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            alone = name.startswith(("cags_bench.", "cags_research."))
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and not alone:
+                public.setdefault((name.partition(".")[0], node.name), []).append(name)
+    assert {key: homes for key, homes in public.items() if len(homes) > 1} == {}

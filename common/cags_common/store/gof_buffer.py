@@ -139,7 +139,7 @@ class GofBuffer:
         return self._tiles.take_dropped()
 
     def end(self, frame: int, removed: Ids) -> None:
-        """The server plans nothing more for ``frame``; splats ``removed`` [n] end there. Raises :class:`DecodeError`."""
+        """The server plans nothing more for ``frame``; splats ``removed`` end there. Raises :class:`DecodeError`."""
         self._tiles.check_ids(removed, f"removed ids of frame {frame}")
         with self._lock:
             if frame not in self._ended:
