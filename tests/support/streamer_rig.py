@@ -7,7 +7,6 @@ from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import Control, Hello, Mark, PoseSample
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
-from cags_server.reference.worth import PROOF
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.streamer import Streamer
 from cags_server.settings import ServerSettings
@@ -38,8 +37,6 @@ class Rig:
         if resumes is not None:
             self.streamer.resume(resumes)
         self.now_us = OFFSET_US
-        for _ in range(PROOF):  # a machine that has shown that it makes references in time
-            self.streamer._worth.made(slowly=False)
         self.marks: list[Mark] = []
         self.opening = self.streamer.startup(OFFSET_US)
         self.greeting = self._greeting()

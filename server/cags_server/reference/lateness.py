@@ -21,13 +21,12 @@ PATIENCE, MOST_PATIENCE = 60, 1920
 class Lateness:
     """Of one client's references."""
 
-    def __init__(self, *, until_in_time: int = 0) -> None:
-        """``until_in_time``: they count as often late until so many have come in time, one after the other."""
-        self.often = until_in_time > 0
+    def __init__(self) -> None:
+        self.often = False
         """Whether they come late so often that nothing is compared."""
         self._share = 0.0
         self._in_time = 0
-        self._patience, self._resumed = until_in_time or PATIENCE, MOST_PATIENCE
+        self._patience, self._resumed = PATIENCE, MOST_PATIENCE
 
     def observe(self, *, late: bool) -> None:
         """A reference will come ``late``, or in time."""
@@ -36,7 +35,7 @@ class Lateness:
         self._resumed += 1
         if not self.often and self._share > OFTEN:
             hasty = self._resumed < 2 * self._patience
-            self._patience = min(max(2 * self._patience, PATIENCE), MOST_PATIENCE) if hasty else PATIENCE
+            self._patience = min(2 * self._patience, MOST_PATIENCE) if hasty else PATIENCE
             self.often = True
         elif self.often and self._share < SELDOM and self._in_time >= self._patience:
             self.often, self._resumed = False, 0

@@ -14,18 +14,12 @@ SOON_FRAMES, LONG_FRAMES = 40.0, 60.0
 """Tiles that are through within so many frames will do; from so many on they will not. Between the two all stays."""
 
 
-PROOF = 4
-"""References made in time, one after the other, before a machine counts as fast: it has none to spare for finding out
-that it is slow.
-"""
-
-
 class Worth:
     """Of one client's references."""
 
     def __init__(self) -> None:
         self._tiles_will_do = False
-        self._work = Lateness(until_in_time=PROOF)
+        self._work = Lateness()
 
     def observe(self, coming_bytes: int, link_bps: float, period_us: float) -> None:
         """Tiles of ``coming_bytes`` are still to come over a link of ``link_bps``; a frame lasts ``period_us``."""

@@ -458,11 +458,10 @@ class Streamer:
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _moving_on(self, render: FrameRender) -> list[ev.Outgoing]:
-        """That nothing is lacking, for a client which pauses: it would go on to show what its last reference assumed.
-
-        While it plays, references are left behind by themselves.
+        """That nothing is lacking, where references are no longer made: a client would go on to show the last one, and
+        while it pauses no more of the splats than that assumed.
         """
-        if self._coder.kind is None or self._schedule.timeline.playing:
+        if self._coder.kind is None or (self._schedule.timeline.playing and self._video.silent):
             return []
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 

@@ -36,7 +36,6 @@ def _every_frame_ahead_is_drawn() -> Iterator[None]:
     """What is chosen for a frame is what is seen there: else a frame before it stands for it, unless much is new."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("cags_server.reference.job.MANY_NEW", -1.0)
-        patch.setattr("cags_server.reference.worth.PROOF", 0)  # a reference for every frame, from the first on
         yield
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cags_server.reference.worth import LONG_FRAMES, PROOF, SOON_FRAMES, Worth
+from cags_server.reference.worth import LONG_FRAMES, SOON_FRAMES, Worth
 
 LINK_BPS, PERIOD_US = 8e6, 40_000.0
 FRAME_BYTES = round(LINK_BPS * PERIOD_US / 8e6)
@@ -39,20 +39,3 @@ def test_between_the_two_everything_stays() -> None:
 
 def test_before_anything_is_known_they_are_made() -> None:
     assert Worth().pays and after(short=True).pays
-
-
-def test_a_machine_counts_as_short_until_it_has_shown_that_it_is_not() -> None:
-    worth = Worth()
-    worth.observe(FRAME_BYTES, LINK_BPS, PERIOD_US)
-    for _ in range(PROOF - 1):
-        worth.made(slowly=False)
-        assert worth.short and not worth.pays
-    worth.made(slowly=False)
-    assert not worth.short and worth.pays
-
-
-def test_one_slow_reference_in_the_beginning_is_enough() -> None:
-    worth = Worth()
-    for slowly in (False, True, False, False, False):
-        worth.made(slowly=slowly)
-        assert worth.short

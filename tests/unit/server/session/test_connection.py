@@ -22,12 +22,6 @@ from support.streamer_rig import Rig, of
 STEP_US = 5_000
 
 
-@pytest.fixture(autouse=True)
-def _a_fast_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every frame has a reference, from the first on."""
-    monkeypatch.setattr("cags_server.reference.worth.PROOF", 0)
-
-
 class Pair:
     """A connection and a client, exchanging everything every 5 ms of virtual time."""
 
