@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import random
 
+import numpy as np
 import pytest
 
 from cags_client.playback.jobs import Decode
 from cags_client.playback.player import Player
 from cags_client.settings import ClientSettings
+from cags_common.coding.packing import encode_ids
 from cags_common.errors import NetworkError
 from cags_common.geometry import Pose
 from cags_protocol import ClientSession, ServerSession
 from cags_protocol import events as ev
 from cags_protocol.sessions.blobs import CODEBOOKS_BLOB
 from cags_protocol.wire.encoding import encode
-from cags_protocol.wire.messages import Blob, Control, Hello, Mark, Refusal, RefusalCode, Welcome
+from cags_protocol.wire.messages import Blob, Control, FrameEnd, Hello, Mark, Refusal, RefusalCode, Welcome
 from support.small_store import books, manifest
 
 
@@ -27,7 +29,7 @@ class Still:
 
 
 def player(**changes: object) -> Player:
-    settings = ClientSettings(**{"width": 16, "height": 12, "reconnect_s": 5.0, **changes})  # type: ignore[arg-type]
+    settings = ClientSettings(**{"width": 16, "height": 12, "reconnect_s": 5.0, "startup_ms": 0, **changes})  # type: ignore[arg-type]
     return Player(ClientSession(now_us=0), settings, Still(), now_us=0, rng=random.Random(1))
 
 
@@ -56,6 +58,16 @@ def joined(client: Player) -> ServerSession:
     for data in server.data_to_send(0):
         client.receive(data, 0)
     return server
+
+
+def first_frame_comes(client: Player, server: ServerSession, now_us: int) -> None:
+    """The first frame is there whole, and decoded: with no startup buffer the play begins."""
+    server.queue(ev.Outgoing(FrameEnd(0), encode_ids(np.zeros(0, np.int32))), now_us=now_us)
+    for data in server.data_to_send(now_us):
+        client.receive(data, now_us)
+    while isinstance(action := client.next_action(now_us), Decode):
+        client.done(action, action.run(), now_us)
+    client.handle_timer(now_us)
 
 
 def test_the_first_thing_that_is_sent_is_a_hello_with_the_viewers_camera() -> None:
@@ -113,8 +125,8 @@ def test_play_is_asked_for_once_and_begins_after_the_delay() -> None:
     client = player(start_delay_ms=300)
     server = joined(client)
     sent(client, server, 0)
-    client._play(1_000_000)
-    client._play(1_200_000)
+    first_frame_comes(client, server, 1_000_000)
+    first_frame_comes(client, server, 1_200_000)
     asked = [e.control for e in sent(client, server, 1_200_000) if isinstance(e, ev.ControlReceived)]
     assert asked == [Control("play", 0, 1_300_000)]
     assert client.next_action(1_299_999) is None
@@ -124,9 +136,8 @@ def test_play_is_asked_for_once_and_begins_after_the_delay() -> None:
 
 
 def test_frames_that_are_late_are_dropped_where_asked_for() -> None:
-    client = player(start_delay_ms=0, drop_late=True)
-    joined(client)
-    client._play(0)
+    client = player(start_delay_ms=10, drop_late=True)
+    first_frame_comes(client, joined(client), 0)
     action = client.next_action(110_000)
     assert action is not None
     assert action.frame == 3  # type: ignore[union-attr]
@@ -134,9 +145,8 @@ def test_frames_that_are_late_are_dropped_where_asked_for() -> None:
 
 
 def test_a_connection_that_is_lost_after_the_welcome_is_opened_again_and_tells_where_the_play_stands() -> None:
-    client = player(start_delay_ms=0)
-    joined(client)
-    client._play(0)
+    client = player(start_delay_ms=10)
+    first_frame_comes(client, joined(client), 0)
     client.lost("reset", 500_000)
     assert client.away
     assert not client.finished

@@ -41,14 +41,14 @@ def test_nothing_is_planned_before_the_viewer_says_when_to_play() -> None:
     schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), ClientClock())
     assert not schedule.begun
     assert schedule.next_frame is None
-    assert schedule.next_due_us(0, seen=True) is None
+    assert schedule.next_due_us(0, lambda: True) is None
 
 
 def test_a_frame_is_due_a_lead_before_its_display() -> None:
     schedule = playing()
-    assert schedule.next_due_us(0, seen=True) == AT_US - 6 * PERIOD_US
+    assert schedule.next_due_us(0, lambda: True) == AT_US - 6 * PERIOD_US
     assert planned(schedule) == 0
-    assert schedule.next_due_us(0, seen=True) == AT_US - 5 * PERIOD_US
+    assert schedule.next_due_us(0, lambda: True) == AT_US - 5 * PERIOD_US
 
 
 @pytest.mark.parametrize(("permille", "shown"), [(1000, [0, 1, 2, 3]), (500, [0, 2, 4, 6]), (250, [0, 4, 8, 12])])
@@ -70,7 +70,7 @@ def test_frames_that_are_due_while_one_is_rendered_are_covered_by_the_newest() -
 def test_a_render_that_is_overdue_is_served_blind_and_then_the_frame_after_it() -> None:
     schedule = playing()
     schedule.begin_render(0)
-    due_us = schedule.next_due_us(0, seen=True)
+    due_us = schedule.next_due_us(0, lambda: True)
     assert due_us is not None
     assert AT_US - 6 * PERIOD_US < due_us < AT_US, "it waits for the render, but not beyond the frame's display"
     assert schedule.serves == 0
@@ -83,7 +83,7 @@ def test_a_render_that_is_overdue_is_served_blind_and_then_the_frame_after_it() 
 def test_a_group_of_which_nothing_was_seen_waits_longer_for_its_render() -> None:
     schedule = playing()
     schedule.begin_render(0)
-    seen, unseen = (schedule.next_due_us(0, seen=seen) for seen in (True, False))
+    seen, unseen = (schedule.next_due_us(0, lambda answer=answer: answer) for answer in (True, False))
     assert seen is not None and unseen is not None
     assert unseen > seen
 
@@ -105,9 +105,9 @@ def test_a_clock_that_was_set_back_in_a_pause_is_followed() -> None:
     schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), clock)
     schedule.controlled(Control("pause", 0, 3_600_000_000), 0, 0)
     clock.observe(0, 0)
-    assert (schedule.next_due_us(0, seen=True) or 0) > 3_000_000_000
+    assert (schedule.next_due_us(0, lambda: True) or 0) > 3_000_000_000
     schedule.follow_clock(0)
-    assert (schedule.next_due_us(0, seen=True) or 0) < JUMP_US
+    assert (schedule.next_due_us(0, lambda: True) or 0) < JUMP_US
 
 
 def test_a_control_makes_void_what_was_planned_before_it() -> None:
