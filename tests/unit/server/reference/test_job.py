@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cags_common.geometry import Camera
-from cags_protocol.messages import ReferenceKind
+from cags_protocol.wire.messages import ReferenceKind
 from cags_server.reference.job import FrameJob
 from cags_server.scene.source_scenes import SourceScenes
 from support.server_scene import FakeScene

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
+from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
 from cags_server.session.schedule import MAX_LEAD_STRETCH
 from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
