@@ -132,9 +132,10 @@ def test_what_is_looked_at_late_is_what_was_drawn() -> None:
     splats = plates()
     scene = rasteriser().load(splats)
     views = []
-    for step in range(3):
-        scene.recolour(np.arange(len(splats)), splats.sh0 + F(0.2 * step))
+    for _ in range(3):
+        scene.update(np.arange(len(splats)), splats)
         views.append((made(scene, given(reference())), scene.render(CLIENT, DISPLAYED).rgb))
+        splats.sh0[:] += F(0.2)
     for late, then in views:
         np.testing.assert_array_equal(late.drawn, then)
     assert not np.allclose(views[0][1], views[2][1], atol=0.05)
