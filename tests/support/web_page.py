@@ -28,6 +28,9 @@ SIZE = 160, 120
 WAIT_S = 120.0
 """A software adapter on a busy machine draws a picture a second."""
 
+STILL = "player?.shown?.update.full && !player.waiting && player.pictures > 2"
+"""Everything is there and shown."""
+
 QUIET = ("recommendation",)
 """Sources of log entries that are no complaint of the page's own."""
 
@@ -168,6 +171,14 @@ class Shown:
         )
         assert done.returncode == 0, done.stderr.decode()[-3000:]
         return np.frombuffer(done.stdout, np.uint8).reshape(self.pixels.shape)
+
+
+def same_as_python(viewer: Page, bundle: Path) -> None:
+    """What the page shows is what Python draws, byte for byte."""
+    shown = viewer.shown()
+    assert shown.values["full"] and not shown.values["missed"]
+    assert shown.pixels[..., :3].any(), "there is a picture"
+    np.testing.assert_array_equal(shown.pixels, shown.drawn_by_python(bundle))
 
 
 @contextmanager

@@ -4,6 +4,8 @@ import type { Camera, Intrinsics } from "../seam.ts";
 import { rotationMatrix } from "./camera.ts";
 
 export const TILE_PX = 16;
+/** Side of the cells of a veto. */
+export const VETO_CELL_PX = 16;
 /** Where colours end that no display shows. */
 const BRIGHTEST = 3e38;
 /** Focal lengths and coordinates up to it have exact centres. */

@@ -7,14 +7,12 @@ import type { Camera, FrameUpdate } from "../seam.ts";
 import { placementOf } from "./camera.ts";
 import { Gpu } from "./device.ts";
 import { bufferBytes, build, type Counts, encode, prepare } from "./graph.ts";
-import { CORRECTION, type DrawOptions, type Exactness, footprintOf, type Footprint } from "./layout.ts";
+import { CORRECTION, type DrawOptions, type Exactness, footprintOf, type Footprint, VETO_CELL_PX } from "./layout.ts";
 import { Presenter } from "./presenter.ts";
 import { frameFlags, type Named, ResidentScene, type Target } from "./scene.ts";
 import { Workspace } from "./workspace.ts";
 
 const CELL_PX = 8;
-/** Side of the cells of a veto. */
-export const VETO_CELL_PX = 16;
 
 /** See `cags_common.correction.CorrectSettings`. */
 const CORRECT = { depthTolerance: 0.03, slopeCells: 1, borderPx: 3, holeAlpha: 0.3 } as const;
@@ -65,8 +63,12 @@ export class Renderer {
   #held: Held = null;
   #shown: { target: Target; width: number; height: number } | null = null;
 
+  /** Settles once the shaders are compiled, which goes on while a scene is fetched: before it frames take longer. */
+  readonly prepared: Promise<unknown>;
+
   private constructor(gpu: Gpu, canvas: HTMLCanvasElement) {
     this.gpu = gpu;
+    this.prepared = prepare(gpu, everyGraph()).catch(() => undefined); // what fails here is told by the first frame
     this.#workspace = new Workspace(gpu);
     this.#presenter = new Presenter(gpu, canvas);
     this.#counted = gpu.device.createBuffer({ size: 16, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
@@ -74,11 +76,7 @@ export class Renderer {
 
   /** Throws {@link UnsupportedError}. `onLost` is told when the device goes away by itself. */
   static async make(canvas: HTMLCanvasElement, onLost: (reason: string) => void): Promise<Renderer> {
-    const gpu = await Gpu.make(onLost);
-    const everything = { motion: true, looks: true, colour: true };
-    const frame = { ...frameFlags({ exactness: "balanced" }), floats: false };
-    await prepare(gpu, [["update", everything], ["update", { motion: true, looks: false, colour: false }], ["hash", {}], ["project", frame], ["draw", frame], ["plain", frame], ["expand", frame], ["correct", frame]]);
-    return new Renderer(gpu, canvas);
+    return new Renderer(await Gpu.make(onLost), canvas);
   }
 
   destroy(): void {
@@ -210,6 +208,14 @@ export class Renderer {
     encode(encoder, build(this.gpu, "expand", counts, {}, (name) => bound[name]));
     return { reference, under };
   }
+}
+
+/** The graphs of a frame, with the flags that they will run with. */
+function everyGraph(): Parameters<typeof prepare>[1] {
+  const frame = { ...frameFlags({ exactness: "balanced" }), floats: false };
+  const drawn = ["project", "draw", "plain", "expand", "correct"].map((name) => [name, frame] as const);
+  const moved = { motion: true, looks: false, colour: false };
+  return [["update", { motion: true, looks: true, colour: true }], ["update", moved], ["hash", {}], ...drawn];
 }
 
 function drawing(options: FrameOptions): DrawOptions {

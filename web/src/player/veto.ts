@@ -1,7 +1,7 @@
 /** Where a view shows splats that changed: what a reference says about them is not true any more. */
 
 import { rotationMatrix } from "../gpu/camera.ts";
-import { VETO_CELL_PX } from "../gpu/renderer.ts";
+import { VETO_CELL_PX } from "../gpu/layout.ts";
 import type { Camera } from "../seam.ts";
 
 /**
