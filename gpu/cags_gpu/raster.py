@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import TypeVar
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import cags_kernels
 from cags_common import raster
+from cags_common.correction import Correction, Look
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import BackProjection, DepthKind, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.checks import (
@@ -26,7 +27,9 @@ from cags_common.raster.checks import (
 )
 from cags_common.splats import Splats
 from cags_gpu.device import DeviceLostError, Handle
+from cags_gpu.difference import Comparison, DeviceViews, device_views
 from cags_gpu.keeper import Keeper, shared_keeper
+from cags_gpu.pictures import DevicePictures, frame_pictures
 from cags_gpu.scene import Columns, ResidentScene, Target
 from cags_gpu.submission import Recording, submitted
 from cags_gpu.workspace import TooLargeError, Workspace
@@ -119,6 +122,23 @@ class GpuScene:
             lambda scene: _back_projected(scene, camera, image, options),
             lambda scene: scene.back_project(camera, image, options),
         )
+
+    def frame(
+        self, camera: Camera, options: RenderOptions, correction: Correction | None, display: Camera | None = None
+    ) -> DevicePictures | None:
+        """See :class:`cags_common.correction.FrameScene`."""
+        return frame_pictures(self, camera, options, correction, display)
+
+    def compared(
+        self, held: RasterScene, camera: Camera, options: RenderOptions, *, knee: float, looks: Collection[Look]
+    ) -> DeviceViews | None:
+        """See :class:`cags_common.correction.ComparingScene`."""
+        job = Comparison(camera, replace(options, depth=DepthKind.NONE), knee)
+        return device_views(self, held, job, looks) if isinstance(held, GpuScene) else None
+
+    def shares_device(self, other: GpuScene) -> bool:
+        """Whether both are drawn by the same device, when it is there."""
+        return self._keeper is other._keeper and not (self._refused or other._refused)
 
     def on_device(self, draw: Callable[[ResidentScene], Result], instead: Callable[[RasterScene], Result]) -> Result:
         """What ``draw`` makes of the scene on the device, or ``instead`` on the CPU where that cannot be."""

@@ -72,7 +72,7 @@ def _whole_frame(moment: Moment) -> Stage:
     """Draw and correct: every combination of exactness, resolution and correction, judged by the picture shown."""
     _, reference = _received(moment, DIFFERENCES.references)
     points = tuple(
-        _combination(moment, reference.difference, exactness, resolution, way)
+        _combination(moment, reference.reference, exactness, resolution, way)
         for exactness, resolution, way in product(Exactness, (HALF, FULL), (NONE, CORRECT))
     )
     knob = "exactness / resolution / correction"

@@ -69,10 +69,8 @@ class Referring:
         seen = view or moment.view()
         if reference is None:
             return seen.rgb
-        if reference.kind is ReferenceKind.DIFFERENCE:
-            return correction.create().correct(seen, moment.camera, reference.difference).rgb
-        own = self._seen(moment.held)
-        return correction.create().correct(seen, moment.camera, reference.compared(own), own).rgb
+        own = self._seen(moment.held) if reference.reference.picture else None
+        return correction.create().correct(seen, moment.camera, reference.reference, own).rgb
 
     def _seen(self, scene: RasterScene) -> F32:
         camera = self.camera

@@ -62,6 +62,8 @@ class Reference:
     """A picture of the scene, from which the client subtracts its own view; else a companded difference."""
     knee: float = 0.1
     """Differences below it are coded about linearly."""
+    error: float = 0.0
+    """Mean squared error that coding has left in a picture, [0, 1] RGB; see :func:`.trust.trusted`."""
 
     def __post_init__(self) -> None:
         size = self.camera.height_px, self.camera.width_px, 3
@@ -70,6 +72,8 @@ class Reference:
         if not LEAST_KNEE <= self.knee <= LARGEST_KNEE:
             limits = f"[{LEAST_KNEE}, {LARGEST_KNEE}]"
             raise ValueError(f"knee = {self.knee} must lie in {limits}; 0.05 to 0.15 suit")
+        if not 0 <= self.error <= 1:
+            raise ValueError(f"error = {self.error} must lie in [0, 1]: a mean square of colours in [0, 1]")
 
 
 @dataclass(frozen=True, eq=False)

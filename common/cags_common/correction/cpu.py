@@ -17,6 +17,7 @@ from cags_common.correction.base import (
     checked_own,
     checked_veto,
 )
+from cags_common.correction.trust import trusted
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import RenderedView
@@ -91,7 +92,9 @@ class CpuCorrector:
             if reference.picture:
                 if own is None:
                     raise ValueError("a reference that is a picture needs the client's own view of it")
-                own = checked_own(own, reference)
-            made = lack(reference.coded, own if reference.picture else None, reference.knee, self._threads)
+                picture = trusted(reference.coded, checked_own(own, reference), reference.error)
+                made = lack(picture, own, reference.knee, self._threads)
+            else:
+                made = lack(reference.coded, None, reference.knee, self._threads)
             self._held = held = _Held(reference, made)
         return held.lack

@@ -26,6 +26,7 @@ from cags_common.correction.base import (
     checked_veto,
 )
 from cags_common.correction.compander import expand
+from cags_common.correction.trust import trusted
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import RenderedView
 
@@ -68,7 +69,8 @@ def lacking(reference: Reference, own: F32 | None) -> F64:
         return expand(reference.coded, reference.knee)
     if own is None:
         raise ValueError("a reference that is a picture needs the client's own view of it")
-    lack = np.clip(reference.coded.astype(np.float64), 0, 1) - np.clip(checked_own(own, reference), 0, 1)
+    picture = trusted(reference.coded, checked_own(own, reference), reference.error)
+    lack = np.clip(picture.astype(np.float64), 0, 1) - np.clip(own, 0, 1)
     return np.asarray(lack)
 
 

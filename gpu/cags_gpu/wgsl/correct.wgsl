@@ -23,6 +23,7 @@ struct Correction {
 @group(0) @binding(11) var<storage, read_write> shown: array<u32>;          // 8 bits a channel; with FLOATS four floats
 @group(0) @binding(12) var<storage, read_write> sums: array<vec4<f32>>;     // of the finest cells: what was added, confidence
 override FLOATS: bool = false;
+override CONFIDENCE: bool = false;  // in the place of the bytes' alpha
 const CELL = 8u;         // pixels a side of the grid that fills holes in the depth
 const VOID = 0x7f800000u;
 const OUTSIDE = 0xffffffffu;
@@ -226,7 +227,7 @@ fn show(i: u32, colour: vec3<f32>, confidence: f32) {
     for (var c = 0u; c < 3u; c++) { shown[4u * i + c] = bitcast<u32>(rgb[c]); }
     shown[4u * i + 3u] = bitcast<u32>(confidence);
   } else {
-    shown[i] = pack4x8unorm(vec4(rgb, 1.0));
+    shown[i] = pack4x8unorm(vec4(rgb, select(1.0, confidence, CONFIDENCE)));
   }
 }
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cags_common.correction import ComparingScene, DrawnViews, StagedViews
 from cags_common.geometry import F32, Camera, Intrinsics
-from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderOptions
+from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_protocol.messages import ReferenceKind
 from cags_server.predict.base import PoseDistribution
 from cags_server.records import Ahead
@@ -85,15 +86,17 @@ class FrameJob:
         footprint = Footprint.classic() if self.plain_footprint else self._footprint(self.camera)
         options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, contribution=True, threads=self.threads)
         with self.library.scenes.at(self.plan.frame) as scene:
-            view = scene.render(self.camera, options)
-        assert view.contribution is not None
-        contribution = self._contribution_ahead(view.contribution, options)
+            drawn = self._together(scene, options) or scene.render(self.camera, options)
+        assert drawn.contribution is not None
+        contribution = self._contribution_ahead(drawn.contribution, options)
         worth = self.stale.added_to(contribution, self.plan.ahead.frame)
         visible = self.library.visible_tiles(self.plan.ahead.frame, worth, self.visible_px)
         rendered = clock()
-        held = self._held(options)
+        views = StagedViews(drawn.rgb, self._held(options)) if isinstance(drawn, RenderedView) else drawn
         mirrored = clock()
-        coded = self.coder.code(view.rgb, held, idr=self.plan.idr) if self.plan.speaks else Coded(ReferenceKind.NOTHING)
+        coded = Coded(ReferenceKind.NOTHING)
+        if self.plan.speaks:
+            coded = self.coder.code_views(views, idr=self.plan.idr)
         return FrameRender(
             plan=self.plan,
             intrinsics=self.camera.intrinsics,
@@ -107,6 +110,15 @@ class FrameJob:
 
     def _footprint(self, camera: Camera) -> Footprint:
         return Footprint.of(self.client, camera.intrinsics)
+
+    def _together(self, scene: RasterScene, options: RenderOptions) -> DrawnViews | None:
+        """Truth and mirror, drawn and compared in one go by scenes that can; None: one after the other."""
+        if self.mirror is None or not isinstance(scene, ComparingScene):
+            return None
+        held = self.mirror.scene_at(self.plan.frame, self.plan.basis)
+        if held is None:
+            return None
+        return scene.compared(held, self.camera, options, knee=self.coder.knee, looks=self.coder.looks)
 
     def _held(self, options: RenderOptions) -> F32 | None:
         """The client's own view [h, w, 3]; None where it holds nothing, or nobody asks."""

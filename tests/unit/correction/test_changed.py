@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cags_common.correction import changed_cells, veto_shape
+from cags_common.correction import Spheres, changed_cells, veto_shape
 from support.corrections import F, camera, view
 
 CAMERA = camera((320, 240))
@@ -18,7 +18,7 @@ def at(u: float, v: float, z: float) -> tuple[float, float, float]:
 
 
 def cells(positions: list[tuple[float, float, float]], radii: list[float], depth: np.ndarray = WALL) -> np.ndarray:
-    return changed_cells(np.array(positions, F).reshape(-1, 3), np.array(radii, F), CAMERA, depth)
+    return changed_cells(Spheres(np.array(positions, F).reshape(-1, 3), np.array(radii, F)), CAMERA, depth)
 
 
 def test_nothing_changed_is_no_veto_and_the_grid_is_the_corrections() -> None:
@@ -67,8 +67,8 @@ def test_many_splats_of_all_sizes_agree_with_one_by_one() -> None:
     positions = rng.uniform((-3, -3, -1), (3, 3, 8), (300, 3)).astype(F)
     radii = (10 ** rng.uniform(-3, 0, 300)).astype(F)
     depth = view(CAMERA, holes=0.1).depth
-    together = changed_cells(positions, radii, CAMERA, depth)
-    alone = [changed_cells(positions[i : i + 1], radii[i : i + 1], CAMERA, depth) for i in range(300)]
+    together = changed_cells(Spheres(positions, radii), CAMERA, depth)
+    alone = [changed_cells(Spheres(positions[i : i + 1], radii[i : i + 1]), CAMERA, depth) for i in range(300)]
     np.testing.assert_array_equal(together, np.maximum.reduce(alone))
     assert 0 < together.mean() <= 1
 
@@ -79,6 +79,6 @@ def test_an_empty_view_hides_nothing() -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="depth of shape"):
-        changed_cells(np.zeros((1, 3), F), np.ones(1, F), CAMERA, np.ones((3, 3), F))
+        changed_cells(Spheres(np.zeros((1, 3), F), np.ones(1, F)), CAMERA, np.ones((3, 3), F))
     with pytest.raises(ValueError, match="positions of shape"):
-        changed_cells(np.zeros((2, 3), F), np.ones(1, F), CAMERA, WALL)
+        Spheres(np.zeros((2, 3), F), np.ones(1, F))

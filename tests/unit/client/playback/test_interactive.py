@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cags_client.frame.painting import StagedPictures
 from cags_client.frame.presented import PresentedFrame
 from cags_client.live_app import patient
 from cags_client.output.page.poses import LivePoses
@@ -104,9 +105,18 @@ class Stage:
         if not isinstance(action, Present):
             return None
         blank = np.zeros((2, 2, 3), np.float32)
+        pictures = StagedPictures(blank, blank, blank)
         shown = PresentedFrame(
-            action.frame, None, blank, blank, None, None, blank, blank, None, 0.0, False, {}, PassPlan(frozenset())
-        )  # type: ignore[arg-type]
+            action.frame,
+            None,
+            pictures,
+            None,
+            None,
+            0.0,
+            False,
+            {},
+            PassPlan(frozenset()),  # type: ignore[arg-type]
+        )
         self.now_us += self.draw_us
         self.player.done(action, shown, self.now_us)
         if action.share:
