@@ -48,7 +48,8 @@ const done = arguments[0];
   const { options, update } = shown, reference = options.reference;
   return {
     frame: shown.frame, share: shown.share, camera: shown.camera, width, height, pixels: text(rgba),
-    full: update.full, missed: update.missed, degree: options.maxShDegree, veto: floats(options.veto),
+    full: update.full, missed: update.missed, degree: options.maxShDegree, stale: options.stale ?? 0,
+    positions: floats(reference && update.changed?.positions), radii: floats(reference && update.changed?.radii),
     kind: shown.reference?.kind, unit: shown.reference && text(shown.reference.data), idr: shown.reference?.idr,
     reference: reference && { ...reference, coded: floats(reference.coded) },
   };

@@ -145,6 +145,12 @@ export const CORRECTION = new Layout(
   112,
 );
 
+export const COMPARE = new Layout({ size: [0, "I", 2], error: [8, "f", 1] }, 16);
+export const CHANGED = new Layout(
+  { size: [0, "I", 2], grid: [8, "I", 2], count: [16, "I", 1], behind: [20, "f", 1], stale: [24, "f", 1] },
+  32,
+);
+
 /** Coefficients beyond the base colour, a channel, of each degree. */
 export const SH_REST_OF_DEGREE = [0, 3, 8, 15] as const;
 

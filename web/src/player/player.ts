@@ -13,7 +13,7 @@ import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, 
 import { ReferenceVideo } from "../video/stream.ts";
 import { Cadence } from "./cadence.ts";
 import { Resolution } from "./resolution.ts";
-import { changedCells, fadedVeto } from "./veto.ts";
+import { cellBoxes } from "./veto.ts";
 
 /** From asking to play to the first frame. */
 const START_DELAY_US = 250_000;
@@ -136,8 +136,8 @@ export class Player {
     this.#cadence = new Cadence(options.startFrame);
     this.#video = new ReferenceVideo({
       decoded: (reference, coded) => {
-        const { camera, knee, kind } = reference;
-        this.#references.add(reference, coded && { coded, camera, knee, picture: kind === "picture" });
+        const { camera, knee, kind, error } = reference;
+        this.#references.add(reference, coded && { coded, camera, knee, picture: kind === "picture", error });
         this.#news = true;
       },
       broken: (seq) => source.requestKeyframe(seq),
@@ -375,13 +375,12 @@ export class Player {
   }
 
   #frameOptions(frame: number, share: number, update: FrameUpdate, camera: Camera, footprint: Footprint, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
-    const plain = { exactness: this.exactness, footprint, maxShDegree: update.shDegree };
+    const plain = { exactness: this.exactness, footprint, maxShDegree: update.shDegree, display: this.#view().intrinsics };
     if (!found?.picture) return plain;
     const { changed } = update;
-    let veto = changed?.radii.length ? changedCells(changed.positions, changed.radii, camera) : undefined;
     const away = frame - found.reference.frame;
-    if (away || share) veto = fadedVeto(veto, Math.min(1, 2 * (1 - away / (REFERENCE_AGE + 1))), camera);
-    return { ...plain, reference: found.picture, veto };
+    const stale = away || share ? Math.max(0, 1 - 2 * (1 - away / (REFERENCE_AGE + 1))) : 0;
+    return { ...plain, reference: found.picture, stale, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
   }
 
   /** The camera of the next picture, at the pixels that its time allows. */
