@@ -55,15 +55,22 @@ def refuse(_: object) -> bytes:
     raise SystemExit("the device was lost")
 
 
-def main() -> None:
-    values = json.load(sys.stdin)
+def drawn(rasteriser: GpuRasteriser, player: BundlePlayer, values: dict[str, Any]) -> bytes:
     camera = camera_of(values["camera"])
-    with BundleReader.open(values["bundle"]) as reader:
-        splats = BundlePlayer(reader).frame(values["frame"]).splats
     options = RenderOptions(max_sh_degree=values["degree"], displayed=True)
     frame = Frame(camera, options, correction_of(values, camera))
-    scene = GpuRasteriser().load(splats)
-    sys.stdout.buffer.write(scene.on_device(lambda held: frame.draw(held, frame.target_of(held)).tobytes(), refuse))
+    scene = rasteriser.load(player.frame(values["frame"]).splats)
+    return scene.on_device(lambda held: frame.draw(held, frame.target_of(held)).tobytes(), refuse)
 
 
-main()
+def main() -> None:
+    job = json.load(sys.stdin)
+    rasteriser = GpuRasteriser()
+    with BundleReader.open(job["bundle"]) as reader:
+        player = BundlePlayer(reader)
+        for values in job["pictures"]:
+            sys.stdout.buffer.write(drawn(rasteriser, player, values))
+
+
+if __name__ == "__main__":
+    main()

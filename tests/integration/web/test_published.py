@@ -10,12 +10,11 @@ import pytest
 from cags_bench.web import hosts
 from cags_common.errors import ConfigError
 from cags_encoder.bundles.publish import built_page, publish
-from support.web_page import Page, encoded, page, require_page, same_as_python
+from support.web_page import WHOLE, Page, encoded, page, require_page, same_as_python
 
 pytestmark = pytest.mark.slow
 
 ROOM = "procedural:size=800,frames=20,seed=1,fps=5,degree=1"
-WHOLE = "player?.shown?.update.full && !player.waiting"
 THIN_LINK = "generated:steady-0.4"
 
 
