@@ -14,7 +14,7 @@ from cags_common.correction.changed import cell_boxes
 from support.web_page import SIZE, WHOLE, Page, drawn_by_python, encoded, page, served
 from support.web_page_drawn import camera_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
 FRAMES = 30
 ROOM = f"procedural:size=800,frames={FRAMES},seed=1,fps=5,degree=1"
@@ -81,8 +81,13 @@ def test_differences_pictures_what_changed_and_what_is_old(tmp_path: Path) -> No
         camera = viewer.shown().values["camera"]
         cases = [
             wanted(camera, picture=picture, error=error, changed=changed, stale=stale)
-            for picture, error in ((False, 0.0), (True, 0.0), (True, 0.03))
-            for changed, stale in ((0, 0.0), (12, 0.0), (40, 0.35))
+            for picture, error, changed, stale in (
+                (True, 0.03, 40, 0.35),
+                (False, 0.0, 12, 0.0),
+                (True, 0.03, 0, 0.0),
+                (True, 0.0, 0, 0.0),
+                (False, 0.0, 0, 0.6),
+            )
         ]
         seen = [viewer.shown(case) for case in cases]
         assert viewer.complaints() == []

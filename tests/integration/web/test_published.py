@@ -12,7 +12,7 @@ from cags_common.errors import ConfigError
 from cags_encoder.bundles.publish import built_page, publish
 from support.web_page import WHOLE, Page, encoded, page, require_page, same_as_python
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 ROOM = "procedural:size=800,frames=20,seed=1,fps=5,degree=1"
 THIN_LINK = "generated:steady-0.4"
