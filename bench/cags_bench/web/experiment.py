@@ -68,7 +68,7 @@ class Truth:
     def psnr(self, picture: Picture) -> float:
         """Of all pixels, dB."""
         away = self.drawn(picture).astype(np.float64) - picture.pixels
-        return float(10 * np.log10(255**2 / max(np.mean(away**2), 1e-9)))
+        return float(10 * np.log10(255**2 / max(float(np.mean(away**2)), 1e-9)))
 
 
 def _host(source: str, folder: Path, bundle: Path) -> AbstractContextManager[int]:
