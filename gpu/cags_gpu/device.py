@@ -28,6 +28,7 @@ LIMITS = ("max-storage-buffer-binding-size", "max-buffer-size")
 
 STORAGE_BUFFERS = 8
 WORKGROUP_BYTES = 16384
+LEAST_BINDING_BYTES = 1 << 27
 """WebGPU's defaults, which the shaders stay within."""
 
 

@@ -72,10 +72,11 @@ class App:
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
         self._executor = RenderPool(settings.workers, self._served)
-        self._executor.submit(library.warm)
         self._ended = Totals()
         self._memory, self._book = FreedMemory(), SessionBook()
         self._draining = False
+        self._executor.submit(library.warm)
+        self._executor.submit(self._read_ahead, 0)
         self._empty = asyncio.Event()
         self._empty.set()
 
@@ -105,6 +106,11 @@ class App:
     def sessions(self) -> list[tuple[str, StreamStats]]:
         """Name and figures of every client that has been let in."""
         return [(name, c.stats) for name, (_, c) in list(self._clients.items()) if c.streamer is not None]
+
+    def _read_ahead(self, frame: int) -> None:
+        """While nobody watches yet, get on with what the first viewer will need, frame by frame."""
+        if not (self._clients or self._draining) and self._library.read_ahead(frame):
+            self._executor.submit(self._read_ahead, frame + 1)
 
     def _served(self) -> int:
         """How many have been let in: not those who have yet to say hello."""

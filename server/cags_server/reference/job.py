@@ -19,6 +19,8 @@ from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.visibility.ghosts import StaleSplats
 
+NOTHING = Coded(ReferenceKind.NOTHING)
+
 MANY_NEW = 0.02
 """Share of a frame's splats that are new in it from which on it is drawn to see which of them are visible."""
 
@@ -85,18 +87,13 @@ class FrameJob:
         started = clock()
         footprint = Footprint.classic() if self.plain_footprint else self._footprint(self.camera)
         options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, contribution=True, threads=self.threads)
-        with self.library.scenes.at(self.plan.frame) as scene:
-            drawn = self._together(scene, options) or scene.render(self.camera, options)
-        assert drawn.contribution is not None
-        contribution = self._contribution_ahead(drawn.contribution, options)
+        drawn, contribution = self._drawn(options) if self.plan.speaks else (None, self._seen_ahead(options))
         worth = self.stale.added_to(contribution, self.plan.ahead.frame)
         visible = self.library.visible_tiles(self.plan.ahead.frame, worth, self.visible_px)
         rendered = clock()
         views = StagedViews(drawn.rgb, self._held(options)) if isinstance(drawn, RenderedView) else drawn
         mirrored = clock()
-        coded = Coded(ReferenceKind.NOTHING)
-        if self.plan.speaks:
-            coded = self.coder.code_views(views, idr=self.plan.idr)
+        coded = NOTHING if views is None else self.coder.code_views(views, idr=self.plan.idr)
         return FrameRender(
             plan=self.plan,
             intrinsics=self.camera.intrinsics,
@@ -107,6 +104,15 @@ class FrameJob:
             mirror_ns=mirrored - rendered,
             encode_ns=clock() - mirrored,
         )
+
+    def _drawn(self, options: RenderOptions) -> tuple[RenderedView | DrawnViews, F32]:
+        """The true view, compared with the client's where that is done in one go; and what splats contribute to the
+        frame whose tiles are planned.
+        """
+        with self.library.scenes.at(self.plan.frame) as scene:
+            drawn = self._together(scene, options) or scene.render(self.camera, options)
+        assert drawn.contribution is not None
+        return drawn, self._contribution_ahead(drawn.contribution, options)
 
     def _footprint(self, camera: Camera) -> Footprint:
         return Footprint.of(self.client, camera.intrinsics)
@@ -129,7 +135,7 @@ class FrameJob:
 
     def _contribution_ahead(self, contribution: F32, options: RenderOptions) -> F32:
         """[capacity] what splats contribute to the frame whose tiles are planned: as to this one, unless many are new
-        there. These it is drawn for, with half the pixels a side.
+        there. These it is drawn for.
         """
         ahead, frame = self.plan.ahead.frame, self.plan.frame
         if ahead == frame:
@@ -139,9 +145,13 @@ class FrameJob:
             new = (owners >= 0) & (owners != self.library.owners(frame))
             if new.sum() <= MANY_NEW * (owners >= 0).sum():
                 return contribution
+        return self._seen_ahead(options)
+
+    def _seen_ahead(self, options: RenderOptions) -> F32:
+        """[capacity] what splats contribute to the frame whose tiles are planned, seen by half the pixels a side."""
         camera = replace(self.camera, intrinsics=_halved(self.camera.intrinsics))
         options = replace(options, footprint=self._footprint(camera))
-        with self.library.scenes.at(ahead) as scene:
+        with self.library.scenes.at(self.plan.ahead.frame) as scene:
             view = scene.render(camera, options)
         assert view.contribution is not None
         return np.asarray(4 * view.contribution, np.float32)

@@ -145,9 +145,15 @@ def test_buffers_that_passes_name_are_declared() -> None:
             assert access == "uniform" or name.startswith("@") or name in declared | by_host, name
 
 
+def test_a_name_means_one_buffer_whoever_owns_it() -> None:
+    """Hosts look a name up among the view's buffers, then among those that all share: two of one name are one."""
+    names = [name for buffers in graph()["buffers"].values() for name in buffers]
+    assert len(names) == len(set(names))
+
+
 def test_sizes_follow_the_counts() -> None:
     sizes = buffer_bytes("work", {"splats": 5000, "exact_splats": 1, "capacity": 4096, "one": 1})
     assert sizes["records"] == 160_000
     assert sizes["colours"] == 16
-    assert sizes["sums"] == 4 * 3
+    assert sizes["block_sums"] == 4 * 3
     assert sizes["entry_histogram"] == 2 * 1024 + 1024

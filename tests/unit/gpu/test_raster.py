@@ -14,6 +14,8 @@ from cags_common.errors import SceneError
 from cags_common.geometry import Camera, Pose
 from cags_common.raster import DepthKind, Exactness, Footprint, RenderedView, RenderOptions, Shortcuts, create
 from cags_common.splats import Splats
+from cags_gpu.device import LEAST_BINDING_BYTES
+from cags_gpu.graph import buffer_bytes
 from cags_gpu.keeper import Keeper
 from cags_gpu.raster import GpuRasteriser, GpuScene
 from cags_gpu.scene import ResidentScene
@@ -213,6 +215,21 @@ def test_what_no_buffer_holds_is_drawn_by_the_cpu_and_said_once(caplog: pytest.L
     right = create("cpu").load(random_splats(500)).render(camera(), EXACT)
     np.testing.assert_array_equal(views[1].rgb, right.rgb)
     own.close()
+
+
+def test_four_million_splats_fit_every_device() -> None:
+    """Whatever a frame of a client or a server binds stays within WebGPU's least limit; harmonics are split."""
+    counts = {"splats": 4_000_000, "exact_splats": 4_000_000, "capacity": 16_000_000, "one": 1}
+    sizes = buffer_bytes("scene", counts) | buffer_bytes("work", counts)
+    too_large = {name for name, size in sizes.items() if size > LEAST_BINDING_BYTES}
+    assert too_large == {"slots4"}, "which only back-projection binds"
+
+
+@pytest.mark.slow
+def test_four_million_splats_are_drawn_as_by_the_cpu() -> None:
+    splats, view = random_splats(4_000_000, seed=3, log_scale=-5.0), camera(96, 64)
+    ours = rasteriser().load(splats).render(view, EXACT)
+    assert psnr_db(ours.rgb, create("cpu").load(splats).render(view, EXACT).rgb) > 100
 
 
 def test_scenes_share_working_memory_and_do_not_disturb_each_other() -> None:
