@@ -510,7 +510,6 @@ class Streamer:
             layered=self._tiles.layered,
             waiting_us=self._budget.waiting_us(now_us),
             timely_bytes=timely_bytes,
-            overtaking_bytes=self._budget.overtaking(record, allowed_bps, self._schedule.timeline.period_us),
         )
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
