@@ -62,6 +62,8 @@ export interface SceneInfo {
   readonly focusCentre: Vec3;
   readonly focusRadius: number;
   readonly near: number;
+  /** Whether frames come as fast as the link brings them, and the play waits for them; else they come in time or not. */
+  readonly waits: boolean;
   /** Whether splats move by themselves, so that moments between media frames differ. */
   readonly moves: boolean;
   /** The manifest as it came (JSON), for what is not listed here (a view chosen by the author, title, ...). */

@@ -200,7 +200,7 @@ def test_four_million_splats_fit_every_device() -> None:
     counts = {"splats": 4_000_000, "exact_splats": 4_000_000, "capacity": 16_000_000, "one": 1}
     sizes = buffer_bytes("scene", counts) | buffer_bytes("work", counts)
     too_large = {name for name, size in sizes.items() if size > LEAST_BINDING_BYTES}
-    assert too_large == {"slots4"}, "which only back-projection binds"
+    assert not too_large
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ export interface FileEntry {
 }
 
 /** What a decoder needs besides what a player knows. */
-export interface Manifest extends SceneInfo {
+export interface Manifest extends Omit<SceneInfo, "waits"> {
   readonly lodOrder: readonly LodLayer[];
   readonly lodGainsDb: readonly number[];
   /** Finest units of motion by the base code of scale: metres, and of a quaternion's imaginary part. */
@@ -92,7 +92,7 @@ function checked(m: Manifest): Manifest {
 }
 
 /** The group that `frame` belongs to. Raises {@link BundleError} outside the bundle. */
-export function gofOf(info: SceneInfo, frame: number): number {
+export function gofOf(info: Pick<SceneInfo, "gofStarts" | "frames">, frame: number): number {
   if (!(frame >= 0 && frame < info.frames)) {
     throw new BundleError(`frame ${frame} is outside the bundle's frames 0 to ${info.frames - 1}`);
   }
@@ -107,14 +107,14 @@ export function gofOf(info: SceneInfo, frame: number): number {
 }
 
 /** First frame of a group, and the first one after it. */
-export function gofRange(info: SceneInfo, gof: number): readonly [number, number] {
+export function gofRange(info: Pick<SceneInfo, "gofStarts" | "frames">, gof: number): readonly [number, number] {
   return [info.gofStarts[gof]!, info.gofStarts[gof + 1] ?? info.frames];
 }
 
 /** The part that pages may know, which can be posted between threads. */
-export function sceneInfo(m: Manifest): SceneInfo {
+export function sceneInfo(m: Manifest, waits: boolean): SceneInfo {
   const { lodOrder: _order, lodGainsDb: _gains, motion: _motion, files: _files, ...info } = m;
-  return info;
+  return { ...info, waits };
 }
 
 function readMotion(fields: Fields): { moves: number[]; turns: number[] } {
