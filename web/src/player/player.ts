@@ -344,7 +344,7 @@ export class Player {
     const begun = performance.now();
     this.#news = false;
     const reference = this.#references.newest(frame, REFERENCE_AGE);
-    const basis = this.#references.basisAt(frame, reference);
+    const basis = this.#references.basisAt(frame, reference, this.info!.frames);
     const { camera } = this.#camera();
     const speaks = this.correct && reference?.picture ? reference : undefined;
     const update = await this.#source.frame({
