@@ -45,7 +45,7 @@ def test_a_manifest_keeps_the_view() -> None:
     assert b"view" not in OBJECT.to_json()
 
 
-@pytest.mark.parametrize("name", [name for name in table(WHOLE)])
+@pytest.mark.parametrize("name", list(table(WHOLE)))
 def test_each_part_may_stand_alone(name: str) -> None:
     part = {name: table(WHOLE)[name]}
     view = Manifest.from_json(with_view(part)).view
