@@ -249,7 +249,7 @@ class _Simulation:
         (_, action, result), self._drawing = self._drawing, None
         if action.media:
             self._record(action, result, now_us)
-        elif action.first and self.truth is not None:
+        elif action.first and self.truth is not None and not self._first:
             self._first = self._scored(result, *self.truth(result.frame, result.camera))
         self.player.done(action, result, now_us)
         return True

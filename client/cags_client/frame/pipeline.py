@@ -272,7 +272,7 @@ class ClientPipeline:
         if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
             self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
             return self._committed_mark
-        coming = self._references.next_basis(frame, self._used, self.settings.reference_age)
+        coming = self._references.next_basis(frame, self._used, self.info.frames)
         self._committed_mark = self._marked if coming is None else min(coming, self._marked)
         return self._committed_mark or None
 

@@ -27,6 +27,7 @@ from cags_client.playback.decode_queue import MAX_UNDECODED_BYTES, DecodeQueue
 from cags_client.playback.endings import FATAL_ENDS, FATAL_REFUSALS, affordable, refused
 from cags_client.playback.interpolation import Interpolation, Moment
 from cags_client.playback.jobs import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
+from cags_client.playback.startup import Startup
 from cags_client.playback.viewpoint import PoseSource, Viewpoint
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.stats import PlayStats
@@ -85,7 +86,8 @@ class Player:
         self._decode_queue = DecodeQueue()
         self._restarts_due = 0  # jumps by which everything was forgotten, and of which the server has not heard
         self._presenting, self._next_frame = False, settings.start_frame
-        self._preview_due = False  # a reference is there, and no picture was shown yet
+        self._preview_due = False  # there is more of the picture before the start than was shown
+        self._startup = Startup(settings.startup_ms * 1000, now_us)
         self._cadence = Cadence(settings.start_frame)
         self._interpolation = Interpolation(settings.interpolate, settings.display_rate)
         self._due_us: int | None = None
@@ -120,6 +122,8 @@ class Player:
         if self.finished:
             return None
         times = [self._session.next_timer_us(), self._viewpoint.next_us, self._reconnect.next_timer_us()]
+        if self._waits_to_start:
+            times.append(self._startup.ends_us)
         if not self._presenting:
             times += [self._due_us, self._interpolation.next_us()]
         return min((t for t in times if t is not None), default=None)
@@ -130,6 +134,7 @@ class Player:
             self._fail(NetworkError(f"no first frame within {self.settings.join_timeout:g} s; is the link too slow?"))
         if self._reconnect.expired(now_us):
             self._fail(self._why_away)
+        self._play_if_due(now_us)
         self._session.handle_timer(now_us=now_us)
         if samples := self._viewpoint.due(now_us):
             self._session.send_poses(samples, now_us=now_us, cadence_permille=self._cadence.permille)
@@ -180,7 +185,7 @@ class Player:
             return None
         if batch := self._decode_queue.take(tiles=self._codebooks is not None):
             return Decode(batch, self.pipeline)
-        if self._preview_due and not self._presenting:
+        if self._preview_due and not self._presenting and self.stats.started_us is None:
             return self._present_first(now_us)
         if self._due_us is not None and now_us >= self._due_us and not self._presenting:
             return self._present(now_us)
@@ -199,12 +204,13 @@ class Player:
         assert isinstance(result, DecodeResult)
         self._decode_queue.decoded()
         self.stats.decode_errors += len(result.errors)
-        self._preview_due |= result.references and self.stats.first_picture_us is None
+        first = self.stats.first_picture_us is None
+        self._preview_due |= result.references if first else self._startup.preview(now_us)
         self._session.report_evictions(result.dropped)
         if result.needs_idr:
             self._ask_idr(action.pipeline.last_reference_seq, now_us)
-        if result.whole >= self.settings.start_frame:
-            self._play(now_us)
+        if result.whole >= self.settings.start_frame and self._startup.whole(now_us):
+            self._hold(now_us)
 
     # ---------------------------------------------------------------------------------------------------------- details
 
@@ -239,6 +245,7 @@ class Player:
                     self._weights = data
                     self._take_weights()
             case ev.TileReceived(_, payload):
+                self._startup.came(now_us)
                 self.stats.bytes_tiles += len(payload)
                 self._take(event)
             case ev.ReferenceReceived(_, payload):
@@ -351,9 +358,20 @@ class Player:
             self.stats.decode_errors += 1
             self.stats.notices.append(str(error))
 
-    def _play(self, now_us: int) -> None:
-        """The first key frame is there: fix when it is shown, and tell the server."""
-        if self._due_us is not None or self.stats.started_us is not None:
+    def _hold(self, now_us: int) -> None:
+        """The first frame is there: let the server refine it before it is played."""
+        if self.settings.startup_ms:
+            self._session.control(Control("pause", self.settings.start_frame, now_us), now_us=now_us)
+        self._play_if_due(now_us)
+
+    @property
+    def _waits_to_start(self) -> bool:
+        return self._startup.ends_us is not None and self.stats.started_us is None and not self.away
+
+    def _play_if_due(self, now_us: int) -> None:
+        """When the first frame was held for long enough: fix when it is shown, and tell the server."""
+        ends_us = self._startup.ends_us
+        if not self._waits_to_start or ends_us is None or now_us < ends_us:
             return
         at_us = now_us + self.settings.start_delay_ms * 1000
         self._due_us = self.stats.started_us = at_us
@@ -385,7 +403,7 @@ class Player:
         return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._decode_queue.traffic())
 
     def _present_first(self, now_us: int) -> Present:
-        """The first picture, before the first frame has come whole: of a reference, and of what there is besides."""
+        """A picture before the play: at first of a reference, and of what there is besides."""
         assert self.pipeline is not None
         self._presenting, self._preview_due = True, False
         frame, pose = self.settings.start_frame, self._viewpoint.pose_at(now_us)

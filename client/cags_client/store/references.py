@@ -143,12 +143,17 @@ class References:
             past = [f for f in self._received if 0 <= frame - f <= max_age]
             return self._received[max(past)] if past else None
 
-    def next_basis(self, frame: int, after: int, max_age: int) -> int | None:
-        """The mark that the next references assume, of those that have come: later in order than ``after``, and not of
-        the ``max_age`` frames up to ``frame``. None where none has come, or they assume nothing.
+    def next_basis(self, frame: int, after: int, frames: int) -> int | None:
+        """The mark that the next references assume, of those that have come: later in order than ``after``, and of the
+        frames that follow ``frame`` in a clip of ``frames`` that may be played in a loop. None where none has come, or
+        they assume nothing.
+
+        One of a frame before it, which was skipped, is never looked at: it must not hold back what came since.
         """
         with self._lock:
-            waiting = [r for f, r in self._received.items() if r.order > after and not 0 <= frame - f <= max_age]
+            waiting = [
+                r for f, r in self._received.items() if r.order > after and 0 < (f - frame) % frames <= frames / 2
+            ]
             return min((r.basis for r in waiting if r.assumes), default=None)
 
     def restart(self) -> None:

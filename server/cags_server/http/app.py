@@ -78,12 +78,13 @@ class App:
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
         self._executor = RenderPool(settings.workers, self._served)
-        if not scenes.several:
-            self._executor.submit(scenes.library(None).warm)
         self._uploads = Uploads(scenes, settings, self._streams) if settings.accept_uploads else None
         self._ended = Totals()
         self._memory, self._book = FreedMemory(), SessionBook()
         self._draining = False
+        if not scenes.several:
+            self._executor.submit(scenes.library(None).warm)
+            self._executor.submit(self._read_ahead, scenes.library(None), 0)
         self._empty = asyncio.Event()
         self._empty.set()
 
@@ -116,6 +117,11 @@ class App:
     def sessions(self) -> list[tuple[str, StreamStats]]:
         """Name and figures of every client that has been let in."""
         return [(name, c.stats) for name, (_, c) in list(self._clients.items()) if c.streamer is not None]
+
+    def _read_ahead(self, library: SceneLibrary, frame: int) -> None:
+        """While nobody watches yet, get on with what the first viewer will need, frame by frame."""
+        if not (self._clients or self._draining) and library.read_ahead(frame):
+            self._executor.submit(self._read_ahead, library, frame + 1)
 
     def _served(self) -> int:
         """How many have been let in: not those who have yet to say hello."""

@@ -18,6 +18,8 @@ from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.visibility.ghosts import StaleSplats
 
+NOTHING = Coded(ReferenceKind.NOTHING)
+
 MANY_NEW = 0.02
 """Share of a frame's splats that are new in it from which on it is drawn to see which of them are visible."""
 
@@ -84,16 +86,13 @@ class FrameJob:
         started = clock()
         footprint = Footprint.classic() if self.plain_footprint else self._footprint(self.camera)
         options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, contribution=True, threads=self.threads)
-        with self.library.scenes.at(self.plan.frame) as scene:
-            view = scene.render(self.camera, options)
-        assert view.contribution is not None
-        contribution = self._contribution_ahead(view.contribution, options)
+        truth, contribution = self._drawn(options) if self.plan.speaks else (None, self._seen_ahead(options))
         worth = self.stale.added_to(contribution, self.plan.ahead.frame)
         visible = self.library.visible_tiles(self.plan.ahead.frame, worth, self.visible_px)
         rendered = clock()
-        held = self._held(options)
+        held = None if truth is None else self._held(options)
         mirrored = clock()
-        coded = self.coder.code(view.rgb, held, idr=self.plan.idr) if self.plan.speaks else Coded(ReferenceKind.NOTHING)
+        coded = NOTHING if truth is None else self.coder.code(truth, held, idr=self.plan.idr)
         return FrameRender(
             plan=self.plan,
             intrinsics=self.camera.intrinsics,
@@ -104,6 +103,13 @@ class FrameJob:
             mirror_ns=mirrored - rendered,
             encode_ns=clock() - mirrored,
         )
+
+    def _drawn(self, options: RenderOptions) -> tuple[F32, F32]:
+        """The true view [h, w, 3] and what splats contribute to the frame whose tiles are planned."""
+        with self.library.scenes.at(self.plan.frame) as scene:
+            view = scene.render(self.camera, options)
+        assert view.contribution is not None
+        return view.rgb, self._contribution_ahead(view.contribution, options)
 
     def _footprint(self, camera: Camera) -> Footprint:
         return Footprint.of(self.client, camera.intrinsics)
@@ -117,7 +123,7 @@ class FrameJob:
 
     def _contribution_ahead(self, contribution: F32, options: RenderOptions) -> F32:
         """[capacity] what splats contribute to the frame whose tiles are planned: as to this one, unless many are new
-        there. These it is drawn for, with half the pixels a side.
+        there. These it is drawn for.
         """
         ahead, frame = self.plan.ahead.frame, self.plan.frame
         if ahead == frame:
@@ -127,9 +133,13 @@ class FrameJob:
             new = (owners >= 0) & (owners != self.library.owners(frame))
             if new.sum() <= MANY_NEW * (owners >= 0).sum():
                 return contribution
+        return self._seen_ahead(options)
+
+    def _seen_ahead(self, options: RenderOptions) -> F32:
+        """[capacity] what splats contribute to the frame whose tiles are planned, seen by half the pixels a side."""
         camera = replace(self.camera, intrinsics=_halved(self.camera.intrinsics))
         options = replace(options, footprint=self._footprint(camera))
-        with self.library.scenes.at(ahead) as scene:
+        with self.library.scenes.at(self.plan.ahead.frame) as scene:
             view = scene.render(camera, options)
         assert view.contribution is not None
         return np.asarray(4 * view.contribution, np.float32)

@@ -13,6 +13,8 @@ class ReferenceVideo:
     def __init__(self) -> None:
         self.needs_idr = True
         """Whether the next picture must be an IDR picture."""
+        self.silent = True
+        """Whether the newest reference said nothing: no earlier one is shown any more."""
         self._seq = 0
         self._idr_seq = 0
 
@@ -32,6 +34,7 @@ class ReferenceVideo:
     def message(self, render: FrameRender, deadline_us: int) -> ev.Outgoing:
         """The next reference, to be sent before ``deadline_us`` (server clock)."""
         plan, coded = render.plan, render.coded
+        self.silent = coded.kind is ReferenceKind.NOTHING
         if coded.kind is not ReferenceKind.NOTHING:
             self._seq += 1
         if coded.idr:

@@ -15,11 +15,9 @@ from cags_common.recent import Recent
 from cags_server.scene.decoded_tiles import DECODED_BYTES, DecodedTiles
 from cags_server.scene.ownership import Owners, advanced
 from cags_server.scene.source_scenes import SourceScenes
+from cags_server.scene.stays import LOOK_AHEAD, Changes, Stays
 from cags_server.scene.tile_map import TileMap
-from cags_server.scene.visible_tiles import LONGEST_STAY, Moment, Stays, VisibleTile, tiles_of
-
-LOOK_AHEAD = 8
-"""Frames looked ahead for what the media will replace."""
+from cags_server.scene.visible_tiles import Moment, VisibleTile, tiles_of
 
 OWNER_BYTES, OWNER_FRAMES = 64 << 20, 2 * LOOK_AHEAD
 """Bound on the owner tables in memory, and so many frames' in any case."""
@@ -67,6 +65,14 @@ class SceneLibrary:
         """Load what the first viewer of the first frame will need."""
         self.scenes.warm(0)
         self.fetch(0)
+
+    def read_ahead(self, frame: int) -> bool:
+        """Get one more frame ready, while nobody watches; False where there is none, or no room for it."""
+        if frame >= self.manifest.frames or not self.scenes.has_room or self._owners.bytes > OWNER_BYTES / 2:
+            return False
+        self.scenes.prepare(frame, 1)
+        self.fetch(frame)
+        return True
 
     def at_hand(self, frame: int) -> bool:
         """Whether ``frame`` can be planned and its tiles sent without a read from the store."""
@@ -119,18 +125,13 @@ class SceneLibrary:
             known = self._stays.get(frame)
         if known is not None:
             return known
-        last, now = self.manifest.gof_frames(self.manifest.gof_of(frame))[-1], self.owned(frame)
-        most = min(last - frame + 1, LONGEST_STAY)
-        left = np.full(len(now.looks), most, np.uint8)
-        updates = None if now.updates is None else np.full(now.updates.shape, most, np.uint8)
-        for at in range(min(frame + LOOK_AHEAD, last), frame, -1):
-            then = self.owned(at)
-            if then.looks is not now.looks:
-                left[then.looks != now.looks] = at - frame
-            if updates is not None and then.updates is not None and then.updates is not now.updates:
-                updates[then.updates != now.updates] = at - frame
-        _extrapolate(left, now.looks, most)
-        stays = Stays(left, updates, last)
+        gof = self.manifest.gof_of(frame)
+        last = self.manifest.gof_frames(gof)[-1]
+        with self._lock:
+            before = self._stays.get(frame - 1) if frame > self.manifest.gof_starts[gof] else None
+        owners = [self.owned(at) for at in range(frame, min(frame + LOOK_AHEAD, last) + 1)]
+        changes = Changes.of(owners, None if before is None else before.changes)
+        stays = Stays.of(changes, owners[0].looks, frame, last)
         with self._lock:
             self._stays.put(frame, stays, stays.nbytes)
         return stays
@@ -167,18 +168,3 @@ class SceneLibrary:
         for at in range(first, frame + 1):
             owners = advanced(owners, self.reader, tiles, at)
         return owners
-
-
-def _extrapolate(left: NDArray[np.uint8], owners: NDArray[np.int32], most: int) -> None:
-    """Splats that outlive the frames looked ahead go on to go at the rate at which those of their tile went in these.
-
-    Without any that went they stay for ``most`` frames, to the end of their group.
-    """
-    if most <= LOOK_AHEAD:
-        return
-    there = np.flatnonzero(owners >= 0)
-    staying = there[left[there] == most]
-    every = np.bincount(owners[there], minlength=1)
-    gone = 1.0 - np.bincount(owners[staying], minlength=len(every)) / np.maximum(every, 1)
-    mean = np.minimum(LOOK_AHEAD / np.maximum(gone, LOOK_AHEAD / most), most)
-    left[staying] = mean[owners[staying]]

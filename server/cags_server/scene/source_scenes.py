@@ -63,10 +63,15 @@ class SourceScenes:
         finally:
             self._release(rolling)
 
-    def prepare(self, frame: int) -> None:
-        """Decode what ``frame`` and those after it change, ahead of their use."""
+    @property
+    def has_room(self) -> bool:
+        """Whether more frames may be decoded before anybody needs them."""
+        return self._deltas.bytes < CACHED_DELTA_BYTES / 2
+
+    def prepare(self, frame: int, frames: int = AHEAD_FRAMES) -> None:
+        """Decode what ``frame`` and those after it, ``frames`` in all, change, ahead of their use."""
         manifest = self._reader.manifest
-        for at in range(frame, min(frame + AHEAD_FRAMES, manifest.frames)):
+        for at in range(frame, min(frame + frames, manifest.frames)):
             if at not in manifest.gof_starts:
                 self._delta(at)
 

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from cags_common.geometry import F32, F64
 from cags_common.tile_kinds import TileKind
 from cags_server.scene.ownership import Owners
+from cags_server.scene.stays import LONGEST_STAY, Stays
 from cags_server.scene.tile_map import Key, Numbers, TileMap
-
-LONGEST_STAY = 60
-"""The longest stay, frames, that a tile is credited with."""
 
 CHUNK_AHEAD = 8
 """Frames before its first that a chunk of motion may be sent: chunks that begin together need not travel together."""
@@ -33,21 +31,6 @@ class VisibleTile:
     kind: TileKind = TileKind.LOOKS
     looks: Key | None = None
     """Media frame and tile of the looks that a tile of motion moves."""
-
-
-@dataclass(frozen=True, eq=False)
-class Stays:
-    """Frames until the media replaces what is there at one frame."""
-
-    looks: NDArray[np.uint8]  # [capacity]
-    updates: NDArray[np.uint8] | None  # [attributes, capacity]
-    end: int
-    """The last frame of the group."""
-
-    @property
-    def nbytes(self) -> int:
-        """Memory."""
-        return self.looks.nbytes + (0 if self.updates is None else self.updates.nbytes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +107,8 @@ def _chunks(tiles: TileMap, seen: _Seen, chunks: Numbers, left: F64) -> list[Vis
 
 def _updates(tiles: TileMap, numbers: Numbers, left: NDArray[np.uint8], weights: F32) -> list[VisibleTile]:
     """Updates [attributes, m] in force of the splats that are seen; a splat counts once in each tile."""
+    changed = np.flatnonzero((numbers >= 0).any(axis=0))
+    numbers, left, weights = numbers[:, changed], left[:, changed], weights[changed]
     counted = numbers >= 0
     for row in range(1, len(numbers)):
         counted[row] &= ~(numbers[:row] == numbers[row]).any(axis=0)

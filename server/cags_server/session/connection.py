@@ -65,7 +65,7 @@ class Connection:
         self._quota = ClientQuota(quotas or Quotas(), now_us)
         self._fetches, self._unopened = fetches, False
         self._fetching: int | None = None  # media frame
-        self._fetched: set[int] = set()  # of the frames that are needed
+        self._fetched: set[int] = set()  # of the frames that are needed: those that were at hand once
         self._stats = StreamStats()
 
     @property
@@ -141,8 +141,10 @@ class Connection:
         wanted = (streamer.first_frame,) if self._unopened else (streamer.next_frame, streamer.frame_ahead)
         self._fetched.intersection_update(wanted)
         for frame in wanted:
-            if frame is not None and frame not in self._fetched and not self._library.at_hand(frame):
-                return frame
+            if frame is not None and frame not in self._fetched:
+                if not self._library.at_hand(frame):
+                    return frame
+                self._fetched.add(frame)
         return None
 
     def next_job(self, now_us: int) -> FrameJob | None:

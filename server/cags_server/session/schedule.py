@@ -8,6 +8,7 @@ frames has been seen before, later where nothing has, since tiles are then chose
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from cags_protocol.cadence import EVERY_FRAME, last_displayed, next_displayed
@@ -132,18 +133,20 @@ class Schedule:
         """Media frame of the tick to be served next; None while there is none."""
         return self.media_frame(self.serves) if self._controlled else None
 
-    def next_due_us(self, rtt_us: int, *, seen: bool) -> int | None:
+    def next_due_us(self, rtt_us: int, seen: Callable[[], bool]) -> int | None:
         """When the next frame must be planned, or served blind; None while there is none.
 
-        ``seen``: the group of frames that it is of has been rendered.
+        ``seen()``: whether the group of frames that it is of has been rendered.
         """
         if self.next_frame is None:
             return None
-        unserved, lead_us, period_us = self._unserved_render, self.lead_us(rtt_us), self.timeline.period_us
-        due_us = self._clock.to_server(round(self.timeline.display_us(self.serves) - lead_us))
+        tick = self.serves
+        lead_us = self.lead_us(rtt_us)
+        due_us = self._clock.to_server(round(self.timeline.display_us(tick) - lead_us))
         if not self.rendering:
             return due_us
-        if not seen:
+        unserved, period_us = self._unserved_render, self.timeline.period_us
+        if not seen():
             return due_us + round(UNSEEN_GRACE_LEADS * lead_us)
         periods, leads = SEEN_GRACE if unserved is None else RENDER_GRACE
         return due_us + round(min(periods * period_us, leads * lead_us))

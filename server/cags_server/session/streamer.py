@@ -43,8 +43,10 @@ MARK_EVERY_US = 30_000
 LOOK_EVERY = 3
 """Frames from one render to the next where no reference is made of them: they tell which splats are seen."""
 
-REFERENCE_WORK = 3
-"""A reference takes so many times what a render without one does: the mirror is drawn too, and the outcome coded."""
+REFERENCE_WORK = 6
+"""A reference takes so many times what a look without one does: of four times the pixels, the mirror drawn too, and the
+outcome coded.
+"""
 
 OVERLOAD = 1.5
 """Times the time from one reference to the next that a reference may take to be made; beyond it they become rare."""
@@ -116,8 +118,8 @@ class Streamer:
     @property
     def frame_ahead(self) -> int | None:
         """The media frame whose tiles are to be planned next; None while there is none."""
-        tick, frame = self._schedule.serves, self._schedule.next_frame
-        return None if frame is None else self._ahead(tick, frame).frame
+        frame = self._schedule.next_frame
+        return None if frame is None else self._frame_ahead(self._schedule.serves, frame)
 
     def startup_due_us(self) -> int | None:
         """When :meth:`end_startup` has something to say."""
@@ -218,7 +220,7 @@ class Streamer:
         """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
         if self._greets:
             return self._joined_us
-        return self._schedule.next_due_us(self.stats.rtt_us, seen=self._next_is_seen())
+        return self._schedule.next_due_us(self.stats.rtt_us, self._next_is_seen)
 
     def begin(self, now_us: int) -> FrameJob | None:
         """Plan the newest frame that is due: where the viewer will be, and how wide to look. None if none is due.
@@ -227,8 +229,10 @@ class Streamer:
         """
         if self._greets:
             return self._greeting(now_us)
+        if self._schedule.rendering:
+            return None
         due_us = self.next_due_us()
-        if self._schedule.rendering or due_us is None or now_us < due_us or self._between_references(now_us):
+        if due_us is None or now_us < due_us or self._between_references(now_us):
             return None
         tick, frame, covered = self._schedule.begin_render(now_us - due_us)
         if self._damaged:
@@ -322,9 +326,11 @@ class Streamer:
 
     def _ahead(self, tick: int, frame: int) -> Ahead:
         """The frame whose tiles go out with the reference of ``tick``; the same again at the clip's end."""
-        ahead = self._schedule.ahead(tick)
-        then = self._schedule.media_frame(ahead)
-        return Ahead(frame if then is None else then, self._schedule.timeline.display_us(ahead))
+        return Ahead(self._frame_ahead(tick, frame), self._schedule.timeline.display_us(self._schedule.ahead(tick)))
+
+    def _frame_ahead(self, tick: int, frame: int) -> int:
+        then = self._schedule.media_frame(self._schedule.ahead(tick))
+        return frame if then is None else then
 
     def _tiles_in_view(self, frame: int, pose: Pose) -> tuple[VisibleTile, ...]:
         camera = Camera(self._hello.intrinsics, pose, self._hello.near)
@@ -443,11 +449,10 @@ class Streamer:
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _moving_on(self, render: FrameRender) -> list[ev.Outgoing]:
-        """That nothing is lacking, for a client which pauses: it would go on to show what its last reference assumed.
-
-        While it plays, references are left behind by themselves.
+        """That nothing is lacking, where references are no longer made: a client would go on to show the last one, and
+        while it pauses no more of the splats than that assumed.
         """
-        if self._coder.kind is None or self._schedule.timeline.playing:
+        if self._coder.kind is None or (self._schedule.timeline.playing and self._video.silent):
             return []
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 

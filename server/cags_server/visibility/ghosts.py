@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64, Camera
 from cags_common.tile_kinds import TileKind
-from cags_server.scene.library import LOOK_AHEAD, SceneLibrary
+from cags_server.scene.library import SceneLibrary
+from cags_server.scene.stays import LONGEST_STAY, LOOK_AHEAD
 from cags_server.scene.tile_map import Numbers, TileMap
-from cags_server.scene.visible_tiles import LONGEST_STAY, VisibleTile
+from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.visibility.bounds import distances_in_view
 from cags_server.visibility.inventory import ClientInventory
 

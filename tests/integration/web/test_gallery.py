@@ -17,7 +17,7 @@ from support.web_page import Page, Server, page, require_page, served
 VIEW = {
     "title": "Three balls",
     "background": "#306090",
-    "pose": [0.1, 0, -6, 1, 0, 0, 0],
+    "pose": [0.1, 0, -6, 0, 0, 0, 1],
     "target": [0, 0, 0],
     "radius": 1,
 }
@@ -76,7 +76,7 @@ def test_a_scene_is_chosen_and_opens_as_its_author_wants(viewer: Page, server: S
 
 @pytest.mark.slow
 def test_the_address_wins_over_the_author(viewer: Page, server: Server) -> None:
-    viewer.browser.get(f"{server.url}?scene=balls#paused&background=ffffff&pose=0,0,-5,1,0,0,0")
+    viewer.browser.get(f"{server.url}?scene=balls#paused&background=ffffff&pose=0,0,-5,0,0,0,1")
     viewer.until("player?.shown && player.pictures > 0")
     assert viewer.ask("cags.camera.pose.position") == pytest.approx([0, 0, -5])
     assert viewer.browser.execute_async_script(CORNER) == [255, 255, 255, 255]

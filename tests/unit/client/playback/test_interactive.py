@@ -13,6 +13,7 @@ from cags_client.live_app import patient
 from cags_client.output.page.poses import LivePoses
 from cags_client.playback.interactive import SEEK_PATIENCE_US, InteractivePlayer
 from cags_client.playback.jobs import Decode, DecodeResult, Present
+from cags_client.playback.startup import QUIET_US
 from cags_client.settings import ClientSettings
 from cags_common.geometry import Pose
 from cags_common.passes import PassPlan
@@ -86,7 +87,8 @@ class Stage:
         """Times, in media frames, of the pictures between them."""
         self.poses = LivePoses(StillWalk())
         self.now_us = 0
-        self.player = InteractivePlayer(self.session, ClientSettings(**settings), self.poses, now_us=0)  # type: ignore[arg-type]
+        at_once = ClientSettings(**{"startup_ms": 0, **settings})
+        self.player = InteractivePlayer(self.session, at_once, self.poses, now_us=0)  # type: ignore[arg-type]
         self.player.info = SimpleNamespace(fps=FPS, frames=FRAMES, gof_starts=(0,), motion=moves or None)  # type: ignore[assignment]
         self.player.pipeline = self.pipeline  # type: ignore[assignment]
         self.player._end_frame = FRAMES
@@ -128,6 +130,15 @@ class Stage:
 @pytest.fixture
 def stage() -> Stage:
     return Stage()
+
+
+def test_the_first_frame_is_held_while_more_of_it_comes() -> None:
+    stage = Stage(startup_ms=700)
+    assert stage.player.next_timer_us() <= QUIET_US
+    stage.player.handle_timer(QUIET_US - 1)
+    assert stage.session.controls == [Control("pause", 0, 0)]
+    stage.player.handle_timer(QUIET_US)
+    assert stage.session.controls[1:] == [Control("play", 0, QUIET_US + DELAY_US, 1.0)]
 
 
 def test_plays_in_time_and_starts_again_at_the_end(stage: Stage) -> None:

@@ -155,16 +155,30 @@ def test_correctors_and_aligners_get_what_is_theirs() -> None:
 
 def test_the_next_basis_is_the_least_that_waits_and_pictures_assume_none() -> None:
     references, video = References(), Video()
-    assert references.next_basis(0, 0, 10) is None
+    assert references.next_basis(0, 0, 90) is None
     assert references.add(*difference(video, 5, basis=3))
     assert references.add(*difference(video, 6, basis=4))
-    assert references.next_basis(4, 0, 10) == 3
-    assert references.next_basis(5, 1, 10) == 4, "the first has been used"
-    assert references.next_basis(6, 2, 10) is None
+    assert references.next_basis(4, 0, 90) == 3
+    assert references.next_basis(5, 1, 90) == 4, "the first has been used"
+    assert references.next_basis(6, 2, 90) is None
     assert references.add(*video.picture(7, basis=9))
-    assert references.next_basis(6, 2, 10) is None
+    assert references.next_basis(6, 2, 90) is None
     assert references.add(*nothing(8, basis=7))
-    assert references.next_basis(6, 2, 10) == 7
+    assert references.next_basis(6, 2, 90) == 7
+
+
+@pytest.mark.parametrize("skipped", [19, 8])
+def test_a_reference_of_a_frame_that_was_skipped_holds_nothing_back(skipped: int) -> None:
+    references = References()
+    assert references.add(*nothing(skipped, basis=4))
+    assert references.next_basis(20, 0, 90) is None
+
+
+def test_in_a_loop_the_next_references_are_of_the_clips_first_frames() -> None:
+    references = References()
+    assert references.add(*nothing(2, basis=4))
+    assert references.next_basis(88, 0, 90) == 4
+    assert references.next_basis(3, 0, 90) is None
 
 
 def test_of_a_picture_nothing_counts_that_coding_may_have_left() -> None:
@@ -207,8 +221,8 @@ def test_the_next_references_say_how_far_to_show() -> None:
     for frame, basis in ((3, 5), (4, 6), (5, 8)):
         message, unit, _ = video.picture(frame)
         references.add(replace(message, kind="difference"), unit, basis)
-    assert references.next_basis(3, after=1, max_age=2) == 6, "that of frame 3 was used, the next one stands on 6"
-    assert references.next_basis(5, after=3, max_age=2) is None
+    assert references.next_basis(3, after=1, frames=90) == 6, "that of frame 3 was used, the next one stands on 6"
+    assert references.next_basis(5, after=3, frames=90) is None
     message, unit, _ = video.picture(6)
     references.add(message, unit, 9)
-    assert references.next_basis(5, after=3, max_age=2) is None, "a picture assumes nothing"
+    assert references.next_basis(5, after=3, frames=90) is None, "a picture assumes nothing"
