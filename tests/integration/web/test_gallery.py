@@ -26,7 +26,8 @@ CORNER = """
 const done = arguments[0], canvas = document.getElementById("picture");
 window.cags.renderer.present();
 canvas.toBlob(async (blob) => {
-  const bitmap = await createImageBitmap(blob), copy = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+  const bitmap = await createImageBitmap(blob);
+  const copy = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
   copy.drawImage(bitmap, 0, 0);
   done([...copy.getImageData(0, 0, 1, 1).data]);
 });
