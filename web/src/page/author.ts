@@ -1,6 +1,7 @@
 /** The author's view: what a scene says of how to open it, what the address says instead, and saving it. */
 
-import type { ViewCamera } from "../player/camera.ts";
+import { fartherThanAuthor, type ViewCamera } from "../player/camera.ts";
+import { minus, plus } from "../player/vectors.ts";
 import type { AuthorView, SceneInfo } from "../seam.ts";
 import type { Place } from "./place.ts";
 
@@ -16,10 +17,12 @@ export function coloursOf(background = "#000000"): [number, number, number] {
   return [r, g, b];
 }
 
-/** What `cags-encode --view` takes: the view as it stands now. */
-export function savedView(scene: SceneInfo, camera: ViewCamera, background?: string): string {
-  const { position, rotation } = camera.pose;
+/** What `cags-encode --view` takes: the view as it stands now, in a picture of these tangents of half its angles. */
+export function savedView(scene: SceneInfo, camera: ViewCamera, tanX: number, tanY: number): string {
+  const { rotation } = camera.pose;
   const { target, radius } = camera.around;
+  const { background } = scene.view;
+  const position = plus(target, minus(camera.pose.position, target), 1 / fartherThanAuthor(tanX, tanY));
   const short = (parts: readonly number[]): number[] => parts.map((part) => Number(part.toFixed(5)));
   const view: Record<string, unknown> = {
     title: scene.view.title ?? scene.name,

@@ -302,7 +302,7 @@ class Viewer {
 
   #saveView(): void {
     if (!this.#scene || !this.camera) return;
-    const text = savedView(this.#scene, this.camera, this.#scene.view.background);
+    const text = savedView(this.#scene, this.camera, this.#angles.tanX, this.#angles.tanY);
     download(new Blob([text], { type: "application/json" }), `${this.#fileName()}-view.json`);
     this.#messages.toast("View saved; cags-encode --view takes it");
   }

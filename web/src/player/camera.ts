@@ -18,6 +18,14 @@ const WITHIN = 0.85;
 /** Radii from the scene's centre beyond which splats are background, and need not be in the first view. */
 const BULK = 2.2;
 
+/** Tangent of half the height of the picture, 8:5, that an author's pose is of. */
+const AUTHORS_TAN = Math.tan(Math.PI / 6) * (5 / 8);
+
+/** How much farther than the author's pose a visitor stands whose picture is narrower, so that as much is seen. */
+export function fartherThanAuthor(tanX: number, tanY: number): number {
+  return Math.max(1, AUTHORS_TAN / Math.min(tanX, tanY));
+}
+
 /** Where a scene is, and how its author wants it to be opened. `cags_common.bundle.first_view` chooses the same view. */
 export type Place = Pick<SceneInfo, "up" | "focusCentre" | "focusRadius" | "bounds" | "view">;
 
@@ -50,7 +58,11 @@ export class ViewCamera {
   /** Go to the author's first view; else where the whole scene is in a view of these tangents of half its angles, or as
    * far back as a room's walls let. */
   home(tanX: number, tanY: number): void {
-    if (this.#view.pose) return this.place(this.#view.pose);
+    if (this.#view.pose) {
+      this.place(this.#view.pose);
+      this.#distance *= fartherThanAuthor(tanX, tanY);
+      return;
+    }
     this.#yaw = 0;
     this.#pitch = START_PITCH;
     this.#target = this.#focus;
