@@ -36,7 +36,8 @@ test("hostile values are refused", () => {
 
 test("what the page saves is what a manifest takes, and gives the same view again", () => {
   const { bare } = vectors<{ bare: Record<string, unknown> }>("hostile");
-  for (const tangents of [[0.6, 0.4], [0.6, 0.2], [0.25, 0.6]] as const) {
+  const shapes: readonly (readonly [number, number])[] = [[0.6, 0.4], [0.6, 0.2], [0.25, 0.6]];
+  for (const tangents of shapes) {
     const first = read({ ...bare, view: { background: "#102030" } });
     const camera = new ViewCamera(first);
     camera.home(...tangents);
