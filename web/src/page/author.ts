@@ -23,7 +23,7 @@ export function savedView(scene: SceneInfo, camera: ViewCamera, tanX: number, ta
   const { target, radius } = camera.around;
   const { background } = scene.view;
   const position = plus(target, minus(camera.pose.position, target), 1 / fartherThanAuthor(tanX, tanY));
-  const short = (parts: readonly number[]): number[] => parts.map((part) => Number(part.toFixed(5)));
+  const short = (parts: readonly number[]): number[] => parts.map((part) => Number(part.toFixed(7)));
   const view: Record<string, unknown> = {
     title: scene.view.title ?? scene.name,
     ...(background ? { background } : {}),
