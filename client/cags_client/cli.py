@@ -165,7 +165,7 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
 @contextmanager
 def _shown_live(info: Manifest, outputs: _Outputs) -> Iterator[Callable[[dict[str, Any]], None] | None]:
     """Takes the records of frames for a live table, where somebody looks."""
-    from cags_common.terminal import live_table, watched
+    from cags_common.runtime.terminal import live_table, watched
 
     if not watched(headless=outputs.headless):
         yield None

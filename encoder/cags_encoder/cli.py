@@ -47,19 +47,25 @@ def _parser() -> argparse.ArgumentParser:
         "scene",
         metavar="SCENE",
         nargs="?",
-        help="file, folder of numbered files, motion:PATH, procedural[:size=..,..] or fourd[:splats=..,..]; each takes "
-        "shuffle=1 and quantise=sog|spz, too",
+        help="scene: a file, a folder of numbered files, motion:PATH, procedural[:size=..,..] or fourd[:splats=..,..]; "
+        "with any of them shuffle=1 and quantise=sog|spz",
     )
-    parser.add_argument("out", metavar="OUT", nargs="?", help="folder or fsspec URL; an older bundle there is replaced")
-    parser.add_argument("--json", action="store_true", help="print one JSON object about the bundle to stdout")
+    parser.add_argument(
+        "out", metavar="OUT", nargs="?", help="bundle to write: a folder or an fsspec URL; replaced if it exists"
+    )
+    parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
     looking = parser.add_mutually_exclusive_group()
-    looking.add_argument("--inspect", metavar="BUNDLE", help="say what a bundle holds, instead of encoding")
-    looking.add_argument("--verify", metavar="BUNDLE", help="check every CRC and decode everything; exit 1 if broken")
+    looking.add_argument(
+        "--inspect", metavar="BUNDLE", help="describe a bundle: frames, quality layers, codebooks, bytes"
+    )
+    looking.add_argument(
+        "--verify", metavar="BUNDLE", help="check every CRC and decode everything; exits with 1 if anything is damaged"
+    )
     looking.add_argument(
         "--export",
         nargs=3,
         metavar=("BUNDLE", "FRAME[:LOD]", "FILE"),
-        help="write one frame as .ply, .compressed.ply, .spz, .sog or .splat",
+        help="write one frame, at a quality level, as .ply, .compressed.ply, .spz, .sog or .splat",
     )
     looking.add_argument(
         "--set-view",
@@ -71,9 +77,9 @@ def _parser() -> argparse.ArgumentParser:
         "--publish",
         nargs=2,
         metavar=("BUNDLE", "FOLDER"),
-        help="write the viewer's page and the bundle, ready for any web host that serves ranges, to a new folder",
+        help="write the bundle and the page that plays it to a new folder, for any web host that serves byte ranges",
     )
-    parser.add_argument("--plot", metavar="FILE", help="with --inspect: draw it as .png, .svg or .pdf")
+    parser.add_argument("--plot", metavar="FILE", help="with --inspect: a plot of the same, as .png, .svg or .pdf")
     add_settings(parser, CommandSettings)
     return parser
 
@@ -109,9 +115,9 @@ def _encode(arguments: argparse.Namespace) -> None:
     from cags_common.bundle import BundleReader
     from cags_encoder.bundles.describe import summarise
     from cags_encoder.cache import content_key, resume_folder
-    from cags_encoder.executors import open_workers
+    from cags_encoder.execution.executors import open_workers
+    from cags_encoder.execution.progress import progress_bar
     from cags_encoder.pipeline import Resume, encode
-    from cags_encoder.progress import progress_bar
     from cags_encoder.scenes import open_scene
 
     source, out = open_scene(arguments.scene), arguments.out
@@ -146,7 +152,7 @@ def _inspect(url: str, picture: str | None, *, as_json: bool) -> None:
 def _verify(url: str, *, as_json: bool) -> None:
     from cags_common.bundle import BundleReader
     from cags_encoder.bundles.verify import verify
-    from cags_encoder.progress import progress_bar
+    from cags_encoder.execution.progress import progress_bar
 
     with BundleReader.open(url) as reader, progress_bar(lines=True) as progress:
         payloads = verify(reader, url, lambda done, total: progress("verify", done, total))

@@ -17,16 +17,17 @@ from cags_common.bundle.reader import THUMBNAIL_NAME
 from cags_common.bundle.view import AuthorView, read_view
 from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import F64, Vec3
-from cags_common.lod import LodLayer
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import LEVELS
 from cags_common.raster import create
 from cags_common.splats import Splats
+from cags_common.tiles.lod import LodLayer
 from cags_encoder.clip import ClipEncoder
-from cags_encoder.codecs import ClipCodec, train_codec
-from cags_encoder.executors import INLINE, Shared, Workers, ahead
+from cags_encoder.codecs.registry import ClipCodec, train_codec
+from cags_encoder.codecs.svq import SvqCodec
+from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
+from cags_encoder.execution.journal import Journal
 from cags_encoder.frames.tasks import read
-from cags_encoder.journal import Journal
 from cags_encoder.measuring import VIEWS, LodMeasurement, measure
 from cags_encoder.motion.steps import motion_steps
 from cags_encoder.motion.tolerance import Looked, Tolerance, Tolerances, tolerances
@@ -36,7 +37,6 @@ from cags_encoder.quantiser.importance import importance
 from cags_encoder.sampling import looked_at, training_splats
 from cags_encoder.scenes import Focus, FrameSource, focus_of
 from cags_encoder.settings import EncodeSettings
-from cags_encoder.svq_codec import SvqCodec
 from cags_encoder.views import cameras_around, near_plane
 
 Progress = Callable[[str, int, int], None]

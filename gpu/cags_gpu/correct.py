@@ -192,7 +192,7 @@ class _Frame:
     ) -> None:
         """What the reference says is lacking, once a reference; of a picture anew when the splats changed."""
         assert self.reference is not None
-        # the own view hangs on the splats and on the client's resolution; a difference on nothing
+        # a render from the reference camera depends on splats and the client's resolution; a difference on nothing
         seen = (scene.changes, self.camera.intrinsics, self.options) if self.reference.picture else ()
         holds = (id(self.reference.coded), self.reference.knee, scene.kept_version, seen)
         if scene.held is not None and scene.held[1] == holds:

@@ -201,7 +201,7 @@ class Gpu:
         return self._made[key]
 
 
-WITH_COMMON = ("project", "bin", "ranges", "blend", "adjoint")
+WITH_COMMON = ("project", "bin", "ranges", "blend")
 """Shaders that ``common.wgsl`` stands before."""
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import DepthKind, Exactness, RenderOptions
+from cags_common.raster.base import Exactness, RenderOptions
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.graph import Dispatch, buffer_bytes, build, encode
@@ -203,12 +203,10 @@ class ResidentScene:
             del self._targets[next(iter(self._targets))]
         return found
 
-    def record(
-        self, recording: Recording, camera: Camera, options: RenderOptions, *, adjoint: bool = False, role: str = ""
-    ) -> Target:
+    def record(self, recording: Recording, camera: Camera, options: RenderOptions, *, role: str = "") -> Target:
         """Record a frame: afterwards the target holds picture and depth, the workspace contributions and counts."""
         target = self._prepared(recording, camera, options, role)
-        encode(recording.encoder, self.steps_of(target, options, adjoint=adjoint))
+        encode(recording.encoder, self.steps_of(target, options))
         return target
 
     def record_binning(self, recording: Recording, camera: Camera, options: RenderOptions) -> Target:
@@ -230,14 +228,12 @@ class ResidentScene:
             recording.once_submitted.append(self._is_sorted)
         return target
 
-    def steps_of(self, target: Target, options: RenderOptions, *, adjoint: bool = False) -> list[Dispatch]:
+    def steps_of(self, target: Target, options: RenderOptions) -> list[Dispatch]:
         """The dispatches of a frame with these options."""
         flags = {
             "packed": _packed(options),
-            "slots": options.contribution or adjoint,
-            "contribution": options.contribution and not adjoint,
-            "adjoint": adjoint,
-            "median": options.depth is DepthKind.MEDIAN,
+            "slots": options.contribution,
+            "contribution": options.contribution,
         }
         return self._steps(target, "frame", flags)
 

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from cags_common.cli import command_parser, run_command
-from cags_common.rare_log import RareFilter
+from cags_common.runtime.rare_log import RareFilter
 from cags_common.settings import add_settings, load_settings
 from cags_server.settings import ServeSettings
 
@@ -43,7 +43,7 @@ def _serve(argv: Sequence[str]) -> None:
 
     from cags_common import raster
     from cags_common.files import writable_folder
-    from cags_common.terminal import live_table, watched
+    from cags_common.runtime.terminal import live_table, watched
     from cags_common.transport.hosts import host_port
     from cags_server.http.admission import tls_context
     from cags_server.http.app import App, serve

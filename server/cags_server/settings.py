@@ -79,10 +79,16 @@ class ServerSettings:
     )
     queue_ms: float = setting(150.0, "largest queueing delay of data in flight, ms", low=0.0, high=10_000.0)
     reference_deadline_ms: float = setting(
-        200.0, "time after its display at which a queued reference is discarded, ms", low=0.0, high=10_000.0
+        200.0,
+        "time after its frame's display at which an unsent or half-sent reference is discarded, ms",
+        low=0.0,
+        high=10_000.0,
     )
     tile_deadline_ms: float = setting(
-        1000.0, "time after its display at which a queued tile is discarded, ms", low=0.0, high=60_000.0
+        1000.0,
+        "time after its frame's display at which a half-sent tile is discarded, ms; unsent tiles are chosen anew",
+        low=0.0,
+        high=60_000.0,
     )
 
     def __post_init__(self) -> None:

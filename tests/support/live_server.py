@@ -15,8 +15,8 @@ from cags_common.transport.base import ConnectionEndedError
 from cags_common.transport.websocket import ClientWebSocket, connect
 from cags_protocol import SUBPROTOCOL, ClientSession
 from cags_protocol import events as ev
-from cags_protocol.limits import MAX_MESSAGE_BYTES
-from cags_protocol.messages import Control, PoseSample
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES
+from cags_protocol.wire.messages import Control, PoseSample
 from cags_server.http.app import App
 from cags_server.scene.collection import Collection
 from cags_server.scene.library import SceneLibrary

@@ -45,7 +45,7 @@ def _judge(moment: Moment) -> Callable[[F32], Outcome]:
 
 
 def _ways(moment: Moment) -> Stage:
-    """After drawing: nothing, adding a difference, comparing a picture with the own view, and restorers of pictures."""
+    """After drawing: nothing, adding a difference, rendering from the reference camera for a picture, and restorers."""
     view, judge = moment.view(), _judge(moment)
     points = [Point(NONE, lambda: view.rgb, judge)]
     for kind in ("difference", "picture"):

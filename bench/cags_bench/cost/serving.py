@@ -12,8 +12,8 @@ from cags_common import correction
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.h264 import H264Decoder
-from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Hello, ReferenceKind
+from cags_protocol.wire.limits import PROTOCOL_VERSION
+from cags_protocol.wire.messages import Hello, ReferenceKind
 from cags_server.reference.coder import Coded, ReferenceCoder
 from cags_server.settings import ServerSettings
 
@@ -42,7 +42,7 @@ class Referring:
         return replace(camera, intrinsics=camera.intrinsics.resized(self._coder.width_px, self._coder.height_px))
 
     def drawn(self) -> tuple[F32, F32 | None]:
-        """The truth [h, w, 3], and the client's own view where the server needs it."""
+        """The truth [h, w, 3], and the client's render from the reference camera where the server needs it."""
         truth = self._seen(self.moment.true)
         return truth, self._seen(self.moment.held) if self._coder.compares else None
 

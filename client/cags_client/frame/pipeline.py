@@ -22,20 +22,20 @@ from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
 from cags_common import correction, raster
+from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import tile_codec
+from cags_common.coding.packing import decode_ids
 from cags_common.correction import Corrected, CorrectSettings, Reference
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import F32, Camera, Pose
-from cags_common.held_tile import HeldTile
-from cags_common.packing import decode_ids
 from cags_common.passes import Pass, PassPlan, Situation, held_sh_degree, plan_frame
 from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.halving import enlarged, halved
 from cags_common.store.gof_buffer import Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival, TileOpener
 from cags_common.store.tile_store import TileStore
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from cags_common.tiles.inventory import InventoryEntry
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 PATIENCE_FRAMES = 3
 """Frames for which a late reference is waited for before more is shown than the one before it assumes."""
@@ -70,7 +70,7 @@ class ClientPipeline:
         self._used = 0  # order of the newest reference that was shown
         self._changes = Changes()
         self._scene_changes = 0
-        self._own: tuple[Received, int, Reference, F32] | None = None  # the own view of a picture, of which scene
+        self._own: tuple[Received, int, Reference, F32] | None = None  # rendered from the camera of a picture
         self._corrector = correction.create("auto", settings.threads)
         self._correct_settings = CorrectSettings()
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
@@ -97,7 +97,7 @@ class ClientPipeline:
         """
         return self._store.flush()
 
-    def take_dropped(self) -> list[HeldTile]:
+    def take_dropped(self) -> list[InventoryEntry]:
         """Tiles of which layers had come and were given up since the last call, for want of memory."""
         return self._store.take_dropped()
 
@@ -156,7 +156,7 @@ class ClientPipeline:
         """Whether ``frame`` can be drawn whole without anything from the network."""
         return self._store.holds(frame)
 
-    def restarted(self, inventory: Sequence[HeldTile]) -> None:
+    def restarted(self, inventory: Sequence[InventoryEntry]) -> None:
         """What follows comes over another connection, which was told that ``inventory`` is held.
 
         References that are there stay in use.
@@ -165,7 +165,7 @@ class ClientPipeline:
         self._marked_before = self._marked
         self._store.restarted(inventory)
 
-    def held(self) -> list[HeldTile]:
+    def held(self) -> list[InventoryEntry]:
         """The tiles that are decoded, for a server that takes the session over."""
         return self._store.held()
 
@@ -286,7 +286,6 @@ class ClientPipeline:
         return Situation(
             sh_degree=self._sh_degree,
             scene_sh_degree=self.info.sh_degree,
-            changed=committed.changed,
             whole=store.full and not committed.missed,
             reference=speaks and name != NONE,
             picture=reference is not None and reference.kind is ReferenceKind.PICTURE,
@@ -312,7 +311,7 @@ class ClientPipeline:
     def _corrected(self, plan: PassPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch) -> Corrected:
         """The picture with what is lacking in it added."""
         own = given = None
-        if Pass.OWN_VIEW in plan:
+        if Pass.REFERENCE_RENDER in plan:
             with watch("own"):
                 given, own = self._compared(plan, drawn, reference)
         with watch("correct"):

@@ -10,7 +10,7 @@ from urllib.parse import urlencode, urlsplit
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.errors import ConfigError, NetworkError
 from cags_common.transport import Transport, websocket
-from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 
 INFO_TIMEOUT_S = 10.0
 FIRST_TIMEOUT_S, AGAIN_TIMEOUT_S = 10.0, 1.5

@@ -14,7 +14,7 @@ from cags_common.correction import Reference
 from cags_common.errors import DecodeError
 from cags_common.geometry import DEFAULT_NEAR, F32, Camera
 from cags_common.video.h264 import H264Decoder
-from cags_protocol.messages import ReferenceFrame, ReferenceKind
+from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 
 KEPT = 24
 """References kept: those sent ahead of display and the last few shown."""
@@ -24,7 +24,7 @@ MAX_REFERENCE_PIXELS = 1 << 21
 
 
 AROUND_PX = 3
-"""Radius of the neighbourhoods in which a picture is compared with the client's own view, its pixels."""
+"""Radius in pixels of the neighbourhoods in which a picture and the render from its camera are compared."""
 
 NOISE_WEIGHT = 2.0
 """Weight of what coding has left, which is not the same everywhere."""

@@ -15,9 +15,9 @@ from cags_common.bundle.tracks import MAX_LIFE_CLASSES, ChangedShares, TrackStat
 from cags_common.bundle.view import AuthorView
 from cags_common.errors import BundleError
 from cags_common.geometry import DEFAULT_NEAR, Vec3
-from cags_common.lod import MAX_LODS, LodLayer
 from cags_common.splats import MAX_SPLATS
-from cags_common.svq import MAX_BASE_BITS
+from cags_common.tiles.lod import MAX_LODS, LodLayer
+from cags_common.tiles.svq import MAX_BASE_BITS
 
 FORMAT = "cags-bundle"
 VERSION = 3
@@ -86,7 +86,7 @@ class Manifest:
     """PSNR gained by each level of ``lod_order``, measured on renders of this content; empty when it was not measured.
     """
     codec: str = "svq"
-    """Name of the tile codec (:data:`cags_common.codecs.TILE_CODECS`)."""
+    """Name of the tile codec (:data:`cags_common.bundle.codecs.TILE_CODECS`)."""
     quantiser: str = ""
     """Name of the codec's configuration, such as ``paper-66``; for people."""
     up: Vec3 = (0.0, 1.0, 0.0)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import threading
 from types import TracebackType
 
+from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index, decode_tile_index
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, Manifest
 from cags_common.bundle.quality import MAX_QUALITY_BYTES, QUALITY_NAME, LodQuality
 from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, decode_source
 from cags_common.bundle.store import ByteStore, UrlStore
-from cags_common.codecs import tile_codec
+from cags_common.coding.packing import check_crc, crc32, decode_ids
 from cags_common.errors import BundleError
-from cags_common.packing import check_crc, crc32, decode_ids
-from cags_common.recent import Recent
+from cags_common.runtime.recent import Recent
 from cags_common.splats import Ids
-from cags_common.svq import MAX_CODEBOOK_BYTES
+from cags_common.tiles.svq import MAX_CODEBOOK_BYTES
 
 MANIFEST_NAME = "manifest.json"
 THUMBNAIL_NAME = "thumbnail.jpg"
@@ -76,7 +76,7 @@ class BundleReader:
             self._replay = None
 
     def codebooks(self) -> bytes:
-        """Serialised codebooks, for :func:`~cags_common.codecs.tile_codec`."""
+        """Serialised codebooks, for :func:`~cags_common.bundle.codecs.tile_codec`."""
         return self._codebooks
 
     def quality(self) -> LodQuality | None:
@@ -131,7 +131,7 @@ class BundleReader:
         return self._within(self.codec.tile_ids(self.payload(*(looks or (frame, tile)), 0)), frame, f"tile {tile}")
 
     def removed_payload(self, frame: int) -> bytes:
-        """The ids that ``frame`` removes, packed by :func:`~cags_common.packing.encode_ids`."""
+        """The ids that ``frame`` removes, packed by :func:`~cags_common.coding.packing.encode_ids`."""
         entry = self.frame(frame)
         data = self._frame_bytes(entry)[: entry.removed_bytes]
         check_crc(data, entry.removed_crc, f"frame {frame}, removed ids")

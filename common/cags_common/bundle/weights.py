@@ -7,8 +7,8 @@ from dataclasses import replace
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.bundle.reader import MANIFEST_NAME, MAX_WEIGHTS_BYTES, weights_name
 from cags_common.bundle.store import UrlStore, filesystem, replace_files
+from cags_common.coding.packing import crc32
 from cags_common.errors import BundleError
-from cags_common.packing import crc32
 
 
 def store_weights(url: str, data: bytes) -> None:

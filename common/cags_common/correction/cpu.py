@@ -23,7 +23,7 @@ from cags_common.raster.base import RenderedView
 
 
 @dataclass(frozen=True, eq=False)
-class _Held:
+class _Expanded:
     """What is lacking by a reference, ready to be sampled."""
 
     reference: Reference
@@ -46,7 +46,7 @@ class CpuCorrector:
         if threads < 1:
             raise ConfigError(f"threads = {threads} must be at least 1")
         self._threads = threads
-        self._held: _Held | None = None
+        self._held: _Expanded | None = None
 
     def needs_own(self, reference: Reference) -> bool:
         """Whether a picture is new."""
@@ -90,8 +90,10 @@ class CpuCorrector:
         if held is None or held.reference is not reference or fresh:
             if reference.picture:
                 if own is None:
-                    raise ValueError("a reference that is a picture needs the client's own view of it")
+                    raise ValueError(
+                        "a reference that is a picture needs the client's render from the reference camera"
+                    )
                 own = checked_own(own, reference)
             made = lack(reference.coded, own if reference.picture else None, reference.knee, self._threads)
-            self._held = held = _Held(reference, made)
+            self._held = held = _Expanded(reference, made)
         return held.lack

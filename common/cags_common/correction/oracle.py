@@ -33,7 +33,7 @@ LEAST_WEIGHT = 1e-6
 
 
 class ReferenceCorrector:
-    """The definition behind the seam; keeps the own view that came with a picture."""
+    """The definition behind the seam; keeps the render from the reference camera that came with a picture."""
 
     name = "reference"
 
@@ -67,7 +67,7 @@ def lacking(reference: Reference, own: F32 | None) -> F64:
     if not reference.picture:
         return expand(reference.coded, reference.knee)
     if own is None:
-        raise ValueError("a reference that is a picture needs the client's own view of it")
+        raise ValueError("a reference that is a picture needs the client's render from the reference camera")
     lack = np.clip(reference.coded.astype(np.float64), 0, 1) - np.clip(checked_own(own, reference), 0, 1)
     return np.asarray(lack)
 

@@ -37,10 +37,10 @@ class Published:
 
 
 def publish(url: str, folder: Path, page: Path | None) -> Published:
-    """Write the bundle at ``url`` to ``folder``, with the built viewer in ``page`` (None: there is none).
+    """Copy the bundle at ``url`` to ``folder``, together with the built viewer from ``page`` (None: without a viewer).
 
-    Raises :class:`ConfigError` for a folder that holds something, and :class:`cags_common.errors.BundleError` for what
-    is no bundle.
+    Raises :class:`ConfigError` if ``folder`` is not empty, and :class:`cags_common.errors.BundleError` if ``url`` holds
+    no bundle.
     """
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError(f"publish = {folder}: holds files already; give an empty or a new folder")

@@ -35,7 +35,7 @@ const ZERO = 110.0 / 219.0; const SPAN = 109.0 / 219.0; const STILL = 1e-5;  // 
 
 fn known(bits: u32) -> bool { return bits >= LEAST_DEPTH && bits < VOID; }
 
-// What the reference says is lacking: the compander undone, or the picture less the client's own view of it.
+// What the reference says is lacking: the compander undone, or the picture less the client's render from its camera.
 @compute @workgroup_size(16, 16) fn expand(@builtin(global_invocation_id) id: vec3<u32>) {
   if (any(id.xy >= job.reference)) { return; }
   let i = id.y * job.reference.x + id.x;

@@ -16,13 +16,13 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 from cags_common.errors import NetworkError, OutputError
-from cags_common.rare_log import RareLog
+from cags_common.runtime.rare_log import RareLog
 from cags_common.transport.accepting import listen_on
 from cags_common.transport.hosts import named
 from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
-from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from cags_protocol.messages import Hello, RefusalCode
+from cags_protocol.wire.limits import MAX_CLIENT_MESSAGE_BYTES
+from cags_protocol.wire.messages import Hello, RefusalCode
 from cags_server.http.acceptor import BACKLOG, Acceptor, max_connections
 from cags_server.http.admission import (
     MAX_HANDSHAKES,

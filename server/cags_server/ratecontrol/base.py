@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 
 
 @dataclass(frozen=True, slots=True)

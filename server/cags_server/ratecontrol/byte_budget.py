@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import ceil
 
 from cags_protocol import events as ev
-from cags_protocol.messages import ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import ReferenceFrame, TileLayers
 from cags_server.ratecontrol.priorities import BASE_PRIORITY
 from cags_server.records import FrameRecord
 

@@ -18,7 +18,7 @@ from cags_common.correction.compander import compand, expand
 from cags_common.geometry import F32, Intrinsics
 from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
-from cags_protocol.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
+from cags_protocol.wire.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
 from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 
@@ -87,7 +87,7 @@ class Coded:
     knee: float = KNEES[-1]
     idr: bool = False
     before: float = 0.0
-    """Mean squared error of the client's own view, [0, 1] RGB."""
+    """Mean squared error of the client's render from the reference camera, [0, 1] RGB."""
     after: float = 0.0
     """Of that view once it is corrected, seen from the reference's pose."""
 
@@ -134,7 +134,7 @@ class ReferenceCoder:
 
     @property
     def compares(self) -> bool:
-        """Whether the client's own view is needed: not of a client whose references often come late."""
+        """Whether the mirror's render is needed: not of a client whose references often come late."""
         return DIFFERENCE in self.kinds and not (PICTURE in self.kinds and self.lateness.often)
 
     @property
@@ -163,7 +163,7 @@ class ReferenceCoder:
         return True
 
     def code(self, truth: F32, mirror: F32 | None, *, idr: bool) -> Coded:
-        """The reference of ``truth`` [h, w, 3], the scene, for a client whose own view is ``mirror`` [h, w, 3].
+        """The reference of the scene, ``truth`` [h, w, 3], for a client that sees ``mirror`` [h, w, 3] from there.
 
         Both are RGB of the display's range; None: the client holds nothing, or is not compared with. ``idr``: the
         reference must need no other.
@@ -179,7 +179,7 @@ class ReferenceCoder:
             if before < INVISIBLE:
                 return Coded(NOTHING, before=before, after=before)
             if self.kinds[0] is PICTURE and before < self._picture_left:
-                self._change_kind()  # the client's own view is better than what a picture would make of it
+                self._change_kind()  # the client's splats alone are better than what a picture would make of them
         kind = self.kinds[0]
         coded = self._coded(kind, truth, lack, idr=idr or self._begin_anew)
         most = KEY_SHARE * self._target_bytes

@@ -9,7 +9,7 @@ import numpy as np
 
 from cags_common.geometry import F32, Camera, Intrinsics
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderOptions
-from cags_protocol.messages import ReferenceKind
+from cags_protocol.wire.messages import ReferenceKind
 from cags_server.predict.base import PoseDistribution
 from cags_server.records import Ahead
 from cags_server.reference.coder import Coded, ReferenceCoder
@@ -115,7 +115,7 @@ class FrameJob:
         return Footprint.of(self.client, camera.intrinsics)
 
     def _held(self, options: RenderOptions) -> F32 | None:
-        """The client's own view [h, w, 3]; None where it holds nothing, or nobody asks."""
+        """The client's render from the reference camera [h, w, 3]; None where it holds nothing, or nobody asks."""
         scene: RasterScene | None = None
         if self.mirror is not None:
             scene = self.mirror.scene_at(self.plan.frame, self.plan.basis)

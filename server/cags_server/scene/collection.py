@@ -17,7 +17,7 @@ from cags_common.bundle.reader import MANIFEST_NAME
 from cags_common.bundle.store import local_path
 from cags_common.errors import CagsError, ConfigError
 from cags_common.raster.base import Rasteriser
-from cags_common.recent import Recent
+from cags_common.runtime.recent import Recent
 from cags_server.scene.library import SceneLibrary
 
 MAX_SCENES = 1000

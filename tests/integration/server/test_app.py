@@ -26,9 +26,9 @@ from cags_common.geometry import Pose
 from cags_common.transport.websocket import connect
 from cags_protocol import SUBPROTOCOL
 from cags_protocol import events as ev
-from cags_protocol.encoding import encode
-from cags_protocol.limits import MAX_MESSAGE_BYTES
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES
+from cags_protocol.wire.messages import PoseSample
 from cags_server.http.admission import tls_context
 from cags_server.http.app import App
 from cags_server.scene.collection import Collection

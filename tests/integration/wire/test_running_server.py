@@ -13,8 +13,8 @@ from cags_common.errors import NetworkError
 from cags_common.transport.websocket import ServerWebSocket, connect
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.encoding import encode
-from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 from cags_server.http.app import App
 from cags_server.scene.collection import Collection
 from cags_server.settings import ServeSettings

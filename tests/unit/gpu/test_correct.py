@@ -52,7 +52,7 @@ def reference(**changed: object) -> Reference:
 def by_definition(
     splats: Splats, ref: Reference, settings: CorrectSettings | None = None, veto: np.ndarray | None = None
 ) -> Corrected:
-    """Corrected from the device's own view: a z-test may hang on the last bit of a depth."""
+    """Corrected from the device's own rendering: a z-test may hang on the last bit of a depth."""
     scene = rasteriser().load(splats)
     own = None
     if ref.picture:
@@ -146,8 +146,8 @@ def test_a_reference_is_expanded_once_and_a_picture_again_when_splats_change() -
             ours, right = (corrected(s, cam, EXACT, ref).rgb for s in (scene, fresh))
             np.testing.assert_array_equal(ours, right)
     corrected(scene, CLIENT, EXACT, picture)
-    scene.recolour(np.arange(100), np.zeros((100, 3), F))
     splats.sh0[:100] = 0
+    scene.update(np.arange(100), splats.take(slice(0, 100)))
     fresh = rasteriser().load(splats)
     np.testing.assert_array_equal(*(corrected(s, CLIENT, EXACT, picture).rgb for s in (scene, fresh)))
 

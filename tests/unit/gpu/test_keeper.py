@@ -78,7 +78,6 @@ def test_what_changes_while_there_is_no_device_is_on_the_next_one(own: Keeper) -
     moved = random_splats(300)
     moved.means[rows[:9]] += np.float32(0.1)
     scene.move(rows[:9], moved)
-    scene.recolour(rows[:5], new.sh0[:5] * 2)
     meanwhile = scene.render(camera(), OPTIONS)
     awaited(own)
     after = scene.render(camera(), OPTIONS)

@@ -24,7 +24,7 @@ export interface CodedReference {
   /** [h, w, 3] in [0, 1]. Not changed afterwards: what was made of it is kept. */
   readonly coded: Float32Array<ArrayBuffer>;
   readonly camera: Camera;
-  /** A picture of the scene, from which the client's own view is subtracted; else a companded difference. */
+  /** A picture of the scene, from which the client's render from the reference camera is subtracted; else a companded difference. */
   readonly picture: boolean;
   readonly knee: number;
 }

@@ -244,5 +244,5 @@ export type Named = Readonly<Record<string, GPUBuffer>>;
 
 /** What chooses the steps and constants of a frame. */
 export function frameFlags(options: Pick<DrawOptions, "exactness">): Flags {
-  return { packed: options.exactness !== "exact", slots: false, contribution: false, adjoint: false, median: false };
+  return { packed: options.exactness !== "exact", slots: false, contribution: false };
 }

@@ -1,5 +1,5 @@
 /**
- * The splats of one group of frames, by id, merged from tiles; the rules are those of `cags_common.splat_buffer`, and so
+ * The splats of one group of frames, by id, merged from tiles; the rules are those of `cags_common.tiles.splat_buffer`, and so
  * are the bits. Columns lie in the kernels' memory, where motion is evaluated and rows are packed for the GPU.
  */
 import type { Kernels } from "../decode/kernels.ts";

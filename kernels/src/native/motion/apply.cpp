@@ -92,7 +92,8 @@ class Mover {
     if (tile_.turns) {
       const double step = tile_.turn_steps[i] / kFraction;
       const int64_t at = 4 * int64_t{i};
-      turned = product(unit({turns_[at] * step + 1.0, turns_[at + 1] * step, turns_[at + 2] * step, turns_[at + 3] * step}), turned);
+      turned =
+          product(unit({turns_[at] * step + 1.0, turns_[at + 1] * step, turns_[at + 2] * step, turns_[at + 3] * step}), turned);
     }
     for (int axis = 0; axis < 3; axis++) arrays_.into_means[3 * row + axis] = static_cast<float>(p[axis]);
     write_turned(turned, quat, arrays_.into_quats + 4 * row);

@@ -18,7 +18,7 @@ from cags_client.settings import ClientSettings
 from cags_common.geometry import Pose
 from cags_common.passes import PassPlan
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, FrameEnd, TileLayers
+from cags_protocol.wire.messages import Control, FrameEnd, TileLayers
 from support.live_page import StillWalk
 
 FRAMES, FPS, DELAY_US = 30, 30.0, 250_000

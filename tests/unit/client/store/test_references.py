@@ -11,7 +11,7 @@ from cags_client.store.references import KEPT, Received, References
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.video.h264 import H264Encoder
-from cags_protocol.messages import ReferenceFrame, ReferenceKind
+from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 
 VIEW = Intrinsics.of_fov(64, 48, 1.2, 1.0)
 
