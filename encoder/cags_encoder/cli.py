@@ -27,7 +27,13 @@ EXAMPLES = """\
   cags-encode --inspect clip.cags --plot clip.png          frames, levels, codebooks, quality
   cags-encode --verify s3://bucket/clip                    every CRC, everything decoded
   cags-encode --export clip.cags 12:5 frame12.ply          frame 12 at LoD 5, for other viewers
+  cags-encode clip.ply clip.cags --view view.json          title, background and first view, as the page saves them
+  cags-encode --set-view clip.cags view.json               the same, for a bundle that is there
   cags-encode --publish clip.cags site/                    page and bundle for any web host"""
+
+
+LOOKS = ("inspect", "verify", "export", "set_view", "publish")
+"""Flags that do something else than encode."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -62,6 +68,12 @@ def _parser() -> argparse.ArgumentParser:
         help="write one frame, at a quality level, as .ply, .compressed.ply, .spz, .sog or .splat",
     )
     looking.add_argument(
+        "--set-view",
+        nargs=2,
+        metavar=("BUNDLE", "FILE"),
+        help="give a bundle the author's view in a JSON file, and a thumbnail of it; nothing else is encoded again",
+    )
+    looking.add_argument(
         "--publish",
         nargs=2,
         metavar=("BUNDLE", "FOLDER"),
@@ -74,19 +86,21 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(argv: Sequence[str]) -> None:
     arguments = _parser().parse_args(argv)
-    looks = arguments.inspect or arguments.verify or arguments.export or arguments.publish
+    names = [name for name in LOOKS if getattr(arguments, name)]
     if arguments.plot and not arguments.inspect:
         raise ConfigError("--plot draws what --inspect BUNDLE finds; give that too")
-    if looks and (arguments.scene or arguments.out):
-        raise ConfigError(f"{arguments.scene!r}: --inspect, --verify, --export and --publish take no scene to encode")
-    if looks and (given := given_flags(arguments, CommandSettings)):
-        raise ConfigError(f"--{given[0]} is for encoding: --inspect, --verify, --export and --publish leave it out")
+    if names and (arguments.scene or arguments.out):
+        raise ConfigError(f"{arguments.scene!r}: --{names[0].replace('_', '-')} takes no scene to encode")
+    if names and (given := given_flags(arguments, CommandSettings)):
+        raise ConfigError(f"--{given[0]} is for encoding: --{names[0].replace('_', '-')} leaves it out")
     if arguments.inspect:
         _inspect(arguments.inspect, arguments.plot, as_json=arguments.json)
     elif arguments.verify:
         _verify(arguments.verify, as_json=arguments.json)
     elif arguments.export:
         _export(*arguments.export, as_json=arguments.json)
+    elif arguments.set_view:
+        _set_view(*arguments.set_view, as_json=arguments.json)
     elif arguments.publish:
         _publish(*arguments.publish, as_json=arguments.json)
     else:
@@ -153,6 +167,15 @@ def _export(url: str, place: str, file: str, *, as_json: bool) -> None:
     splats, name = export(url, place, Path(file))
     found = {"bundle": url, "place": place, "file": file, "format": name, "splats": splats}
     _say(found, f"{file}: {splats} splats as {name}", as_json=as_json)
+
+
+def _set_view(url: str, file: str, *, as_json: bool) -> None:
+    from cags_common.bundle.view import read_view
+    from cags_encoder.bundles.author import set_view
+
+    view = read_view(file)
+    set_view(url, view)
+    _say({"bundle": url, "view": view.table()}, f"{url}: opens as {file} says", as_json=as_json)
 
 
 def _publish(url: str, folder: str, *, as_json: bool) -> None:

@@ -67,6 +67,11 @@ class EncodeSettings:
         low=20,
         high=80,
     )
+    view: str = setting(
+        "",
+        "JSON file with the author's view: title, background, pose, target, radius, each optional; the page in the "
+        "browser saves one",
+    )
     train_splats: int = setting(65_536, "splats to train codebooks on, sampled from the whole clip", low=256)
     seed: int = setting(0, "seed of the random subset and of k-means", low=0)
 

@@ -23,6 +23,7 @@ LARGER = {
 }
 """Folders with more modules than the others may have, and why."""
 TESTED_ELSEWHERE = {
+    "cags_server/http/gallery": "tests/integration/server/test_gallery.py",
     "cags_research/align": "tests/unit/client/frame/test_align.py",
     "cags_research/codecs/encoding": "tests/unit/research/codecs/test_codecs.py",
     "cags_research/restore/networks/runtimes": "tests/unit/research/restore/networks",

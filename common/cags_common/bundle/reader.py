@@ -18,6 +18,8 @@ from cags_common.splats import Ids
 from cags_common.tiles.svq import MAX_CODEBOOK_BYTES
 
 MANIFEST_NAME = "manifest.json"
+THUMBNAIL_NAME = "thumbnail.jpg"
+MAX_THUMBNAIL_BYTES = 1 << 18
 CODEBOOKS_NAME = "codebooks.bin"
 MAX_WEIGHTS_BYTES = 4 << 20
 
@@ -82,6 +84,12 @@ class BundleReader:
         if not self._store.has(QUALITY_NAME):
             return None
         return LodQuality.from_json(self._store.read_all(QUALITY_NAME, MAX_QUALITY_BYTES))
+
+    def thumbnail(self) -> bytes | None:
+        """A small JPEG of the first view, None where the encoder made none. Raises :class:`BundleError`."""
+        if not self._store.has(THUMBNAIL_NAME):
+            return None
+        return self._store.read_all(THUMBNAIL_NAME, MAX_THUMBNAIL_BYTES)
 
     def weights(self) -> bytes | None:
         """Weights of a restorer that were trained for this content, or None. Raises :class:`DecodeError`."""

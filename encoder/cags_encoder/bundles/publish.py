@@ -80,7 +80,7 @@ def built_page() -> Path | None:
 def _copy_page(page: Path, folder: Path) -> None:
     """The page's files; its HTML says that the scene lies beside it."""
     for path in sorted(page.iterdir()):
-        if path.is_file() and path.suffix in PAGE_SUFFIXES:
+        if path.is_file() and path.suffix in PAGE_SUFFIXES and not path.name.startswith("gallery."):
             shutil.copyfile(path, folder / path.name)
     index = folder / "index.html"
     index.write_text(

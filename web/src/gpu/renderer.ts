@@ -127,12 +127,22 @@ export class Renderer {
       this.#scene.submitted();
       this.#held = held;
       this.#shown = { target, width: widthPx, height: heightPx };
-      this.#presenter.present(target.get("shown"), widthPx);
+      this.present();
       return { uploadBytes, entries: wanted, gpuMs: performance.now() - begun, attempts };
     }
   }
 
-  /** The picture that was drawn last, as it is shown: [H, W, 4], 8 bits a channel. */
+  /** Behind the splats: red, green and blue, 0..1. */
+  set background(colour: readonly [number, number, number]) {
+    this.#presenter.background = colour;
+  }
+
+  /** Put the picture that was drawn last on the canvas (again): it can be read until the page's next turn. */
+  present(): void {
+    if (this.#shown) this.#presenter.present(this.#shown.target.get("shown"), this.#shown.target.get("picture"), this.#shown.width);
+  }
+
+  /** The picture that was drawn last, over black: [H, W, 4], 8 bits a channel. */
   async pixels(): Promise<{ width: number; height: number; rgba: Uint8ClampedArray<ArrayBuffer> }> {
     if (!this.#shown) throw new Error("nothing was drawn yet");
     const { target, width, height } = this.#shown;
