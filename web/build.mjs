@@ -11,7 +11,7 @@ const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "dist");
 mkdirSync(out, { recursive: true });
 
-const entries = { worker: "src/worker.ts", page: "src/page/main.ts" };
+const entries = { worker: "src/worker.ts", page: "src/page/main.ts", gallery: "src/page/gallery.ts" };
 const present = Object.fromEntries(Object.entries(entries).filter(([, path]) => existsSync(join(here, path))));
 
 await build({
@@ -31,7 +31,7 @@ await build({
 
 const draco = createRequire(import.meta.url).resolve("draco3d/draco_decoder.wasm");
 copyFileSync(draco, join(out, "draco_decoder.wasm"));
-for (const name of ["index.html", "icon.svg"]) copyFileSync(join(here, "src/page", name), join(out, name));
+for (const name of ["index.html", "gallery.html", "icon.svg"]) copyFileSync(join(here, "src/page", name), join(out, name));
 if (!existsSync(join(out, "kernels.wasm"))) {
   console.error("dist/kernels.wasm is missing; run: python web/wasm/build.py");
   process.exitCode = 1;

@@ -28,7 +28,7 @@ def cached_bundle(scene: str, cache: str, settings: EncodeSettings, *, progress:
     frames is encoded over and over until there are as many. ``progress``: show a bar meanwhile.
     """
     from cags_encoder import content_key, encode
-    from cags_encoder.progress import progress_bar
+    from cags_encoder.execution.progress import progress_bar
     from cags_encoder.scenes import open_scene
 
     folder = Path(cache) if cache else default_cache()

@@ -22,6 +22,7 @@ SUBCOMMANDS = {
     "network": "sending, rate policies and estimators over every shipped trace; crowds; soak",
     "scale": "sessions that several servers behind a balancer carry",
     "reproduce": "the paper's tables and figures on this project's scenes and traces",
+    "web": "the viewer in a browser: a published folder beside the server's stream, over links",
     "cost": "what each step of accuracy costs in milliseconds and bytes",
 }
 """Subcommand and its summary; the code is ``cags_bench.<name>.command`` and is imported only when it is asked for."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
-from cags_common.processes import process_pool
+from cags_common.runtime.processes import process_pool
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")

@@ -17,7 +17,7 @@ from typing import Any
 
 from cags_client.frame.presented import PresentedFrame
 from cags_client.interrupts import interrupts
-from cags_client.net.connection import Line
+from cags_client.net.connection import Connection
 from cags_client.net.endpoints import Endpoints
 from cags_client.output.report import frame_stats
 from cags_client.output.sinks import FrameSink, LiveSink
@@ -26,9 +26,9 @@ from cags_client.playback.player import Player
 from cags_client.playback.viewpoint import PoseSource
 from cags_client.settings import AUTO, OFF, ClientSettings, LiveSettings
 from cags_common.errors import CagsError, NetworkError
+from cags_common.runtime.wake import woken
 from cags_common.transport import Transport
-from cags_common.wake import woken
-from cags_protocol.client import ClientSession
+from cags_protocol.sessions.client import ClientSession
 
 SINK_BACKLOG = 8
 """Frames that may wait for the sinks; beyond it the display waits, which shows as late frames."""
@@ -169,7 +169,7 @@ class Shell:
         timer = self.player.next_timer_us()
         await woken(self._wake, None if timer is None else (timer - now_us()) / 1e6)
 
-    def _lost(self, line: Line, reason: str) -> None:
+    def _lost(self, line: Connection, reason: str) -> None:
         """Writing has met the end of a connection."""
         if line is self._line and not self.player.away:  # else a new one is being opened, or the reader will tell
             self.player.lost(reason, now_us())
@@ -208,7 +208,7 @@ class Shell:
 
     def _open_line(self, transport: Transport) -> None:
         """Write to a connection, and read what comes over it; what reading raises ends the play."""
-        self._line = Line(transport, self._lost)
+        self._line = Connection(transport, self._lost)
         self._reader = asyncio.create_task(self._read(transport))
         self._reader.add_done_callback(self._ended)
 

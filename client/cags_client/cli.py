@@ -20,12 +20,15 @@ if TYPE_CHECKING:
     from cags_client.output.spool import ScoringSpool
     from cags_client.settings import ClientSettings
     from cags_common.bundle.manifest import Manifest
+    from cags_common.poses import PoseTrace
 
 PROG = "cags-client"
+DEFAULT_WALK = "synthetic:walking"
 
 EXAMPLES = """\
   cags-client --url ws://127.0.0.1:8765/stream
   cags-client --url ws://a:8765/stream,ws://b:8765/stream          b takes over when a is gone
+  cags-client --url ws://127.0.0.1:8765/stream --scene room        one scene of a server with several
   cags-client --url ws://127.0.0.1:8765/stream --view              a page to look at and to steer
   cags-client --url ws://127.0.0.1:8765/stream --poses walk.csv --record clip.mp4
   cags-client --url ws://127.0.0.1:8765/stream --headless --duration 5 --json -
@@ -37,7 +40,7 @@ EXAMPLES = """\
 @dataclass(frozen=True)
 class _Outputs:
     url: str
-    poses: str
+    poses: str | None
     save: str | None
     json: str | None
     truth: str | None
@@ -63,10 +66,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--poses",
-        default="synthetic:walking",
         help="head motion: a CSV trace (time_s,px,py,pz,qw,qx,qy,qz), or synthetic:"
-        "{still,looking,turning,walking,jitter}[:seed=N] (default: synthetic:walking)",
+        "{still,looking,turning,walking,jitter}[:seed=N] (default: synthetic:walking, from the author's view on where "
+        "the scene has one)",
     )
+    parser.add_argument("--scene", default="", metavar="NAME", help="which scene of a server that has several")
     parser.add_argument(
         "--save", "--record", metavar="DIR|FILE.mp4", help="write shown frames: a folder of PNG files or a clip"
     )
@@ -92,12 +96,14 @@ def _add_view(parser: argparse.ArgumentParser) -> None:
 
 def _body(argv: Sequence[str]) -> int | None:
     arguments = _parser().parse_args(argv)
+    from cags_client.net.endpoints import of_scene
     from cags_client.output.page.settings import ViewSettings
     from cags_client.settings import ClientSettings
 
     settings = load_settings(ClientSettings, arguments, ViewSettings)
     names = ("url", "poses", "save", "json", "truth", "stages", "stages_every", "view", "headless")
     outputs = _Outputs(**{name: getattr(arguments, name) for name in names})
+    outputs = replace(outputs, url=of_scene(outputs.url, arguments.scene))
     if outputs.stages_every < 1:
         raise ConfigError(f"stages_every = {outputs.stages_every} must be at least 1")
     settings = replace(settings, raster=_checked_choices(settings, outputs))
@@ -118,7 +124,7 @@ def _checked_choices(settings: ClientSettings, outputs: _Outputs) -> str:
     raster.create(rasteriser)
     align.create(settings.align)
     restore.check_name(settings.restore)
-    open_poses(outputs.poses, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
+    open_poses(outputs.poses or DEFAULT_WALK, Focus((0.0, 0.0, 0.0), 1.0, (0.0, 1.0, 0.0)))
     return rasteriser
 
 
@@ -128,7 +134,6 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
     from cags_client.net.endpoints import fetch_info
     from cags_client.output.report import summary
     from cags_client.output.truth import BundleTruth
-    from cags_common.poses import Focus, open_poses
 
     _check_json(outputs.json)
     truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
@@ -137,8 +142,7 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
         truth.check(info)
     if settings.start_frame >= info.frames:
         raise ConfigError(f"start_frame = {settings.start_frame} is outside the clip's {info.frames} frames")
-    focus = Focus(info.focus_centre, info.focus_radius, info.up)
-    poses = open_poses(outputs.poses, focus, window_us=_window_us(settings, info))
+    poses = _walk(outputs.poses, settings, info)
     sinks, spool = _open_sinks(outputs, info)
     completed = False
     try:
@@ -161,7 +165,7 @@ def _watch(settings: ClientSettings, outputs: _Outputs) -> int | None:
 @contextmanager
 def _shown_live(info: Manifest, outputs: _Outputs) -> Iterator[Callable[[dict[str, Any]], None] | None]:
     """Takes the records of frames for a live table, where somebody looks."""
-    from cags_common.terminal import live_table, watched
+    from cags_common.runtime.terminal import live_table, watched
 
     if not watched(headless=outputs.headless):
         yield None
@@ -187,15 +191,13 @@ def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> No
     from cags_client.net.endpoints import fetch_info
     from cags_client.output.report import summary
     from cags_client.output.truth import BundleTruth
-    from cags_common.poses import Focus, open_poses
 
     _check_json(outputs.json)
     truth = BundleTruth(outputs.truth, settings) if outputs.truth else None
     info = fetch_info(outputs.url, settings.token, settings.ca)
     if truth:
         truth.check(info)
-    focus = Focus(info.focus_centre, info.focus_radius, info.up)
-    walk = open_poses(outputs.poses, focus, window_us=_window_us(settings, info))
+    walk = _walk(outputs.poses, settings, info)
     with _shown_live(info, outputs) as on_frame:
         playback = asyncio.run(
             watch_live(
@@ -221,6 +223,17 @@ def _tell_page(as_json: bool) -> Callable[[str], None]:
         print(json.dumps({"ready": True, "url": url}) if as_json else f"live page: {url}", flush=True)
 
     return tell
+
+
+def _walk(poses: str | None, settings: ClientSettings, info: Manifest) -> PoseTrace:
+    """The walk that ``poses`` names; where none is named, one that begins at the author's view."""
+    from cags_common.poses import Focus, open_poses
+
+    focus = Focus(info.focus_centre, info.focus_radius, info.up)
+    if poses is not None:
+        return open_poses(poses, focus, window_us=_window_us(settings, info))
+    walk, view = open_poses(DEFAULT_WALK, focus), info.view
+    return walk if view is None or view.pose is None else walk.beginning_at(view.pose)
 
 
 def _window_us(settings: ClientSettings, info: Manifest) -> int:

@@ -24,7 +24,7 @@ from cags_client.playback.viewpoint import PoseSource
 from cags_client.settings import ClientSettings, LiveSettings
 from cags_common.bundle.manifest import Manifest
 from cags_common.geometry import F32, Camera
-from cags_protocol.client import ClientSession
+from cags_protocol.sessions.client import ClientSession
 
 KEPT_RECORDS = 9000
 """Frames whose figures a live view keeps for the report: the last five minutes."""

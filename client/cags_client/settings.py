@@ -10,7 +10,7 @@ from cags_common.geometry import Intrinsics
 from cags_common.passes import NEEDED, POLICIES
 from cags_common.settings import check_settings, setting
 from cags_common.splats import MAX_SPLATS
-from cags_protocol.messages import CHROMAS
+from cags_protocol.wire.messages import CHROMAS
 
 FULL, HALF, AUTO = RESOLUTIONS = "full", "half", "auto"
 """Pixels that a frame is worked out at (:mod:`cags_client.frame.resolution`)."""

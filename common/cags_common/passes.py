@@ -4,20 +4,22 @@ An effect is work that only some scenes, moments or scenarios call for. A plan i
 in it is not done, and leaving it out must not change the picture (tests hold both: equality with everything on, and a
 visible fault where a needed effect is taken away). The conditions:
 
-=============  =========================================================================================================
-view-colour    some splat that is held has a spherical-harmonics coefficient that is not 0; up to the highest such band
-deltas         splats have changed since the frame before
-correction     a reference is at hand that says what is lacking, or from which that can be told
-restoration    a picture is at hand for a restorer of aligned pictures, and colours are still quantised (or the restorer
-               stands in the picture's place)
-alignment      as restoration: such restorers look at the picture from the client's view
-occlusion      as alignment, and the two cameras stand at different places: from one place nothing can be hidden
-erosion        as occlusion, and the restorer looks at the aligned colours (which are filled where a pixel is hidden)
-own-view       as correction, and the reference is a picture: what is lacking is it less the client's own view
-veto           as correction, and splats have changed since the reference was made
-fade           the reference is of another frame than the one on display
-depth          something is corrected or aligned, or somebody looks at the depth picture
-=============  =========================================================================================================
+==================  ====================================================================================================
+view-colour         some splat that is held has a spherical-harmonics coefficient that is not 0; up to the highest such
+                    band
+correction          a reference is at hand that says what is lacking, or from which that can be told
+restoration         a picture is at hand for a restorer of aligned pictures, and colours are still quantised (or the
+                    restorer stands in the picture's place)
+alignment           as restoration: such restorers look at the picture from the client's view
+occlusion           as alignment, and the two cameras stand at different places: from one place nothing can be hidden
+erosion             as occlusion, and the restorer looks at the aligned colours (which are filled where a pixel is
+                    hidden)
+reference-render    as correction, and the reference is a picture: what is lacking is the picture less the client's
+                    render from the reference camera
+veto                as correction, and splats have changed since the reference was made
+fade                the reference is of another frame than the one on display
+depth               something is corrected or aligned, or somebody looks at the depth picture
+==================  ====================================================================================================
 
 and of a link: ``delay``, ``jitter``, ``loss``, ``queue`` (a bound on it), ``cap`` and ``rate`` (a trace), each where
 the scenario names it.
@@ -38,13 +40,12 @@ class Pass(StrEnum):
     """Work of a client's frame that is done only where it is needed."""
 
     VIEW_COLOUR = "view-colour"
-    DELTAS = "deltas"
     DEPTH = "depth"
     ALIGNMENT = "alignment"
     OCCLUSION = "occlusion"
     EROSION = "erosion"
     FADE = "fade"
-    OWN_VIEW = "own-view"
+    REFERENCE_RENDER = "reference-render"
     VETO = "veto"
     CORRECTION = "correction"
     RESTORATION = "restoration"
@@ -63,12 +64,11 @@ class LinkEffect(StrEnum):
 
 STAGE_OF = {
     Pass.VIEW_COLOUR: "raster",
-    Pass.DELTAS: "update",
     Pass.DEPTH: "raster",
     Pass.ALIGNMENT: "align",
     Pass.OCCLUSION: "align",
     Pass.EROSION: "restore",
-    Pass.OWN_VIEW: "own",
+    Pass.REFERENCE_RENDER: "own",
     Pass.VETO: "correct",
     Pass.CORRECTION: "correct",
     Pass.RESTORATION: "restore",
@@ -88,8 +88,6 @@ class Situation:
     """Highest band of spherical harmonics with a coefficient that is not 0, of all splats held."""
     scene_sh_degree: int
     """The band up to which the scene has coefficients at all."""
-    changed: bool
-    """Splats have changed since the frame before."""
     whole: bool
     """Everything shown is at its highest level: what is left of quantisation is under the reference's own noise."""
     reference: bool
@@ -130,8 +128,6 @@ def plan_frame(s: Situation, policy: str = NEEDED) -> PassPlan:
     degree = s.scene_sh_degree if always else s.sh_degree
     if degree:
         on.add(Pass.VIEW_COLOUR)
-    if s.changed or always:
-        on.add(Pass.DELTAS)
     if s.reference and s.corrects:
         on |= _correcting(s, always=always)
     elif s.reference and s.picture and s.restorer and (always or s.replaces or not s.whole):
@@ -145,7 +141,7 @@ def _correcting(s: Situation, *, always: bool) -> set[Pass]:
     """Effects around a reference that says what is lacking."""
     on = {Pass.CORRECTION}
     if s.picture:
-        on.add(Pass.OWN_VIEW)
+        on.add(Pass.REFERENCE_RENDER)
     if s.stale:
         on.add(Pass.VETO)
     if always or not s.same_frame:

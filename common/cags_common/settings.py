@@ -45,6 +45,11 @@ def setting(
     return field(default=default, metadata=metadata)
 
 
+def parameter(default: Any, help: str, *, low: float | None = None, high: float | None = None) -> Any:
+    """As :func:`setting`, for what one part of the program passes to another: no command has a flag for it."""
+    return setting(default, help, low=low, high=high)
+
+
 def check_settings(settings: DataclassInstance) -> None:
     """Check every field against its type, range and choices, from ``__post_init__``. Raises :class:`ConfigError`."""
     hints = typing.get_type_hints(type(settings))

@@ -27,7 +27,13 @@ EXAMPLES = """\
   cags-encode --inspect clip.cags --plot clip.png          frames, levels, codebooks, quality
   cags-encode --verify s3://bucket/clip                    every CRC, everything decoded
   cags-encode --export clip.cags 12:5 frame12.ply          frame 12 at LoD 5, for other viewers
+  cags-encode clip.ply clip.cags --view view.json          title, background and first view, as the page saves them
+  cags-encode --set-view clip.cags view.json               the same, for a bundle that is there
   cags-encode --publish clip.cags site/                    page and bundle for any web host"""
+
+
+LOOKS = ("inspect", "verify", "export", "set_view", "publish")
+"""Flags that do something else than encode."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,46 +47,60 @@ def _parser() -> argparse.ArgumentParser:
         "scene",
         metavar="SCENE",
         nargs="?",
-        help="file, folder of numbered files, motion:PATH, procedural[:size=..,..] or fourd[:splats=..,..]; each takes "
-        "shuffle=1 and quantise=sog|spz, too",
+        help="scene: a file, a folder of numbered files, motion:PATH, procedural[:size=..,..] or fourd[:splats=..,..]; "
+        "with any of them shuffle=1 and quantise=sog|spz",
     )
-    parser.add_argument("out", metavar="OUT", nargs="?", help="folder or fsspec URL; an older bundle there is replaced")
-    parser.add_argument("--json", action="store_true", help="print one JSON object about the bundle to stdout")
+    parser.add_argument(
+        "out", metavar="OUT", nargs="?", help="bundle to write: a folder or an fsspec URL; replaced if it exists"
+    )
+    parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
     looking = parser.add_mutually_exclusive_group()
-    looking.add_argument("--inspect", metavar="BUNDLE", help="say what a bundle holds, instead of encoding")
-    looking.add_argument("--verify", metavar="BUNDLE", help="check every CRC and decode everything; exit 1 if broken")
+    looking.add_argument(
+        "--inspect", metavar="BUNDLE", help="describe a bundle: frames, quality layers, codebooks, bytes"
+    )
+    looking.add_argument(
+        "--verify", metavar="BUNDLE", help="check every CRC and decode everything; exits with 1 if anything is damaged"
+    )
     looking.add_argument(
         "--export",
         nargs=3,
         metavar=("BUNDLE", "FRAME[:LOD]", "FILE"),
-        help="write one frame as .ply, .compressed.ply, .spz, .sog or .splat",
+        help="write one frame, at a quality level, as .ply, .compressed.ply, .spz, .sog or .splat",
+    )
+    looking.add_argument(
+        "--set-view",
+        nargs=2,
+        metavar=("BUNDLE", "FILE"),
+        help="give a bundle the author's view in a JSON file, and a thumbnail of it; nothing else is encoded again",
     )
     looking.add_argument(
         "--publish",
         nargs=2,
         metavar=("BUNDLE", "FOLDER"),
-        help="write the viewer's page and the bundle, ready for any web host that serves ranges, to a new folder",
+        help="write the bundle and the page that plays it to a new folder, for any web host that serves byte ranges",
     )
-    parser.add_argument("--plot", metavar="FILE", help="with --inspect: draw it as .png, .svg or .pdf")
+    parser.add_argument("--plot", metavar="FILE", help="with --inspect: a plot of the same, as .png, .svg or .pdf")
     add_settings(parser, CommandSettings)
     return parser
 
 
 def _run(argv: Sequence[str]) -> None:
     arguments = _parser().parse_args(argv)
-    looks = arguments.inspect or arguments.verify or arguments.export or arguments.publish
+    names = [name for name in LOOKS if getattr(arguments, name)]
     if arguments.plot and not arguments.inspect:
         raise ConfigError("--plot draws what --inspect BUNDLE finds; give that too")
-    if looks and (arguments.scene or arguments.out):
-        raise ConfigError(f"{arguments.scene!r}: --inspect, --verify, --export and --publish take no scene to encode")
-    if looks and (given := given_flags(arguments, CommandSettings)):
-        raise ConfigError(f"--{given[0]} is for encoding: --inspect, --verify, --export and --publish leave it out")
+    if names and (arguments.scene or arguments.out):
+        raise ConfigError(f"{arguments.scene!r}: --{names[0].replace('_', '-')} takes no scene to encode")
+    if names and (given := given_flags(arguments, CommandSettings)):
+        raise ConfigError(f"--{given[0]} is for encoding: --{names[0].replace('_', '-')} leaves it out")
     if arguments.inspect:
         _inspect(arguments.inspect, arguments.plot, as_json=arguments.json)
     elif arguments.verify:
         _verify(arguments.verify, as_json=arguments.json)
     elif arguments.export:
         _export(*arguments.export, as_json=arguments.json)
+    elif arguments.set_view:
+        _set_view(*arguments.set_view, as_json=arguments.json)
     elif arguments.publish:
         _publish(*arguments.publish, as_json=arguments.json)
     else:
@@ -95,9 +115,9 @@ def _encode(arguments: argparse.Namespace) -> None:
     from cags_common.bundle import BundleReader
     from cags_encoder.bundles.describe import summarise
     from cags_encoder.cache import content_key, resume_folder
-    from cags_encoder.executors import open_workers
+    from cags_encoder.execution.executors import open_workers
+    from cags_encoder.execution.progress import progress_bar
     from cags_encoder.pipeline import Resume, encode
-    from cags_encoder.progress import progress_bar
     from cags_encoder.scenes import open_scene
 
     source, out = open_scene(arguments.scene), arguments.out
@@ -132,7 +152,7 @@ def _inspect(url: str, picture: str | None, *, as_json: bool) -> None:
 def _verify(url: str, *, as_json: bool) -> None:
     from cags_common.bundle import BundleReader
     from cags_encoder.bundles.verify import verify
-    from cags_encoder.progress import progress_bar
+    from cags_encoder.execution.progress import progress_bar
 
     with BundleReader.open(url) as reader, progress_bar(lines=True) as progress:
         payloads = verify(reader, url, lambda done, total: progress("verify", done, total))
@@ -147,6 +167,15 @@ def _export(url: str, place: str, file: str, *, as_json: bool) -> None:
     splats, name = export(url, place, Path(file))
     found = {"bundle": url, "place": place, "file": file, "format": name, "splats": splats}
     _say(found, f"{file}: {splats} splats as {name}", as_json=as_json)
+
+
+def _set_view(url: str, file: str, *, as_json: bool) -> None:
+    from cags_common.bundle.view import read_view
+    from cags_encoder.bundles.author import set_view
+
+    view = read_view(file)
+    set_view(url, view)
+    _say({"bundle": url, "view": view.table()}, f"{url}: opens as {file} says", as_json=as_json)
 
 
 def _publish(url: str, folder: str, *, as_json: bool) -> None:

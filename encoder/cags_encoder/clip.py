@@ -13,18 +13,18 @@ from dataclasses import dataclass
 from cags_common.bundle import BundleWriter
 from cags_common.bundle.manifest import MotionSteps
 from cags_common.bundle.writer import GofWriter
-from cags_encoder.codecs import ClipCodec
-from cags_encoder.executors import Shared, Workers, ahead
+from cags_encoder.codecs.registry import ClipCodec
+from cags_encoder.codecs.svq import SvqCodec
+from cags_encoder.execution.executors import Shared, Workers, ahead
+from cags_encoder.execution.journal import FrameRecord, Journal
 from cags_encoder.frames.differential import DecoderCopy
 from cags_encoder.frames.moving import MovingGroups
-from cags_encoder.frames.placing import ClipPlacer, Placed
 from cags_encoder.frames.tasks import AnyCut, look, pack, quantise, quantise_looks
-from cags_encoder.journal import FrameRecord, Journal
 from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails
 from cags_encoder.scenes import FrameSource
 from cags_encoder.settings import EncodeSettings
-from cags_encoder.svq_codec import SvqCodec
+from cags_encoder.tracks.placing import ClipPlacer, Placed
 
 
 @dataclass(frozen=True, eq=False)

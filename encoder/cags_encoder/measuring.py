@@ -14,16 +14,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cags_common.attributes import join_attributes
 from cags_common.bundle.quality import LayerQuality, LevelQuality, LodQuality
 from cags_common.geometry import F32, Camera
-from cags_common.lod import LodLayer, depths_at
 from cags_common.metrics import covered_mask, ssim_map
-from cags_common.morton import morton_order, tile_ranges
 from cags_common.raster import DepthKind, Rasteriser, RenderedView, RenderOptions
 from cags_common.splats import Splats
-from cags_common.tiles import KEY_TILE_SPLATS, encode_layer
-from cags_encoder.svq_codec import SvqCodec
+from cags_common.tiles.attributes import join_attributes
+from cags_common.tiles.lod import LodLayer, depths_at
+from cags_common.tiles.morton import morton_order, tile_ranges
+from cags_common.tiles.payloads import KEY_TILE_SPLATS, encode_layer
+from cags_encoder.codecs.svq import SvqCodec
 
 VIEWS = 3
 

@@ -10,20 +10,24 @@ from pathlib import Path
 import numpy as np
 
 from cags_common.bundle import BundleWriter, Manifest, Pruning
+from cags_common.bundle.first_view import thumbnail
 from cags_common.bundle.manifest import MotionSteps
 from cags_common.bundle.quality import LodQuality
+from cags_common.bundle.reader import THUMBNAIL_NAME
+from cags_common.bundle.view import AuthorView, read_view
 from cags_common.errors import ConfigError, SceneError
 from cags_common.geometry import F64, Vec3
-from cags_common.lod import LodLayer
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import LEVELS
 from cags_common.raster import create
 from cags_common.splats import Splats
+from cags_common.tiles.lod import LodLayer
 from cags_encoder.clip import ClipEncoder
-from cags_encoder.codecs import ClipCodec, train_codec
-from cags_encoder.executors import INLINE, Shared, Workers, ahead
+from cags_encoder.codecs.registry import ClipCodec, train_codec
+from cags_encoder.codecs.svq import SvqCodec
+from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
+from cags_encoder.execution.journal import Journal
 from cags_encoder.frames.tasks import read
-from cags_encoder.journal import Journal
 from cags_encoder.measuring import VIEWS, LodMeasurement, measure
 from cags_encoder.motion.steps import motion_steps
 from cags_encoder.motion.tolerance import Looked, Tolerance, Tolerances, tolerances
@@ -33,7 +37,6 @@ from cags_encoder.quantiser.importance import importance
 from cags_encoder.sampling import looked_at, training_splats
 from cags_encoder.scenes import Focus, FrameSource, focus_of
 from cags_encoder.settings import EncodeSettings
-from cags_encoder.svq_codec import SvqCodec
 from cags_encoder.views import cameras_around, near_plane
 
 Progress = Callable[[str, int, int], None]
@@ -118,6 +121,7 @@ class _Encoding:
         self, source: FrameSource, settings: EncodeSettings, workers: Workers, journal: Journal | None, tell: Progress
     ) -> None:
         self._settings, self._workers, self._journal, self._tell = settings, workers, journal, tell
+        self._view: AuthorView | None = read_view(settings.view) if settings.view else None
         self._count = len(source) if settings.frames is None else min(settings.frames, len(source))
         self._pruning: Pruning | None = None
         self._quality: LodQuality | None = None
@@ -135,7 +139,17 @@ class _Encoding:
         clip.run(
             self._count, self._journal, lambda done: self._tell("encode", done, self._count), motion, self._tolerances
         )
-        return writer.commit(replace(self._manifest(codec, clip), motion=motion, tracks=clip.placer.tracks()))
+        manifest = replace(self._manifest(codec, clip), motion=motion, tracks=clip.placer.tracks())
+        self._thumbnail(manifest, writer)
+        return writer.commit(manifest)
+
+    def _thumbnail(self, manifest: Manifest, writer: BundleWriter) -> None:
+        """A picture for galleries, where a rasteriser is there that is fast enough; servers make one where it lacks."""
+        rasteriser = create("auto")
+        if rasteriser.name == "reference":
+            return
+        with writer.open_file(THUMBNAIL_NAME) as file:
+            file.write(thumbnail(rasteriser.load(self._source.frame(0)), manifest))
 
     def _motion(self, codec: ClipCodec) -> MotionSteps | None:
         """Units of motion, where splats may move by themselves: not in a clip of one frame."""
@@ -249,6 +263,7 @@ class _Encoding:
             focus_radius=float(focus.radius),
             near=near_plane(focus),
             pruning=self._pruning,
+            view=self._view,
         )
 
 

@@ -17,57 +17,62 @@ class EncodeSettings:
 
     SECTION: ClassVar[str] = "encoder"
 
-    fps: float | None = setting(None, "frames a second; the scene's own when not given", low=0.1, high=240)
-    frames: int | None = setting(None, "encode this many frames at most; all when not given", low=1)
-    gof_frames: int = setting(
-        300, "frames a group: clients join and seek at group starts, each of which sends all splats again", low=1
+    fps: float | None = setting(
+        None, "frame rate of the bundle, frames per second; the scene's own when not given", low=0.1, high=240
     )
-    codec: str = setting("svq", "how tiles are coded; others than svq are baselines to compare with")
-    quantiser: str = setting("layered", "configuration of svq", choices=QUANTISERS)
+    frames: int | None = setting(None, "largest number of frames to encode; all when not given", low=1)
+    gof_frames: int = setting(
+        300, "frames per group; clients join and seek at group starts, which send all splats again", low=1
+    )
+    codec: str = setting("svq", "codec of tiles; all but svq are baselines to compare with")
+    quantiser: str = setting("layered", "configuration of the svq quantiser", choices=QUANTISERS)
     lod_order: str = setting(
         "measured",
-        "'measured' on renders of the first frame (needs the kernels, else as 'paper'), 'paper' (scale, rotation, SH, "
-        "opacity), or a file of 'attribute layer' lines",
+        "order of the quality layers: measured (on renders of the first frame; needs the kernels), paper (scale, "
+        "rotation, SH, opacity), or a file of lines 'attribute layer'",
     )
     position_step: float | None = setting(
         None,
-        "step of positions, in radii of a tile's smaller splats (lower quartile); 1/8 unless the quantiser has its own",
+        "step of positions, in radii of a tile's smaller splats (lower quartile); default: the quantiser's, or 1/8",
         low=1e-4,
         high=10,
     )
     position_bits: int | None = setting(
-        None, "bits an axis of positions over each tile's own cube, instead of position_step", low=4, high=22
+        None, "bits per axis of positions in a tile's cube; replaces --position-step", low=4, high=22
     )
     change_threshold: float = setting(
-        0.01, "visible effect (0..1 of a pixel's colour) by which a splat must be wrong to be sent again", low=0, high=1
+        0.01, "smallest visible error at which a splat is sent again, share of a pixel's colour", low=0, high=1
     )
     motion: str = setting(
         "tracks",
-        "'tracks': splats keep their looks and motion is coded apart; 'none': splats that change are sent whole, as in "
-        "the paper (codecs other than svq always do so)",
+        "coding of motion: tracks (apart from looks; svq only), or none (splats that change are sent whole, as in the "
+        "paper)",
         choices=("tracks", "none"),
     )
     motion_span: int = setting(
         16,
-        "frames that one chunk of motion covers: longer ones are smaller in all and arrive in larger pieces",
+        "frames per chunk of motion; longer chunks take fewer bytes in all and arrive in larger pieces",
         low=2,
         high=64,
     )
     prune: float = setting(
         0.0,
-        "share of the splats to leave out, those that contribute least to views from around the scene; what it costs "
-        "is measured and kept in the bundle",
+        "share of the splats to leave out, the least visible first; the loss is measured and written into the bundle",
         low=0,
         high=0.99,
     )
     prune_psnr_db: float | None = setting(
         None,
-        "leave out as many of those splats as pictures may lose and keep this PSNR to pictures of all, in place of a "
-        "share; 45 is hardly seen",
+        "leave out as many splats as keep this PSNR against all of them, in dB; replaces --prune; 45 is hardly visible",
         low=20,
         high=80,
     )
-    train_splats: int = setting(65_536, "splats that codebooks are trained on, drawn over the clip", low=256)
+    view: str = setting(
+        "",
+        "JSON file with the author's view: title, background, pose, target, radius, each optional; the page in the "
+        "browser saves one",
+    )
+    train_splats: int = setting(65_536, "splats to train codebooks on, sampled from the whole clip", low=256)
     seed: int = setting(0, "seed of the random subset and of k-means", low=0)
 
     def __post_init__(self) -> None:
@@ -80,9 +85,11 @@ class EncodeSettings:
 class CommandSettings(EncodeSettings):
     """Those of the command: how it runs changes no byte of the bundle."""
 
-    workers: int | None = setting(None, "processes that encode frames; one a core when not given", low=1, high=1024)
-    scheduler: str | None = setting(None, "address of a dask scheduler, tcp://HOST:PORT, to run on its workers instead")
-    resume: bool = setting(True, "go on where a killed run of the same scene and settings ended")
+    workers: int | None = setting(None, "worker processes; one per core when not given", low=1, high=1024)
+    scheduler: str | None = setting(
+        None, "dask scheduler whose workers encode, tcp://HOST:PORT; this machine when not given"
+    )
+    resume: bool = setting(True, "continue a run of the same scene and settings that was interrupted")
 
     @property
     def encoding(self) -> EncodeSettings:

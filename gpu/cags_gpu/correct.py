@@ -1,13 +1,14 @@
-"""The client's whole frame and the server's reference on the device: what is read back is what is shown or coded."""
+"""The client's whole frame on the device: what is read back is what is shown, the rest when somebody looks at it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.correction import oracle
+from cags_common.correction import Correction, oracle
 from cags_common.correction.base import (
     CELL_PX,
     VETO_CELL_PX,
@@ -16,19 +17,29 @@ from cags_common.correction.base import (
     Placement,
     Reference,
     checked_veto,
+    veto_shape,
 )
-from cags_common.correction.compander import compand
+from cags_common.correction.changed import BEHIND, cell_boxes
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import DepthKind, Footprint, RenderedView, RenderOptions
+from cags_common.raster.base import DepthKind, RenderOptions
 from cags_common.raster.checks import check_camera
+from cags_common.raster.halving import enlarged
 from cags_gpu.device import Handle
 from cags_gpu.graph import Counts, Dispatch, buffer_bytes, build, encode
-from cags_gpu.layout import COMPAND, CORRECTION
-from cags_gpu.raster import GpuScene
+from cags_gpu.layout import CHANGED, COMPARE, CORRECTION, ENLARGE
 from cags_gpu.scene import ResidentScene, Target
 from cags_gpu.submission import Outputs, Recording, submitted
 
+if TYPE_CHECKING:
+    from cags_gpu.raster import GpuScene
+
 Pixels = NDArray[np.uint8]
+
+LEAST_BOXES = 64
+"""Changed splats for which there is room at first."""
+
+DISPLAY = "display"
+"""Role of the buffer that a frame is brought up into."""
 
 
 def shown(
@@ -44,10 +55,14 @@ def shown(
 
     ``veto``: as :meth:`cags_common.correction.Corrector.correct` takes it. Raises ``ValueError`` where it does not fit.
     """
-    frame = _Frame(camera, options, reference, settings or CorrectSettings(), veto, floats=False)
+    frame = Frame(camera, options, _correction(camera, reference, settings), veto)
     if not len(scene):
         return _as_bytes(frame.on_cpu(scene).rgb)
-    return scene.on_device(frame.on_device, lambda _: _as_bytes(frame.on_cpu(scene).rgb))
+
+    def draw(resident: ResidentScene) -> Pixels:
+        return frame.draw(resident, frame.target_of(resident)).reshape(camera.height_px, camera.width_px, 4).copy()
+
+    return scene.on_device(draw, lambda _: _as_bytes(frame.on_cpu(scene).rgb))
 
 
 def corrected(
@@ -60,194 +75,218 @@ def corrected(
     veto: F32 | None = None,
 ) -> Corrected:
     """As :func:`shown`, as floats, with the confidence."""
-    frame = _Frame(camera, options, reference, settings or CorrectSettings(), veto, floats=True)
+    frame = Frame(camera, options, _correction(camera, reference, settings), veto, floats=True)
     if not len(scene):
         return frame.on_cpu(scene)
 
     def draw(resident: ResidentScene) -> Corrected:
-        rgba = frame.on_device(resident).view(np.float32).reshape(camera.height_px, camera.width_px, 4)
+        rgba = frame.draw(resident, frame.target_of(resident)).view(np.float32)
+        rgba = rgba.reshape(camera.height_px, camera.width_px, 4)
         return Corrected(np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3]))
 
     return scene.on_device(draw, lambda _: frame.on_cpu(scene))
 
 
-@dataclass(frozen=True, eq=False)
-class CodedReference:
-    """What a server makes of a view for a client."""
-
-    coded: F32  # [h, w, 3] in [0, 1]: the companded difference; compander.ZERO where nothing is lacking
-    truth: RenderedView  # without depth; with contributions where asked for
-    mirror: F32  # [h, w, 3] the client's copy
-
-
-def coded_reference(
-    truth: GpuScene, mirror: GpuScene, camera: Camera, options: RenderOptions, knee: float
-) -> CodedReference:
-    """Draw ``truth`` and the client's copy from ``camera`` and compand their difference, in one submission."""
-    check_camera(camera)
-    flat = replace(options, depth=DepthKind.NONE)
-
-    def on_cpu(_: object) -> CodedReference:
-        views = [scene.render(camera, flat) for scene in (truth, mirror)]
-        lack = np.clip(views[0].rgb, 0, 1) - np.clip(views[1].rgb, 0, 1)
-        return CodedReference(compand(lack, knee).astype(np.float32), views[0], views[1].rgb)
-
-    if not (len(truth) and len(mirror)):
-        return on_cpu(None)
-    return truth.on_device(lambda resident: _coded(resident, mirror.on(resident.workspace), camera, flat, knee), on_cpu)
-
-
-def _coded(
-    truth: ResidentScene, mirror: ResidentScene, camera: Camera, options: RenderOptions, knee: float
-) -> CodedReference:
-    height, width = camera.height_px, camera.width_px
-    pixels = height * width
-
-    def record(recording: Recording) -> Outputs:
-        # the mirror last and without contributions: those of the truth stay where they are
-        true = truth.record(recording, camera, options, role="truth")
-        held = mirror.record(recording, camera, replace(options, contribution=False), role="mirror")
-        job = truth.gpu.uniform(COMPAND.pack(size=(width, height), knee=knee))
-        named = {"compand_job": job, "truth": true["picture"], "mirror": held["picture"], "coded_out": true["residual"]}
-        encode(recording.encoder, build(truth.gpu, "compand", true.counts, {}, named.__getitem__))
-        outputs = [(true["residual"], 12 * pixels), (true["picture"], 16 * pixels), (held["picture"], 16 * pixels)]
-        if options.contribution:
-            outputs.append((truth.workspace["contribution"], 4 * truth.count))
-        return outputs
-
-    coded, true, held, *rest = (out.view(np.float32) for out in submitted(truth.workspace, record))
-    rgba, mirrored = true.reshape(height, width, 4), held.reshape(height, width, 4)
-    colours, alpha = np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
-    view = RenderedView(colours, alpha, None, rest[0].copy() if rest else None)
-    return CodedReference(coded.reshape(height, width, 3).copy(), view, np.ascontiguousarray(mirrored[..., :3]))
+def _correction(camera: Camera, reference: Reference | None, settings: CorrectSettings | None) -> Correction | None:
+    if reference is None:
+        return None
+    return Correction(reference, camera.intrinsics, settings or CorrectSettings())
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class Frame:
     """One frame of a client, however it is made."""
 
     camera: Camera
     options: RenderOptions
-    reference: Reference | None
-    settings: CorrectSettings
-    veto: F32 | None
-    floats: bool
+    correction: Correction | None
+    given_veto: F32 | None = None
+    """In place of what the correction says of changes and age."""
+    floats: bool = False
+    confidence: bool = False
+    """Whether bytes hold it in the place of their alpha."""
+    display: Camera | None = None
+    """Of the camera that this one is half of, where the picture is to be brought up to its size."""
 
     def __post_init__(self) -> None:
         check_camera(self.camera)
-        if self.veto is not None:
-            checked_veto(self.veto, self.camera)
+        if self.given_veto is not None:
+            checked_veto(self.given_veto, self.camera)
 
     @property
-    def _drawing(self) -> RenderOptions:
-        thin = max(self.options.void_alpha, self.settings.hole_alpha)
+    def drawing(self) -> RenderOptions:
+        """How the client's own picture is drawn: where it is corrected, thin pixels have no depth."""
+        if self.correction is None:
+            return replace(self.options, contribution=False)
+        thin = max(self.options.void_alpha, self.correction.settings.hole_alpha)
         return replace(self.options, depth=DepthKind.EXPECTED, contribution=False, void_alpha=thin)
 
-    @property
-    def _own_drawing(self) -> RenderOptions:
-        assert self.reference is not None
-        footprint = Footprint.of(self.camera.intrinsics, self.reference.camera.intrinsics)
-        return replace(self._drawing, footprint=footprint, depth=DepthKind.NONE)
-
     def on_cpu(self, scene: GpuScene) -> Corrected:
-        view = scene.render(self.camera, self._drawing)
-        if self.reference is None:
-            return Corrected(np.clip(view.rgb, 0, 1), np.zeros(view.alpha.shape, np.float32))
-        own = scene.render(self.reference.camera, self._own_drawing).rgb if self.reference.picture else None
-        return oracle.correct(view, self.camera, self.reference, own, self.settings, veto=self.veto)
+        """The frame by the definition."""
+        view = scene.render(self.camera, self.drawing)
+        if self.correction is None:
+            made = Corrected(np.clip(view.rgb, 0, 1), np.zeros(view.alpha.shape, np.float32))
+        else:
+            ref, own = self.correction.reference, None
+            if ref.picture:
+                own = scene.render(ref.camera, self.correction.own_drawing(self.options)).rgb
+            veto = self.correction.veto(view, self.camera) if self.given_veto is None else self.given_veto
+            made = oracle.correct(view, self.camera, ref, own, self.correction.settings, veto=veto)
+        if self.display is None:
+            return made
+        return replace(made, rgb=enlarged(made.rgb, self.display, self.options.threads))
 
-    def on_device(self, scene: ResidentScene) -> Pixels:
-        height, width = self.camera.height_px, self.camera.width_px
-        each = 16 if self.floats else 4
+    def target_of(self, scene: ResidentScene, role: str = "") -> Target:
+        """The buffers that the frame is drawn into."""
+        return scene.target(self.camera, role)
+
+    def draw(self, scene: ResidentScene, target: Target) -> Pixels:
+        """Bytes of what is shown, once the device has drawn it into ``target``."""
+        whole = self.display or self.camera
+        size = (16 if self.floats else 4) * whole.height_px * whole.width_px
 
         def record(recording: Recording) -> Outputs:
-            target = scene.record(recording, self.camera, self._drawing)
+            scene.record_into(recording, target, self.camera, self.drawing)
             self._finish(recording, scene, target)
-            return [(target[self._output], each * height * width)]
+            if self.display is None:
+                return [(target[self._output], size)]
+            return [(self._brought_up(recording, scene, target, self.display), size)]
 
         (out,) = submitted(scene.workspace, record)
-        return out.reshape(height, width, each).copy()
+        return out
+
+    @property
+    def _whole_floats(self) -> bool:
+        return self.floats or self.display is not None
 
     @property
     def _output(self) -> str:
-        return "shown_floats" if self.floats else "shown"
+        return "shown_floats" if self._whole_floats else "shown"
+
+    def _brought_up(self, recording: Recording, scene: ResidentScene, target: Target, display: Camera) -> Handle:
+        whole, size = scene.target(display, DISPLAY), (display.width_px, display.height_px)
+        job = scene.gpu.uniform(ENLARGE.pack(size=size, half=(self.camera.width_px, self.camera.height_px)))
+        named = {"enlarge_job": job, "small": target[self._output], "shown": whole["shown"]}
+        steps = target.steps(
+            scene.workspace.version,
+            ("enlarge", size, whole),
+            lambda: build(scene.gpu, "enlarge", whole.counts, {}, named.__getitem__),
+        )
+        encode(recording.encoder, steps)
+        return whole["shown"]
 
     def _finish(self, recording: Recording, scene: ResidentScene, target: Target) -> None:
         """What follows the drawing: the picture as it is, or with what the reference says is lacking."""
-        scene.gpu.device.queue.write_buffer(target.correction, 0, self._job())
-        named = {"correction": target.correction, "shown": target[self._output]}
-        if self.reference is None:
+        named = {"correction": target.uniform("correction", self._job()), "shown": target[self._output]}
+        if self.correction is None:
             encode(recording.encoder, self._steps(scene, target, "plain", target.counts, named))
             return
-        counts = target.counts | _reference_counts(self.camera, self.reference.camera)
-        named |= {name: scene.kept(name, size) for name, size in buffer_bytes("reference", counts).items()}
+        counts = target.counts | _reference_counts(self.camera, self.correction.reference.camera)
+        kept = buffer_bytes("reference", counts)
+        named |= {name: scene.kept(name, size) for name, size in kept.items()}
         named["veto"] = target["veto_pixels" if self._veto_cell == 1 else "veto_cells"]
-        if self.veto is not None:
-            scene.gpu.device.queue.write_buffer(named["veto"], 0, np.ascontiguousarray(self.veto, np.float32))
+        self._take_away(recording, scene, target, named)
         self._expand(recording, scene, target, counts, named)
         encode(recording.encoder, self._steps(scene, target, "correct", counts, named))
+
+    def _take_away(self, recording: Recording, scene: ResidentScene, target: Target, named: dict[str, Handle]) -> None:
+        """The veto: as it was given, or where the picture shows what changed."""
+        given = self.correction
+        assert given is not None
+        if self.given_veto is None and given.changed is not None:
+            self._look_for_changes(recording, scene, target, named)
+            return
+        veto = self.given_veto
+        if veto is None and given.stale > 0:
+            veto = np.full(veto_shape(self.camera), given.stale)
+        if veto is not None:
+            scene.gpu.device.queue.write_buffer(named["veto"], 0, np.ascontiguousarray(veto, np.float32))
+
+    def _look_for_changes(
+        self, recording: Recording, scene: ResidentScene, target: Target, named: dict[str, Handle]
+    ) -> None:
+        assert self.correction is not None
+        assert self.correction.changed is not None
+        near, cells = cell_boxes(self.correction.changed, self.camera)
+        packed = np.zeros((len(near), 4), np.uint32)
+        packed[:, 0], packed[:, 1] = cells[:, 0] | cells[:, 1] << 16, cells[:, 2] | cells[:, 3] << 16
+        packed[:, 2] = near.astype(np.float32).view(np.uint32)
+        room = max(LEAST_BOXES, 1 << len(near).bit_length())
+        boxes = scene.kept("boxes", buffer_bytes("reference", {"boxes": room})["boxes"])
+        if len(near):
+            scene.gpu.device.queue.write_buffer(boxes, 0, packed)
+        rows, columns = veto_shape(self.camera)
+        size = self.camera.width_px, self.camera.height_px
+        job = CHANGED.pack(size=size, grid=(columns, rows), count=len(near), behind=BEHIND, stale=self.correction.stale)
+        found = {**named, "changed_job": target.uniform("changed", job), "boxes": boxes}
+        encode(recording.encoder, self._steps(scene, target, "changed", target.counts, found))
 
     def _expand(
         self, recording: Recording, scene: ResidentScene, target: Target, counts: Counts, named: dict[str, Handle]
     ) -> None:
         """What the reference says is lacking, once a reference; of a picture anew when the splats changed."""
-        assert self.reference is not None
-        # the own view hangs on the splats and on the client's resolution; a difference on nothing
-        seen = (scene.changes, self.camera.intrinsics, self.options) if self.reference.picture else ()
-        holds = (id(self.reference.coded), self.reference.knee, scene.kept_version, seen)
+        assert self.correction is not None
+        ref = self.correction.reference
+        # the render from the reference camera depends on splats and the client's resolution; a difference on nothing
+        seen = (scene.changes, self.correction.client, self.options, ref.error) if ref.picture else ()
+        holds = (id(ref.coded), ref.knee, scene.kept_version, seen)
         if scene.held is not None and scene.held[1] == holds:
             return
-        scene.gpu.device.queue.write_buffer(named["coded"], 0, np.ascontiguousarray(self.reference.coded, np.float32))
-        own = target
-        if self.reference.picture:  # the frame is drawn by now: the workspace is free again
-            own = scene.record(recording, self.reference.camera, self._own_drawing, role="own")
-        bound = named | {"own": own["picture"]}  # of a difference it is bound and not read
-        encode(recording.encoder, build(scene.gpu, "expand", counts, {}, bound.__getitem__))
+        scene.gpu.device.queue.write_buffer(named["coded"], 0, np.ascontiguousarray(ref.coded, np.float32))
+        bound = named | {"own": target["picture"]}  # of a difference it is bound and not read
+        if ref.picture:  # the frame is drawn by now: the workspace is free again
+            own = scene.record(recording, ref.camera, self.correction.own_drawing(self.options), role="own")
+            job = COMPARE.pack(size=(ref.camera.width_px, ref.camera.height_px), error=ref.error)
+            bound |= {"own": own["picture"], "compare_job": target.uniform("compare", job)}
+        graph = "compare" if ref.picture else "expand"
+        encode(recording.encoder, build(scene.gpu, graph, counts, {}, bound.__getitem__))
         # the reference is kept too: its address may not be another's while it is compared with
-        recording.once_submitted.append(lambda: scene.hold(self.reference, holds))
+        recording.once_drawn.append(lambda: scene.hold(ref, holds))
 
     def _steps(
         self, scene: ResidentScene, target: Target, graph: str, counts: Counts, named: dict[str, Handle]
     ) -> list[Dispatch]:
-        reference = self.reference and (self.reference.camera.width_px, self.reference.camera.height_px)
+        ref = self.correction and self.correction.reference.camera
+        size = ref and (ref.width_px, ref.height_px)
         stride = counts.get("sampled_x", 0)
-        key = (graph, self.floats, reference, stride, self._veto_cell == 1, scene.kept_version)
-
-        def make() -> list[Dispatch]:
-            flags = {"floats": self.floats}
-            return build(scene.gpu, graph, counts, flags, lambda name: named.get(name) or target[name])
-
-        return target.steps(scene.workspace.version, key, make)
+        flags = {"floats": self._whole_floats, "confidence": self.confidence}
+        key = (graph, *flags.values(), size, stride, self._veto_cell == 1, scene.kept_version)
+        return target.steps(
+            scene.workspace.version,
+            key,
+            lambda: build(scene.gpu, graph, counts, flags, lambda name: named.get(name) or target[name]),
+        )
 
     @property
     def _veto_cell(self) -> int:
         """Pixels a side of the veto's values; 0 where there is none."""
-        if self.veto is None:
-            return 0
-        return 1 if self.veto.shape == (self.camera.height_px, self.camera.width_px) else VETO_CELL_PX
+        if self.given_veto is not None:
+            return 1 if self.given_veto.shape == (self.camera.height_px, self.camera.width_px) else VETO_CELL_PX
+        given = self.correction
+        return VETO_CELL_PX if given is not None and (given.changed is not None or given.stale > 0) else 0
 
     def _job(self) -> bytes:
         size = self.camera.width_px, self.camera.height_px
-        if self.reference is None:
+        if self.correction is None:
             return CORRECTION.pack(size=size)
-        camera, settings = self.reference.camera, self.settings
-        placement = Placement(self.camera, camera)
+        ref, settings = self.correction.reference, self.correction.settings
+        placement = Placement(self.camera, ref.camera)
         m = placement.matrix
         return CORRECTION.pack(
             m0=m[0],
             m1=m[1],
             m2=m[2],
             size=size,
-            reference=(camera.width_px, camera.height_px),
+            reference=(ref.camera.width_px, ref.camera.height_px),
             cell=placement.cell_px,
             stride=placement.stride,
             tolerance=settings.depth_tolerance,
             slope_cells=settings.slope_cells,
             border=settings.border_px,
             hole_alpha=settings.hole_alpha,
-            knee=self.reference.knee,
+            knee=ref.knee,
             grid=(-(-size[0] // CELL_PX), -(-size[1] // CELL_PX)),
-            kind=int(self.reference.picture),
+            kind=int(ref.picture),
             veto_cell=self._veto_cell,
         )
 

@@ -28,6 +28,7 @@ LIMITS = ("max-storage-buffer-binding-size", "max-buffer-size")
 
 STORAGE_BUFFERS = 8
 WORKGROUP_BYTES = 16384
+LEAST_BINDING_BYTES = 1 << 27
 """WebGPU's defaults, which the shaders stay within."""
 
 
@@ -201,7 +202,7 @@ class Gpu:
         return self._made[key]
 
 
-WITH_COMMON = ("project", "bin", "ranges", "blend", "adjoint")
+WITH_COMMON = ("project", "bin", "ranges", "blend")
 """Shaders that ``common.wgsl`` stands before."""
 
 

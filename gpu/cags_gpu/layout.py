@@ -108,6 +108,19 @@ CORRECTION = Layout(
     112,
 )
 COMPAND = Layout({"size": (0, "I", 2), "knee": (8, "f", 1), "unused": (12, "I", 1)}, 16)
+COMPARE = Layout({"size": (0, "I", 2), "error": (8, "f", 1), "unused": (12, "I", 1)}, 16)
+CHANGED = Layout(
+    {
+        "size": (0, "I", 2),
+        "grid": (8, "I", 2),
+        "count": (16, "I", 1),
+        "behind": (20, "f", 1),
+        "stale": (24, "f", 1),
+        "unused": (28, "I", 1),
+    },
+    32,
+)
+ENLARGE = Layout({"size": (0, "I", 2), "half": (8, "I", 2)}, 16)
 
 LAYOUTS = {
     "View": VIEW,
@@ -117,6 +130,9 @@ LAYOUTS = {
     "Count": COUNT,
     "Correction": CORRECTION,
     "Compand": COMPAND,
+    "Compare": COMPARE,
+    "Changed": CHANGED,
+    "Enlarge": ENLARGE,
 }
 """By the names that the shaders give them."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import TypeVar
 
@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 
 import cags_kernels
 from cags_common import raster
+from cags_common.correction import Correction, Look
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import BackProjection, DepthKind, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.base import DepthKind, RasterScene, RenderedView, RenderOptions
 from cags_common.raster.checks import (
     MIN_QUATERNION_NORM,
     check_camera,
-    check_residual,
     drawable,
     movement,
-    recolouring,
     replacements,
 )
 from cags_common.splats import Splats
 from cags_gpu.device import DeviceLostError, Handle
+from cags_gpu.difference import Comparison, DeviceViews, device_views
 from cags_gpu.keeper import Keeper, shared_keeper
+from cags_gpu.pictures import DevicePictures, frame_pictures
 from cags_gpu.scene import Columns, ResidentScene, Target
 from cags_gpu.submission import Recording, submitted
 from cags_gpu.workspace import TooLargeError, Workspace
@@ -76,15 +77,6 @@ class GpuScene:
             self._stand_in.update(indices, new)
         self._change(Columns.of(indices, new))
 
-    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
-        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
-        indices, colours = recolouring(rows, sh0, len(self))
-        indices, last = _last_of_each(indices)
-        self._splats.sh0[indices] = colours[last]
-        if self._stand_in is not None:
-            self._stand_in.recolour(indices, colours[last])
-        self._change(Columns(indices, colours=colours[last]))
-
     def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
         """Take position, rotation and opacity at ``rows`` [M] from ``splats``, those of the whole scene.
 
@@ -109,16 +101,22 @@ class GpuScene:
             lambda scene: _rendered(scene, camera, options), lambda scene: scene.render(camera, options)
         )
 
-    def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
-        """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
-        check_camera(camera)
-        image = check_residual(residual, camera)
-        if not len(self):
-            return BackProjection(np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
-        return self.on_device(
-            lambda scene: _back_projected(scene, camera, image, options),
-            lambda scene: scene.back_project(camera, image, options),
-        )
+    def frame(
+        self, camera: Camera, options: RenderOptions, correction: Correction | None, display: Camera | None = None
+    ) -> DevicePictures | None:
+        """See :class:`cags_common.correction.FrameScene`."""
+        return frame_pictures(self, camera, options, correction, display)
+
+    def compared(
+        self, held: RasterScene, camera: Camera, options: RenderOptions, *, knee: float, looks: Collection[Look]
+    ) -> DeviceViews | None:
+        """See :class:`cags_common.correction.ComparingScene`."""
+        job = Comparison(camera, replace(options, depth=DepthKind.NONE), knee)
+        return device_views(self, held, job, looks) if isinstance(held, GpuScene) else None
+
+    def shares_device(self, other: GpuScene) -> bool:
+        """Whether both are drawn by the same device, when it is there."""
+        return self._keeper is other._keeper and not (self._refused or other._refused)
 
     def on_device(self, draw: Callable[[ResidentScene], Result], instead: Callable[[RasterScene], Result]) -> Result:
         """What ``draw`` makes of the scene on the device, or ``instead`` on the CPU where that cannot be."""
@@ -184,21 +182,6 @@ def _outputs(scene: ResidentScene, target: Target, options: RenderOptions, pixel
     if options.contribution:
         out.append((scene.workspace["contribution"], 4 * scene.count))
     return out
-
-
-def _back_projected(scene: ResidentScene, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
-    largest = float(np.abs(residual).max(initial=0.0)) or 1.0
-    scaled = np.ascontiguousarray(residual / np.float32(largest))
-
-    def record(recording: Recording) -> list[tuple[Handle, int]]:
-        target = scene.target(camera)
-        scene.gpu.device.queue.write_buffer(target["residual"], 0, scaled)
-        scene.record(recording, camera, replace(options, depth=DepthKind.EXPECTED), adjoint=True)
-        return [(scene.workspace["carried"], 16 * scene.count)]
-
-    (carried,) = submitted(scene.workspace, record)
-    sums = carried.view(np.float32).reshape(-1, 4)
-    return BackProjection(sums[:, :3] * np.float32(largest), sums[:, 3].copy())
 
 
 def _empty_view(camera: Camera, options: RenderOptions) -> RenderedView:

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import takewhile
+from itertools import count, takewhile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import DepthKind, Exactness, RenderOptions
+from cags_common.raster.base import Exactness, RenderOptions
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.graph import Dispatch, buffer_bytes, build, encode
-from cags_gpu.layout import CHUNK, CORRECTION, COUNT, UPDATE, VIEW, tiles_of, view_bytes
+from cags_gpu.layout import CHUNK, COUNT, UPDATE, VIEW, tiles_of, view_bytes
 from cags_gpu.submission import Recording
 from cags_gpu.workspace import TooLargeError, Workspace
 
 STAGED_BYTES = 32 << 20
 """Rows go to the device in pieces of at most this size."""
 
-KEPT_SIZES = 4
-"""Picture sizes whose buffers a scene keeps."""
+KEPT_TARGETS = 8
+"""Sets of buffers of pictures that a scene keeps."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,26 @@ class Target:
             "tile_bits": max(1, (tiles_x * tiles_y).bit_length()),  # one tile more than there are: padding
         }
         self.view = gpu.buffer(VIEW.size, uniform=True)
-        self.correction = gpu.buffer(CORRECTION.size, uniform=True)
         self._steps: dict[tuple[object, ...], list[Dispatch]] = {}
         self._buffers: dict[str, Handle] = {}
+        self._uniforms: dict[str, Handle] = {}
+        self._holder: weakref.ReferenceType[object] | None = None
+
+    @property
+    def held(self) -> bool:
+        """Whether somebody may still look at the pictures."""
+        return self._holder is not None and self._holder() is not None
+
+    def hold_for(self, holder: object) -> None:
+        """Leave the pictures as they are as long as ``holder`` lives."""
+        self._holder = weakref.ref(holder)
+
+    def uniform(self, name: str, data: bytes) -> Handle:
+        """The uniform buffer of a name; the next submission sees ``data`` in it."""
+        if name not in self._uniforms:
+            self._uniforms[name] = self._gpu.buffer(len(data), uniform=True)
+        self._gpu.device.queue.write_buffer(self._uniforms[name], 0, data)
+        return self._uniforms[name]
 
     def steps(self, version: int, key: tuple[object, ...], make: Callable[[], list[Dispatch]]) -> list[Dispatch]:
         """What ``make`` records, made once for a key; those of other versions of the shared buffers are dropped."""
@@ -149,9 +167,9 @@ class ResidentScene:
         most = max(1, self.gpu.max_binding_bytes // (4 * words)) if words else self.count
         chunks = []
         for first in range(0, self.count, most):
-            count = min(most, self.count - first)
-            job = self.gpu.uniform(CHUNK.pack(first=first, count=count))
-            chunks.append(Chunk(first, count, self.gpu.buffer(4 * words * count), job))
+            size = min(most, self.count - first)
+            job = self.gpu.uniform(CHUNK.pack(first=first, count=size))
+            chunks.append(Chunk(first, size, self.gpu.buffer(4 * words * size), job))
         return chunks
 
     def change(self, columns: Columns) -> None:
@@ -199,45 +217,51 @@ class ResidentScene:
         key = (camera.width_px, camera.height_px, role)
         found = self._targets.pop(key, None) or Target(self.gpu, camera)
         self._targets[key] = found  # the last used is the last to go
-        while len(self._targets) > KEPT_SIZES:
+        while len(self._targets) > KEPT_TARGETS:
             del self._targets[next(iter(self._targets))]
         return found
 
-    def record(
-        self, recording: Recording, camera: Camera, options: RenderOptions, *, adjoint: bool = False, role: str = ""
-    ) -> Target:
+    def spare_role(self, camera: Camera) -> str:
+        """The role of a target that nobody looks at any more, or of a new one."""
+        key = camera.width_px, camera.height_px
+        roles = (f"frame {i}" for i in count())
+        return next(role for role in roles if not ((found := self._targets.get((*key, role))) and found.held))
+
+    def record(self, recording: Recording, camera: Camera, options: RenderOptions, *, role: str = "") -> Target:
         """Record a frame: afterwards the target holds picture and depth, the workspace contributions and counts."""
-        target = self._prepared(recording, camera, options, role)
-        encode(recording.encoder, self.steps_of(target, options, adjoint=adjoint))
+        target = self.target(camera, role)
+        self.record_into(recording, target, camera, options)
         return target
+
+    def record_into(self, recording: Recording, target: Target, camera: Camera, options: RenderOptions) -> None:
+        """As :meth:`record`, into buffers that are at hand."""
+        self._prepare(recording, target, camera, options)
+        encode(recording.encoder, self.steps_of(target, options))
 
     def record_binning(self, recording: Recording, camera: Camera, options: RenderOptions) -> Target:
         """Record a frame without blending it: afterwards the workspace holds records, tiles and counts."""
-        target = self._prepared(recording, camera, options, "")
+        target = self.target(camera)
+        self._prepare(recording, target, camera, options)
         steps = self.steps_of(target, options)
         encode(recording.encoder, takewhile(lambda step: not step.label.startswith("blend"), steps))
         return target
 
-    def _prepared(self, recording: Recording, camera: Camera, options: RenderOptions, role: str) -> Target:
+    def _prepare(self, recording: Recording, target: Target, camera: Camera, options: RenderOptions) -> None:
         self.workspace.reserve(self.count, exact=not _packed(options))
-        target = self.target(camera, role)
         held = SH_REST_OF_DEGREE[options.max_sh_degree]
         counted = {"count": self.count, "sh_count": self.sh_count, "sh_used": min(self.sh_count, held)}
         view = view_bytes(camera, options, **counted, capacity=self.workspace.counts["capacity"])
         self.gpu.device.queue.write_buffer(target.view, 0, view)
         if self._unsorted:
             encode(recording.encoder, self._steps(target, "hash", {}))
-            recording.once_submitted.append(self._is_sorted)
-        return target
+            recording.once_drawn.append(self._is_sorted)
 
-    def steps_of(self, target: Target, options: RenderOptions, *, adjoint: bool = False) -> list[Dispatch]:
+    def steps_of(self, target: Target, options: RenderOptions) -> list[Dispatch]:
         """The dispatches of a frame with these options."""
         flags = {
             "packed": _packed(options),
-            "slots": options.contribution or adjoint,
-            "contribution": options.contribution and not adjoint,
-            "adjoint": adjoint,
-            "median": options.depth is DepthKind.MEDIAN,
+            "slots": options.contribution,
+            "contribution": options.contribution,
         }
         return self._steps(target, "frame", flags)
 

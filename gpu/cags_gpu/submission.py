@@ -15,11 +15,11 @@ Outputs = Sequence[tuple[Handle, int]]
 
 
 class Recording:
-    """Commands that are not yet submitted, and what is to be noted once they are."""
+    """Commands that are not yet submitted, and what is to be noted once what they draw is right."""
 
     def __init__(self, gpu: Gpu) -> None:
         self.encoder = gpu.device.create_command_encoder()
-        self.once_submitted: list[Callable[[], None]] = []
+        self.once_drawn: list[Callable[[], None]] = []
 
 
 def submitted(workspace: Workspace, record: Callable[[Recording], Outputs]) -> list[NDArray[np.uint8]]:
@@ -36,7 +36,15 @@ def submitted(workspace: Workspace, record: Callable[[Recording], Outputs]) -> l
             continue  # buffers were replaced: what was recorded before that refers to the old ones
         state, *read = _read(workspace, recording, [(workspace["state"], 16), *outputs])
         if workspace.grow(int(state.view(np.uint32)[3])):
+            for noted in recording.once_drawn:
+                noted()
             return read
+
+
+def read_back(workspace: Workspace, buffer: Handle, size: int) -> NDArray[np.uint8]:
+    """The first ``size`` bytes of a buffer, once what was submitted before is done."""
+    (read,) = _read(workspace, Recording(workspace.gpu), [(buffer, size)])
+    return read
 
 
 def _read(workspace: Workspace, recording: Recording, wanted: Outputs) -> list[NDArray[np.uint8]]:
@@ -50,8 +58,6 @@ def _read(workspace: Workspace, recording: Recording, wanted: Outputs) -> list[N
         recording.encoder.copy_buffer_to_buffer(buffer, 0, through, at, size)
         at += size
     workspace.gpu.device.queue.submit([recording.encoder.finish()])
-    for noted in recording.once_submitted:
-        noted()
     through.map_sync(wgpu.MapMode.READ, 0, total)
     try:
         everything = np.frombuffer(through.read_mapped(0, total), np.uint8)

@@ -111,6 +111,18 @@ def _correction_bytes(counts: FrameCounts, *, joined: bool) -> dict[str, int]:
     }
 
 
+def read_back_bytes(counts: FrameCounts, *, in_one_go: bool) -> int:
+    """Bytes that come down for a frame: what is shown and its confidence; else picture, opacity and depth."""
+    return (4 if in_one_go else 20) * counts.pixels
+
+
+def compared_bytes(counts: FrameCounts, *, in_one_go: bool) -> int:
+    """Bytes that come down for a server's reference: the difference in 16 bits, before and after the compander; else
+    two pictures with opacity. And contributions.
+    """
+    return (16 if in_one_go else 32) * counts.reference_pixels + 4 * counts.splats
+
+
 def visits(counts: FrameCounts, design: Design | None = None) -> int:
     """Pixels x splats that blending looks at, if no tile ended early."""
     entries = counts.entries if (design or Design()).ellipse else counts.box_entries

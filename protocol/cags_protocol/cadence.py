@@ -1,8 +1,8 @@
 """Which media frames a client displays that cannot draw them all: evenly spread, and known to both sides.
 
 A client that displays ``permille`` of 1,000 media frames counts them from the frame of its newest
-:class:`~cags_protocol.messages.Control` on, which is number 0, through every loop. The frames at which the running sum
-of shares passes a whole number are displayed (Bresenham's line): at 600, numbers 0, 2, 4, 5, 7, 9, 10, ... A server
+:class:`~cags_protocol.wire.messages.Control` on, which is number 0, through every loop. The frames at which the running
+sum of shares passes a whole number are displayed (Bresenham's line): at 600, numbers 0, 2, 4, 5, 7, 9, 10, ... A server
 that knows the number looks at those frames alone, so that each has a reference of its own and none is drawn for nobody.
 """
 

@@ -6,9 +6,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol.cadence import EVERY_FRAME
-from cags_protocol.messages import (
+from cags_protocol.wire.messages import (
     Control,
     FrameEnd,
     Hello,
@@ -92,7 +92,7 @@ class Acknowledged:
 class Evicted:
     """The client's store dropped these down to the ``lods`` named."""
 
-    tiles: tuple[HeldTile, ...]
+    tiles: tuple[InventoryEntry, ...]
 
 
 @dataclass(frozen=True)

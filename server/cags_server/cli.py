@@ -1,4 +1,4 @@
-"""``cags-server``: serve one bundle to any number of clients."""
+"""``cags-server``: serve a bundle, or a folder of them, to any number of clients."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from cags_common.cli import command_parser, run_command
-from cags_common.rare_log import RareFilter
+from cags_common.runtime.rare_log import RareFilter
 from cags_common.settings import add_settings, load_settings
 from cags_server.settings import ServeSettings
 
@@ -18,6 +18,7 @@ log = logging.getLogger(__name__)
 
 EXAMPLES = """\
   cags-server --bundle out/monkey
+  cags-server --bundle out                               # every bundle in a folder, with a gallery
   cags-server --bundle out/monkey --port 0 --json        # a free port, told on stdout
   cags-server --bundle s3://bucket/monkey --predictor linear --fov-margin 0.2 --abr utility
   cags-server --bundle out/monkey --host 0.0.0.0 --token SECRET --tls-cert cert.pem --tls-key key.pem
@@ -30,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _serve(argv: Sequence[str]) -> None:
-    parser = command_parser("cags-server", "Serve a bundle over HTTP and WebSocket.", EXAMPLES)
+    parser = command_parser("cags-server", "Serve a bundle, or a folder of bundles, over HTTP and WebSocket.", EXAMPLES)
     add_settings(parser, ServeSettings)
     parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
     parser.add_argument("--headless", action="store_true", help="no live table, even in a terminal")
@@ -41,16 +42,15 @@ def _serve(argv: Sequence[str]) -> None:
     import asyncio
 
     from cags_common import raster
-    from cags_common.bundle import BundleReader
     from cags_common.files import writable_folder
-    from cags_common.terminal import live_table, watched
+    from cags_common.runtime.terminal import live_table, watched
     from cags_common.transport.hosts import host_port
     from cags_server.http.admission import tls_context
     from cags_server.http.app import App, serve
     from cags_server.http.console import sessions_table
     from cags_server.http.memory import share_arenas
     from cags_server.http.page import browsed, why_missing
-    from cags_server.scene.library import SceneLibrary
+    from cags_server.scene.collection import Collection
     from cags_server.session.policies import check_choices
 
     share_arenas()
@@ -80,9 +80,10 @@ def _serve(argv: Sequence[str]) -> None:
         logging.getLogger(__name__).warning(
             "listening on %s without --token: anyone who reaches it may watch", settings.host
         )
-    with ExitStack() as shown, BundleReader.open(settings.bundle) as reader:
-        library = SceneLibrary(reader, raster.create(raster.chosen(settings.rasteriser, notes.append)))
-        asyncio.run(serve(library, settings, ready))
+    with ExitStack() as shown:
+        rasteriser = raster.create(raster.chosen(settings.rasteriser, notes.append))
+        scenes = Collection.open(settings.bundle, rasteriser, may_be_empty=settings.accept_uploads)
+        asyncio.run(serve(scenes, settings, ready))
 
 
 def _spelt_out(argv: Sequence[str]) -> list[str]:

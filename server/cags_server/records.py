@@ -46,7 +46,7 @@ class FrameRecord:
     reference_kind: str = ""
     """What the reference says; empty: there was none."""
     lacking: float = 0.0
-    """Mean squared error of the client's own view from the reference's pose, as far as it was compared."""
+    """Mean squared error of the client's splats seen from the reference camera, as far as they were compared."""
     left: float = 0.0
     """Of that view once it is corrected."""
     visible_tiles: int = 0

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
+from cags_common.transport.hosts import is_loopback
 
 CLIENT, PLAIN = "client", "plain"
 """Footprints of references (``reference_footprint``)."""
@@ -78,10 +79,16 @@ class ServerSettings:
     )
     queue_ms: float = setting(150.0, "largest queueing delay of data in flight, ms", low=0.0, high=10_000.0)
     reference_deadline_ms: float = setting(
-        200.0, "time after its display at which a queued reference is discarded, ms", low=0.0, high=10_000.0
+        200.0,
+        "time after its frame's display at which an unsent or half-sent reference is discarded, ms",
+        low=0.0,
+        high=10_000.0,
     )
     tile_deadline_ms: float = setting(
-        1000.0, "time after its display at which a queued tile is discarded, ms", low=0.0, high=60_000.0
+        1000.0,
+        "time after its frame's display at which a half-sent tile is discarded, ms; unsent tiles are chosen anew",
+        low=0.0,
+        high=60_000.0,
     )
 
     def __post_init__(self) -> None:
@@ -94,7 +101,9 @@ class ServerSettings:
 class ServeSettings(ServerSettings):
     """The whole command: what is served, where the server listens, and what each client gets."""
 
-    bundle: str = setting("", "bundle to serve: a folder or an fsspec URL")
+    bundle: str = setting(
+        "", "bundle to serve: a folder or an fsspec URL; or a folder of bundles, all of which are served"
+    )
     host: str = setting("127.0.0.1", "address to listen on")
     port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65_535)
     workers: int = setting(2, "references rendered in parallel", low=1, high=256)
@@ -114,6 +123,12 @@ class ServeSettings(ServerSettings):
         "", "web origins allowed to connect, comma separated, or *; the server's own origin is always allowed"
     )
     hosts: str = setting("", "host names of this server, comma separated; required behind a proxy on the same machine")
+    accept_uploads: bool = setting(
+        False,
+        "encode files that visitors drop on the gallery into the folder of bundles; needs token unless on loopback",
+    )
+    upload_mb: float = setting(500.0, "largest upload, MB; an archive may unpack to four times it", low=0.1, high=1e5)
+    upload_minutes: float = setting(60.0, "longest encoding of an upload, minutes", low=0.1, high=1e4)
     max_pose_rate: float = setting(2000.0, "largest pose rate of a client, poses per second", low=1.0, high=1e6)
     max_message_rate: float = setting(
         1000.0, "largest message rate of a client, messages per second", low=1.0, high=1e6
@@ -132,5 +147,9 @@ class ServeSettings(ServerSettings):
         super().__post_init__()
         if self.token and not all(part.strip() for part in self.token.split(",")):
             raise ConfigError("token has an empty part, which would let everybody in; separate tokens by one comma")
+        if self.accept_uploads and not self.token and (self.hosts or not is_loopback(self.host)):
+            raise ConfigError(
+                f"accept_uploads: others reach {self.hosts or self.host}; give a --token that uploads need"
+            )
         if not self.bundle:
             raise ConfigError("bundle is not given; name one with --bundle FOLDER_OR_URL")

@@ -19,7 +19,7 @@ from collections import deque
 from typing import Any
 
 from cags_common.errors import CagsError, ConfigError
-from cags_common.tasks import watched
+from cags_common.runtime.tasks import watched
 from cags_shaper.proxy import ShaperProxy, bound_socket
 
 log = logging.getLogger("cags_shaper")

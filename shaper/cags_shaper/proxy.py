@@ -15,10 +15,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cags_common.errors import NetworkError
-from cags_common.rare_log import RareLog
-from cags_common.tasks import watched
+from cags_common.runtime.rare_log import RareLog
+from cags_common.runtime.tasks import watched
+from cags_common.runtime.wake import woken
 from cags_common.transport.accepting import accept_all
-from cags_common.wake import woken
 from cags_shaper.link import SEGMENT_BYTES, Link, tcp_wire_bytes
 from cags_shaper.link_clock import LinkClock
 

@@ -10,7 +10,7 @@ import time
 from typing import TYPE_CHECKING
 
 from cags_common.errors import NetworkError
-from cags_common.tasks import watched
+from cags_common.runtime.tasks import watched
 from cags_common.transport.hosts import host_port
 from cags_shaper.control import ControlPort
 from cags_shaper.link import Link

@@ -20,17 +20,29 @@ LARGER = {
     "encoder/cags_encoder/formats": "a file a format",
     "bench/cags_bench/cost": "a file a stage that is measured",
     "tests/support": "a builder a file",
-    "common/cags_common": "not ordered yet: splats, tiles and the ways of a process side by side",
-    "protocol/cags_protocol": "not ordered yet: messages, sessions and the sending",
-    "encoder/cags_encoder": "not ordered yet: one more than the most",
-    "tests/unit/common": "mirrors common",
 }
 """Folders with more modules than the others may have, and why."""
-NOT_OF_A_COMMAND = {
-    "cags_client.frame.align.base.AlignSettings": "of a call: the paper's parameters, of which --erosion sets one",
-    "cags_common.correction.base.CorrectSettings": "of a call: parameters of the seam, which the correctors share",
+TESTED_ELSEWHERE = {
+    "cags_server/http/gallery": "tests/integration/server/test_gallery.py",
+    "cags_research/align": "tests/unit/client/frame/test_align.py",
+    "cags_research/codecs/encoding": "tests/unit/research/codecs/test_codecs.py",
+    "cags_research/restore/networks/runtimes": "tests/unit/research/restore/networks",
+    "cags_research/training/pairs": "tests/unit/research/training",
+    "cags_bench/demo": "tests/packaging/test_readme.py",
+    "cags_bench/motion": "tests/unit/bench/test_cli.py",
+    "cags_bench/predict": "tests/unit/bench/test_cli.py",
+    "cags_bench/reproduce/experiments": "tests/unit/bench/test_reproduce.py",
+    "cags_bench/sim": "tests/sim/test_virtual_time.py",
+    "cags_bench/stream": "tests/sim/test_virtual_time.py",
 }
-"""Classes of settings that no command has flags for, and why."""
+"""Folders without a mirror of their own, and where their tests are."""
+OLD_NAMES = {
+    *("own_view", "stand_in", "bending", "past", "carry", "expected", "veil", "parallax", "pair", "local", "merged"),
+    *("gof_store", "opening", "joining", "arrivals", "actions", "waiting", "board", "dial", "sight", "lingering"),
+    "staleness",
+}
+"""Names of modules that said less than those which took their place."""
+KINDS = ("unit", "property", "stability", "integration")
 OF_SCENES = "cags_encoder.scenes."
 """Settings here are written in a scene's name (``procedural:size=2000``)."""
 
@@ -101,4 +113,43 @@ def test_every_setting_has_a_flag() -> None:
         for where, name in settings()
         if not where.startswith(OF_SCENES) and f"--{name.replace('_', '-')}" not in flags
     }
-    assert {name.rpartition(".")[0] for name in without} == set(NOT_OF_A_COMMAND)
+    assert without == set()
+
+
+def mirrors(folder: Path) -> bool:
+    """Whether tests lie as ``folder`` (``cags_client/net``) does: in a folder of its name, or in ``test_net*.py``."""
+    short = Path(folder.parts[0].removeprefix("cags_"), *folder.parts[1:])
+    homes = [ROOT / "tests" / kind / short for kind in KINDS]
+    beside = [] if len(folder.parts) == 1 else [test for h in homes for test in h.parent.glob(f"test_{h.name}*.py")]
+    return bool(beside) or any(home.is_dir() and any(home.rglob("test_*.py")) for home in homes)
+
+
+def test_tests_mirror_the_source() -> None:
+    folders = {path.parent for _, path in sources() if path.stem not in {"__init__", "__main__"}}
+    parents = [package.parent for package in (*PACKAGES, KERNELS)]
+    named = {folder.relative_to(parent) for folder in folders for parent in parents if folder.is_relative_to(parent)}
+    without = {str(folder) for folder in named if not mirrors(folder)}
+    assert without - {"cags_web"} == set(TESTED_ELSEWHERE), "one that has a mirror leaves the list"
+    assert [home for home in TESTED_ELSEWHERE.values() if not (ROOT / home).exists()] == []
+
+
+def test_no_folder_of_unit_tests_is_of_nothing() -> None:
+    packages = {package.name.removeprefix("cags_"): package for package in (*PACKAGES, KERNELS)}
+    unit = ROOT / "tests/unit"
+    folders = {path.parent.relative_to(unit) for path in unit.rglob("test_*.py")}
+    assert {str(f) for f in folders if not packages[f.parts[0]].joinpath(*f.parts[1:]).is_dir()} == set()
+
+
+def test_no_module_has_a_name_that_was_given_up() -> None:
+    assert {name for name, _ in sources() if name.rpartition(".")[2] in OLD_NAMES} == set()
+
+
+def test_no_two_classes_of_a_package_have_one_name() -> None:
+    """Experiments, each of which is read by itself, excepted."""
+    public: dict[tuple[str, str], list[str]] = {}
+    for name, path in sources():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            alone = name.startswith(("cags_bench.", "cags_research."))
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and not alone:
+                public.setdefault((name.partition(".")[0], node.name), []).append(name)
+    assert {key: homes for key, homes in public.items() if len(homes) > 1} == {}

@@ -82,8 +82,8 @@ def test_a_network_names_the_extra_that_it_needs(command: str, arguments: list[s
 def test_what_needs_no_torch_is_found_by_name() -> None:
     done = run("""
 from cags_client.frame import align, restore
-from cags_common.codecs import TILE_CODECS
-from cags_encoder.codecs import CLIP_CODECS
+from cags_common.bundle.codecs import TILE_CODECS
+from cags_encoder.codecs.registry import CLIP_CODECS
 from cags_server.ratecontrol import RATE_POLICIES
 for registry in (align.ALIGNERS, TILE_CODECS, CLIP_CODECS, RATE_POLICIES):
     print(*(registry.find(name).__name__ for name in registry.names()))

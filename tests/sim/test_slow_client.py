@@ -21,7 +21,8 @@ SETTLED = 40
 def scenario(tmp_path_factory) -> Scenario:
     cache = str(tmp_path_factory.mktemp("bundles"))
     bundle = cached_bundle(f"procedural:size=2000,frames={FRAMES}", cache, EncodeSettings(frames=FRAMES))
-    client = ClientSettings(width=80, height=60, resolution="full")  # no other way to save time than to draw fewer
+    # No other way to save time than to draw fewer, and none to gather detail before the first frame.
+    client = ClientSettings(width=80, height=60, resolution="full", startup_ms=0)
     return Scenario(bundle, "generated:steady-0.6", "synthetic:walking", client=client)
 
 

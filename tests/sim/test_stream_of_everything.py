@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import BundleReader
+from cags_common.bundle.codecs import TILE_CODECS
 from cags_common.bundle.player import BundlePlayer
-from cags_common.codecs import TILE_CODECS
+from cags_common.coding.packing import decode_ids
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_common.packing import decode_ids
 from cags_common.splats import Splats
 from cags_common.store.gof_buffer import GofBuffer
 from cags_common.store.tile_store import TileStore
 from cags_encoder import EncodeSettings, encode
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from support.codec_scenes import cloud, with_changes
 from support.server_scene import SETTINGS
 from support.streamer_rig import Rig

@@ -15,13 +15,13 @@ from typing import Any
 
 from cags_common.errors import NetworkError
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_common.transport import websocket
 from cags_common.transport.base import ConnectionEndedError
 from cags_protocol import PROTOCOL_VERSION, SUBPROTOCOL
-from cags_protocol.encoding import encode
-from cags_protocol.limits import MAX_MESSAGE_BYTES
-from cags_protocol.messages import Ack, Control, Hello, KeyframeRequest, PoseBatch, PoseSample, SeqRange
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES
+from cags_protocol.wire.messages import Ack, Control, Hello, KeyframeRequest, PoseBatch, PoseSample, SeqRange
 
 VIEW = Intrinsics.of_fov(320, 240, 1.2, 0.95)
 HALF = b"GET /stream HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
@@ -143,7 +143,7 @@ def _now_us() -> int:
 
 async def evictions(port: int, rate: str = "900") -> None:
     """Acknowledgements with as many evicted records as one may have, within the quota of messages."""
-    records = tuple(HeldTile(2**30 + i, i, 1) for i in range(512))
+    records = tuple(InventoryEntry(2**30 + i, i, 1) for i in range(512))
     data = encode(Ack((SeqRange(0, 0),), 1, 0, 0, records))
     await _flood(port, lambda number: data, float(rate))
 

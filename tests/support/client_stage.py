@@ -9,7 +9,7 @@ from cags_client.frame.presented import PresentedFrame
 from cags_client.settings import ClientSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader
-from cags_common.codecs import tile_codec
+from cags_common.bundle.codecs import tile_codec
 from cags_common.correction import compand
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
 from cags_common.poses import Focus, synthetic_walk
@@ -18,7 +18,7 @@ from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 from cags_common.video.colour import Chroma
 from cags_common.video.h264 import H264Encoder
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 VIEW = Intrinsics.of_fov(80, 60, 1.3, 1.1)
 """Of references: a little wider than the client's."""

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from cags_common.bundle import BundleReader
-from cags_common.held_tile import HeldTile
+from cags_common.coding.packing import decode_ids, encode_ids
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_common.packing import decode_ids, encode_ids
-from cags_common.splat_buffer import MOVING_COLUMNS
 from cags_common.splats import Splats
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
+from cags_common.tiles.inventory import InventoryEntry
+from cags_common.tiles.splat_buffer import MOVING_COLUMNS
 from cags_encoder import EncodeSettings, encode
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.reference.mirror import Mirror
 from cags_server.scene.library import SceneLibrary
 from support.codec_scenes import cloud, with_changes
@@ -163,7 +163,7 @@ class Client:
             self.store.reset(frame)
             self.waits, self.exact_from = self.waits + 1, 0
 
-    def reconnect(self, inventory: list[HeldTile]) -> None:
+    def reconnect(self, inventory: list[InventoryEntry]) -> None:
         """Another connection begins with ``inventory``; what the one before still carried is lost."""
         self.wire.clear()
         self.references.clear()
@@ -186,7 +186,7 @@ class Sender:
     def __post_init__(self) -> None:
         self.connect(())
 
-    def connect(self, inventory: tuple[HeldTile, ...]) -> None:
+    def connect(self, inventory: tuple[InventoryEntry, ...]) -> None:
         """A session on another connection, of a client that holds ``inventory``."""
         self.mirror = Mirror(self.library, threads=1)
         if inventory:
@@ -383,7 +383,7 @@ class Session:
         for tile in client.store.held():
             lods = tile.lods if self.rng.random() < 0.8 or not layered else int(self.rng.integers(0, tile.lods + 1))
             if lods and self.rng.random() < 0.95:
-                said.append(HeldTile(tile.frame, tile.tile, lods))
+                said.append(InventoryEntry(tile.frame, tile.tile, lods))
         client.reconnect(said)
         self.sender.connect(tuple(said))
         self.planned = max(self.planned, client.shown)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cags_common.attributes import ATTRIBUTE_DIMS, unit_quaternions
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
-from cags_common.svq import Codebook, CodebookSet
+from cags_common.tiles.attributes import ATTRIBUTE_DIMS, unit_quaternions
+from cags_common.tiles.svq import Codebook, CodebookSet
 
 
 def cloud(n: int, seed: int = 0, sh_degree: int = 0) -> Splats:

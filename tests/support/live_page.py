@@ -117,9 +117,8 @@ def shown_frame(frame: int, pose: Pose) -> ShownFrame:
         frame,
         camera,
         {"restored": picture, "distorted": distorted, "aligned": picture, "reference": draw(frame, reference)[0]},
-        depth,
+        {"depth": lambda: depth, "confidence": lambda: np.clip(1 - occluded.astype(np.float32), 0, 1)},
         occluded,
-        np.clip(1 - occluded.astype(np.float32), 0, 1),
         reference,
         {"update": 1.5, "raster": 12 + 3 * math.sin(t * 3), "align": 4.0, "restore": 5.0},
         {

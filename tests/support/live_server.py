@@ -15,9 +15,10 @@ from cags_common.transport.base import ConnectionEndedError
 from cags_common.transport.websocket import ClientWebSocket, connect
 from cags_protocol import SUBPROTOCOL, ClientSession
 from cags_protocol import events as ev
-from cags_protocol.limits import MAX_MESSAGE_BYTES
-from cags_protocol.messages import Control, PoseSample
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES
+from cags_protocol.wire.messages import Control, PoseSample
 from cags_server.http.app import App
+from cags_server.scene.collection import Collection
 from cags_server.scene.library import SceneLibrary
 from cags_server.settings import ServeSettings
 from support.server_scene import hello, library
@@ -30,7 +31,7 @@ def now_us() -> int:
 @asynccontextmanager
 async def serving(scene: SceneLibrary | None = None, **settings: Any) -> AsyncIterator[tuple[App, TestServer]]:
     chosen = ServeSettings(bundle="in memory", reference_width=64, reference_height=48, **settings)
-    app = App(scene or library(), chosen)
+    app = App(Collection.of(scene or library()), chosen)
     server = TestServer(app.web_app())
     await server.start_server()
     try:

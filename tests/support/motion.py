@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from cags_common.geometry import Pose, quaternion_of_rotation_vector
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.predict import PoseHistory
 
 PERIOD_US = 27_700  # the 36 Hz of a headset

@@ -23,9 +23,9 @@ from cags_common.bundle.source import encode_source
 from cags_common.geometry import F32, Vec3
 from cags_common.motion import chunk
 from cags_common.splats import Ids, Splats
-from cags_common.tile_kinds import TileKind
-from cags_common.tiles import PositionGrid, encode_base, encode_layer
-from cags_common.updates import encode_update
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
+from cags_common.tiles.updates import encode_update
 from cags_server.scene.library import SceneLibrary
 from support.codec_scenes import books
 from support.server_scene import FakeScene

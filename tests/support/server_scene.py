@@ -10,14 +10,14 @@ from typing import Any, cast
 import numpy as np
 
 from cags_common.bundle import FrameEntry, Manifest, SourceDelta, SourceFrame, TileEntry
+from cags_common.coding.packing import crc32, encode_ids
 from cags_common.geometry import F32, Intrinsics, Pose
-from cags_common.lod import LodLayer
-from cags_common.packing import crc32, encode_ids
 from cags_common.raster.base import RenderedView
-from cags_common.splat_buffer import MOVING_COLUMNS
 from cags_common.splats import Ids, Splats
-from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Hello
+from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.splat_buffer import MOVING_COLUMNS
+from cags_protocol.wire.limits import PROTOCOL_VERSION
+from cags_protocol.wire.messages import Hello
 from cags_server.scene.library import SceneLibrary
 from cags_server.settings import ServerSettings
 
@@ -56,7 +56,7 @@ def wall(count: int, frame: int = 0) -> Splats:
 
 
 class WallTile:
-    """A decoded tile of the wall (:class:`~cags_common.codecs.TileDecoder`)."""
+    """A decoded tile of the wall (:class:`~cags_common.bundle.codecs.TileDecoder`)."""
 
     steps = None
     grows = False
@@ -199,9 +199,6 @@ class FakeScene:
     def move(self, rows: Any, splats: Splats, threads: int = 1) -> None:
         for name in MOVING_COLUMNS:
             getattr(self._splats, name)[rows] = getattr(splats, name)[rows]
-
-    def recolour(self, rows: Any, sh0: Any) -> None:
-        self._splats.sh0[rows] = sh0
 
     def render(self, camera: Any, options: Any) -> RenderedView:
         rotation, translation = camera.world_to_camera

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from cags_common.bundle import BundleReader
-from cags_common.codecs import MotionTile
+from cags_common.bundle.codecs import MotionTile
+from cags_common.coding.packing import decode_ids
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_common.packing import decode_ids
-from cags_common.splat_buffer import Slot, SplatBuffer
 from cags_common.splats import Ids, Splats
-from cags_common.updates import UpdateState
+from cags_common.tiles.splat_buffer import Slot, SplatBuffer
+from cags_common.tiles.updates import UpdateState
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 
 
 class ShadowClient:

@@ -22,8 +22,8 @@ from cags_common.transport import websocket
 from cags_common.transport.base import ConnectionEndedError
 from cags_protocol import PROTOCOL_VERSION, SUBPROTOCOL, ClientSession
 from cags_protocol import events as ev
-from cags_protocol.limits import MAX_MESSAGE_BYTES
-from cags_protocol.messages import Control, Hello, PoseSample
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES
+from cags_protocol.wire.messages import Control, Hello, PoseSample
 
 CLIENT = Intrinsics.of_fov(320, 240, 1.2, 0.95)
 FPS = 10.0

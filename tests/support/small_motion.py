@@ -13,9 +13,9 @@ from cags_common.bundle import BundleReader, BundleWriter, TilePayloads
 from cags_common.bundle.manifest import Manifest, MotionSteps
 from cags_common.motion.chunk import Blocks, encode
 from cags_common.store.tile_decode import Arrival
-from cags_common.tile_kinds import TileKind
-from cags_common.tiles import PositionGrid, encode_base, encode_layer
-from cags_common.updates import encode_update
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
+from cags_common.tiles.updates import encode_update
 from support.small_store import ATTRIBUTES, CAPACITY, ORDER, books, manifest
 
 BOX = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)

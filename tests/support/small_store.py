@@ -7,11 +7,11 @@ import itertools
 import numpy as np
 
 from cags_common.bundle.manifest import Manifest
-from cags_common.lod import LodLayer
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.store.tile_store import TileStore
-from cags_common.svq import Codebook, CodebookSet
-from cags_common.tiles import PositionGrid, encode_base, encode_layer
+from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
+from cags_common.tiles.svq import Codebook, CodebookSet
 
 CAPACITY = 12
 ATTRIBUTES = {"scale": 3, "rotation_real": 1, "rotation_imag": 3, "opacity": 1, "sh0": 3}

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from cags_common.bundle.codecs import TileCodec
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import TileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera
 from cags_common.store.gof_buffer import Committed, GofBuffer

@@ -3,9 +3,9 @@
 from typing import Any, TypeVar
 
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, Hello, Mark, PoseSample
+from cags_protocol.wire.messages import Control, Hello, Mark, PoseSample
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.streamer import Streamer
@@ -27,7 +27,7 @@ class Rig:
         initial_bps: float = 50e6,
         *,
         joins: Hello | None = None,
-        resumes: tuple[HeldTile, ...] | None = None,
+        resumes: tuple[InventoryEntry, ...] | None = None,
         served: SceneLibrary | None = None,
         **scene: Any,
     ) -> None:

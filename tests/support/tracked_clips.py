@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cags_common.splats import Splats
-from cags_encoder.frames.linking import Looks, Tracks, link
 from cags_encoder.scenes import open_scene
+from cags_encoder.tracks.linking import Looks, Tracks, link
 
 TrueFrame = tuple[Splats, np.ndarray]
 """A frame and the identity of each row."""

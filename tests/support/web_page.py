@@ -25,28 +25,43 @@ from support.browser import chromium
 
 ICD = Path("/usr/lib/chromium/vk_swiftshader_icd.json")
 SIZE = 160, 120
-WAIT_S = 120.0
+WAIT_S = 300.0
 """A software adapter on a busy machine draws a picture a second."""
+
+STILL = "player?.shown?.update.full && !player.waiting && player.pictures > 2"
+"""Everything is there and shown."""
+
+WHOLE = "player?.shown?.update.full && !player.waiting"
+"""Of a published folder, whose play begins once everything may be there."""
 
 QUIET = ("recommendation",)
 """Sources of log entries that are no complaint of the page's own."""
 
 SHOWN = """
-const done = arguments[0];
+const [wanted, done] = arguments;
 (async () => {
-  const player = window.cags.player;
+  const { player, renderer } = window.cags;
   player.rest(true);  // no further picture, so that this one is what is told
   while (player.drawing) await new Promise((resolve) => setTimeout(resolve, 20));
-  const shown = player.shown, picture = await window.cags.renderer.pixels();
-  player.rest(false);
-  const { width, height, rgba } = picture;
+  const shown = player.shown, { update } = shown;
+  const bytes = (coded) => Uint8Array.from(atob(coded), (letter) => letter.charCodeAt(0)).buffer;
   const text = (bytes) => { let s = ""; for (const b of bytes) s += String.fromCharCode(b); return btoa(s); };
   const floats = (array) => array && text(new Uint8Array(array.buffer, array.byteOffset, array.byteLength));
-  const { options, update } = shown, reference = options.reference;
+  let { options } = shown, positions = floats(update.changed?.positions), radii = floats(update.changed?.radii);
+  if (wanted) {
+    const reference = { ...wanted.reference, coded: new Float32Array(bytes(wanted.reference.coded)) };
+    options = { ...options, reference, changed: new Uint32Array(bytes(wanted.boxes)), stale: wanted.stale };
+    ({ positions, radii } = wanted);
+    await renderer.draw(shown.camera, options);
+  }
+  const { reference } = options, { width, height, rgba } = await renderer.pixels();
+  player.rest(false);
   return {
     frame: shown.frame, share: shown.share, camera: shown.camera, width, height, pixels: text(rgba),
-    full: update.full, missed: update.missed, degree: options.maxShDegree, veto: floats(options.veto),
-    kind: shown.reference?.kind, unit: shown.reference && text(shown.reference.data), idr: shown.reference?.idr,
+    full: update.full, missed: update.missed, degree: options.maxShDegree, stale: options.stale ?? 0,
+    positions: reference ? positions : null, radii: reference ? radii : null,
+    kind: wanted ? null : shown.reference?.kind, idr: !wanted && shown.reference?.idr,
+    unit: wanted || !shown.reference ? null : text(shown.reference.data),
     reference: reference && { ...reference, coded: floats(reference.coded) },
   };
 })().then(done, (error) => done({ error: String(error.stack) }));
@@ -132,9 +147,10 @@ class Page:
     def words(self) -> str:
         return str(self.browser.execute_script("return document.getElementById('message')?.innerText ?? ''"))
 
-    def shown(self) -> Shown:
-        """What is on the canvas, with what it was made of."""
-        answer = self.browser.execute_async_script(SHOWN)
+    def shown(self, wanted: dict[str, Any] | None = None) -> Shown:
+        """What is on the canvas, with what it was made of; with ``wanted`` (reference, boxes, positions, radii, stale),
+        once it is drawn anew so."""
+        answer = self.browser.execute_async_script(SHOWN, wanted)
         assert "error" not in answer, answer["error"]
         return Shown(answer)
 
@@ -158,16 +174,24 @@ class Shown:
         height, width = self.values["height"], self.values["width"]
         return np.frombuffer(base64.b64decode(self.values["pixels"]), np.uint8).reshape(height, width, 4)
 
-    def drawn_by_python(self, bundle: Path) -> NDArray[np.uint8]:
-        """The same picture by the ``gpu`` backend on SwiftShader, of the bundle at its highest level."""
-        environment = {**os.environ, "VK_ICD_FILENAMES": str(ICD), "CAGS_GPU_SOFTWARE": "1"}
-        job = json.dumps({"bundle": str(bundle), **{k: v for k, v in self.values.items() if k != "pixels"}})
-        command = [sys.executable, str(Path(__file__).with_name("web_page_drawn.py"))]
-        done = subprocess.run(
-            command, input=job.encode(), env=environment, capture_output=True, timeout=240, check=False
-        )
-        assert done.returncode == 0, done.stderr.decode()[-3000:]
-        return np.frombuffer(done.stdout, np.uint8).reshape(self.pixels.shape)
+
+def drawn_by_python(shown: Sequence[Shown], bundle: Path) -> list[NDArray[np.uint8]]:
+    """The same pictures by the ``gpu`` backend on SwiftShader, of the bundle at its highest level."""
+    environment = {**os.environ, "VK_ICD_FILENAMES": str(ICD), "CAGS_GPU_SOFTWARE": "1"}
+    pictures = [{k: v for k, v in one.values.items() if k != "pixels"} for one in shown]
+    command = [sys.executable, str(Path(__file__).with_name("web_page_drawn.py"))]
+    job = json.dumps({"bundle": str(bundle), "pictures": pictures}).encode()
+    done = subprocess.run(command, input=job, env=environment, capture_output=True, timeout=480, check=False)
+    assert done.returncode == 0, done.stderr.decode()[-3000:]
+    return [one.reshape(shown[0].pixels.shape) for one in np.split(np.frombuffer(done.stdout, np.uint8), len(shown))]
+
+
+def same_as_python(viewer: Page, bundle: Path) -> None:
+    """What the page shows is what Python draws, byte for byte."""
+    shown = viewer.shown()
+    assert shown.values["full"] and not shown.values["missed"]
+    assert shown.pixels[..., :3].any(), "there is a picture"
+    np.testing.assert_array_equal(shown.pixels, drawn_by_python([shown], bundle)[0])
 
 
 @contextmanager

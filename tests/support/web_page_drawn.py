@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from cags_common.bundle import BundlePlayer, BundleReader
-from cags_common.correction import Reference
+from cags_common.correction import Correction, Reference, Spheres
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
 from cags_common.raster.base import RenderOptions
 from cags_common.video.h264 import H264Decoder
-from cags_gpu.correct import shown
+from cags_gpu.correct import Frame
 from cags_gpu.raster import GpuRasteriser
 
 
@@ -37,18 +37,40 @@ def reference_of(values: dict[str, Any]) -> Reference | None:
     if values["idr"]:  # decodes by itself: the browser's picture must be FFmpeg's
         own = H264Decoder().decode(base64.b64decode(values["unit"]))
         assert own is not None and np.abs(own - coded).max() < 2e-7, "the reference was decoded otherwise"
-    return Reference(coded, camera, given["picture"], given["knee"])
+    return Reference(coded, camera, given["picture"], given["knee"], given["error"])
+
+
+def correction_of(values: dict[str, Any], camera: Camera) -> Correction | None:
+    reference = reference_of(values)
+    if reference is None:
+        return None
+    changed = None
+    if values["radii"] is not None:
+        radii = floats(values["radii"], -1)
+        changed = Spheres(floats(values["positions"], len(radii), 3), radii)
+    return Correction(reference, camera.intrinsics, changed=changed, stale=values["stale"])
+
+
+def refuse(_: object) -> bytes:
+    raise SystemExit("the device was lost")
+
+
+def drawn(rasteriser: GpuRasteriser, player: BundlePlayer, values: dict[str, Any]) -> bytes:
+    camera = camera_of(values["camera"])
+    options = RenderOptions(max_sh_degree=values["degree"], displayed=True)
+    frame = Frame(camera, options, correction_of(values, camera))
+    scene = rasteriser.load(player.frame(values["frame"]).splats)
+    return scene.on_device(lambda held: frame.draw(held, frame.target_of(held)).tobytes(), refuse)
 
 
 def main() -> None:
-    values = json.load(sys.stdin)
-    camera = camera_of(values["camera"])
-    with BundleReader.open(values["bundle"]) as reader:
-        splats = BundlePlayer(reader).frame(values["frame"]).splats
-    veto = values["veto"] and floats(values["veto"], -(-camera.height_px // 16), -(-camera.width_px // 16))
-    options = RenderOptions(max_sh_degree=values["degree"], displayed=True)
-    picture = shown(GpuRasteriser().load(splats), camera, options, reference_of(values), veto=veto)
-    sys.stdout.buffer.write(picture.tobytes())
+    job = json.load(sys.stdin)
+    rasteriser = GpuRasteriser()
+    with BundleReader.open(job["bundle"]) as reader:
+        player = BundlePlayer(reader)
+        for values in job["pictures"]:
+            sys.stdout.buffer.write(drawn(rasteriser, player, values))
 
 
-main()
+if __name__ == "__main__":
+    main()

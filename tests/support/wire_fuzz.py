@@ -10,14 +10,14 @@ from typing import Any
 import msgpack
 
 from cags_common.geometry import Pose
-from cags_protocol import messages as m
-from cags_protocol.encoding import decode, encode
+from cags_protocol.wire import messages as m
+from cags_protocol.wire.encoding import decode, encode
 from support.wire_pair import INTRINSICS, hello
 
 SEEDS: list[tuple[m.Message, bytes]] = [
     (hello(inventory=b"\1\0\0\0\2\0\3"), b""),
     (m.PoseBatch((m.PoseSample(1, Pose.identity()),)), b""),
-    (m.Ack((m.SeqRange(3, 4), m.SeqRange(1, 1)), 2, 1, 5, (m.HeldTile(0, 0, 1),)), b""),
+    (m.Ack((m.SeqRange(3, 4), m.SeqRange(1, 1)), 2, 1, 5, (m.InventoryEntry(0, 0, 1),)), b""),
     (m.Control("seek", 4, 9, 2.0, True), b""),
     (m.KeyframeRequest(4), b""),
     (m.Bye("x"), b""),

@@ -11,8 +11,8 @@ from typing import Any
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import ClientSession, Outgoing, ServerSession
 from cags_protocol import events as ev
-from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Hello, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.wire.limits import PROTOCOL_VERSION
+from cags_protocol.wire.messages import Hello, ReferenceFrame, TileLayers, Welcome
 
 INTRINSICS = Intrinsics.of_fov(400, 300, 1.0, 0.8)
 

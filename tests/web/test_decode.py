@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from cags_common.coding.packing import decode_ids, encode_ids, gunzip_bounded, gzip_bytes, squeeze, unsqueeze
 from cags_common.errors import DecodeError
-from cags_common.packing import decode_ids, encode_ids, gunzip_bounded, gzip_bytes, squeeze, unsqueeze
 from support.mutation import mutate
 from support.node import run_tests
 

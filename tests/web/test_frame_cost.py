@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cags_common.bundle.manifest import Manifest, MotionSteps
-from cags_common.lod import LodLayer
 from cags_common.motion import chunk
-from cags_common.tiles import PositionGrid, encode_base
+from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.payloads import PositionGrid, encode_base
 from support.codec_scenes import books
 from support.node import run_tests
 from support.store_scripts import text

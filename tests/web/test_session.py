@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import ClientSession, Outgoing
 from cags_protocol import events as ev
-from cags_protocol import messages as m
-from cags_protocol.blobs import blob_chunks
-from cags_protocol.encoding import encode
 from cags_protocol.events import Closed
+from cags_protocol.sessions.blobs import blob_chunks
+from cags_protocol.wire import messages as m
+from cags_protocol.wire.encoding import encode
 from support.node import run_tests
 from support.wire_pair import INTRINSICS, Deliveries, Pair, reference, tile
 
@@ -160,7 +160,7 @@ def _busy(rng: random.Random, pair: Pair, number: int) -> None:
     if rng.random() < 0.2:
         pair.client.request_keyframe(number, now_us=pair.now_us)
     if rng.random() < 0.3:
-        pair.client.report_evictions([HeldTile(number, k, k % 9) for k in range(rng.choice([1, 600]))])
+        pair.client.report_evictions([InventoryEntry(number, k, k % 9) for k in range(rng.choice([1, 600]))])
     pair.client.buffered_bytes = rng.randrange(100_000)
     pair.run(rng.choice([3_000, 20_000, 200_000]))
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cags_common.errors import ProtocolError
-from cags_protocol.encoding import DamagedError, VersionError, decode
-from cags_protocol.inventory import unpack_inventory
+from cags_protocol.wire.encoding import DamagedError, VersionError, decode
+from cags_protocol.wire.inventory import unpack_inventory
 from support.node import run_tests
 from support.wire_fuzz import fuzzed
 

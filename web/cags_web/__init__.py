@@ -12,6 +12,9 @@ _PLACES = (_HERE / "dist", _HERE.parent / "dist")
 
 FILES = {
     "index.html": "text/html; charset=utf-8",
+    "gallery.html": "text/html; charset=utf-8",
+    "gallery.js": "text/javascript; charset=utf-8",
+    "gallery.css": "text/css; charset=utf-8",
     "page.js": "text/javascript; charset=utf-8",
     "page.css": "text/css; charset=utf-8",
     "worker.js": "text/javascript; charset=utf-8",

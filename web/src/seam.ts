@@ -43,6 +43,19 @@ export interface Camera {
   readonly near: number;
 }
 
+/** How the author wants a scene to be opened; what is left out, players choose. */
+export interface AuthorView {
+  readonly title?: string;
+  /** Behind the splats, `#rrggbb`. */
+  readonly background?: string;
+  /** Where a play begins. */
+  readonly pose?: Pose;
+  /** Point to turn around. */
+  readonly target?: Vec3;
+  /** Of the sphere about the target that a first view shows whole, metres. */
+  readonly radius?: number;
+}
+
 /** What a player knows of the scene: the public manifest, less what only decoders need. */
 export interface SceneInfo {
   readonly name: string;
@@ -62,9 +75,12 @@ export interface SceneInfo {
   readonly focusCentre: Vec3;
   readonly focusRadius: number;
   readonly near: number;
+  /** Whether frames come as fast as the link brings them, and the play waits for them; else they come in time or not. */
+  readonly waits: boolean;
   /** Whether splats move by themselves, so that moments between media frames differ. */
   readonly moves: boolean;
-  /** The manifest as it came (JSON), for what is not listed here (a view chosen by the author, title, ...). */
+  readonly view: AuthorView;
+  /** The manifest as it came (JSON), for what is not listed here. */
   readonly manifest: Readonly<Record<string, unknown>>;
 }
 

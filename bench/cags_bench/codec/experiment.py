@@ -17,9 +17,9 @@ from cags_bench.codec.scaling import scaling
 from cags_bench.codec.views import Judge, views_around
 from cags_bench.jsonl import summary
 from cags_common.lpips import Lpips
-from cags_common.morton import morton_order
 from cags_common.raster import create
 from cags_common.splats import Splats
+from cags_common.tiles.morton import morton_order
 from cags_encoder.scenes import open_scene
 
 Line = dict[str, Any]

@@ -14,18 +14,18 @@ import numpy as np
 from cags_bench.codec.ablation import Variant
 from cags_bench.codec.views import Judge
 from cags_common.bundle import Manifest
-from cags_common.codecs import tile_codec
+from cags_common.bundle.codecs import tile_codec
 from cags_common.errors import DecodeError
-from cags_common.morton import tile_ranges
 from cags_common.raster import create
 from cags_common.splats import Splats
 from cags_common.store.tile_decode import OpenTile, TileOpener
-from cags_common.tiles import KEY_TILE_SPLATS, position_bytes
+from cags_common.tiles.morton import tile_ranges
+from cags_common.tiles.payloads import KEY_TILE_SPLATS, position_bytes
+from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.measuring import VIEWS, measure
 from cags_encoder.quantiser.importance import VIEWS as IMPORTANCE_VIEWS
 from cags_encoder.quantiser.importance import importance
 from cags_encoder.scenes import FrameSource
-from cags_encoder.svq_codec import SvqCodec
 from cags_encoder.views import cameras_around
 
 Line = dict[str, Any]

@@ -9,9 +9,9 @@ import DracoPy
 import numpy as np
 
 from cags_bench.codec.readers import SplatTransform, gsply_read_ms
-from cags_common.attributes import split_attributes
-from cags_common.packing import gunzip_bounded, gzip_bytes
+from cags_common.coding.packing import gunzip_bounded, gzip_bytes
 from cags_common.splats import Splats
+from cags_common.tiles.attributes import split_attributes
 from cags_encoder.formats.sog import parse_sog_bytes
 from cags_encoder.formats.spz import parse_spz, spz_bytes
 

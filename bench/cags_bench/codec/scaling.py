@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cags_encoder import EncodeSettings, encode
-from cags_encoder.executors import open_workers
+from cags_encoder.execution.executors import open_workers
 from cags_encoder.scenes import open_scene
 
 Line = dict[str, Any]

@@ -45,7 +45,7 @@ def _judge(moment: Moment) -> Callable[[F32], Outcome]:
 
 
 def _ways(moment: Moment) -> Stage:
-    """After drawing: nothing, adding a difference, comparing a picture with the own view, and restorers of pictures."""
+    """After drawing: nothing, adding a difference, rendering from the reference camera for a picture, and restorers."""
     view, judge = moment.view(), _judge(moment)
     points = [Point(NONE, lambda: view.rgb, judge)]
     for kind in ("difference", "picture"):
@@ -72,7 +72,7 @@ def _whole_frame(moment: Moment) -> Stage:
     """Draw and correct: every combination of exactness, resolution and correction, judged by the picture shown."""
     _, reference = _received(moment, DIFFERENCES.references)
     points = tuple(
-        _combination(moment, reference.difference, exactness, resolution, way)
+        _combination(moment, reference.reference, exactness, resolution, way)
         for exactness, resolution, way in product(Exactness, (HALF, FULL), (NONE, CORRECT))
     )
     knob = "exactness / resolution / correction"

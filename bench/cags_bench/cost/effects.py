@@ -21,8 +21,8 @@ from cags_common.metrics import psnr
 from cags_common.passes import ALWAYS, NEEDED
 from cags_common.raster import create
 from cags_common.raster.base import Footprint, RenderOptions
-from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from cags_protocol.wire.limits import PROTOCOL_VERSION
+from cags_protocol.wire.messages import FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers
 from cags_server.reference.coder import ReferenceCoder
 
 EFFECTS = "effects"

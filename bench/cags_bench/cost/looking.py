@@ -10,7 +10,7 @@ import numpy as np
 from cags_bench.cost.engine import Outcome, Point, Stage
 from cags_common.geometry import Intrinsics, Pose, angle_between
 from cags_common.poses import Focus, open_poses
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.fov.base import widened
 from cags_server.predict import PREDICTORS, create_predictor
 from cags_server.predict.base import PoseDistribution

@@ -40,7 +40,7 @@ class Moment:
     source: Splats
 
     def view(self, options: RenderOptions | None = None) -> RenderedView:
-        """The client's own view."""
+        """The client's render from the reference camera."""
         return self.held.render(self.camera, options or RenderOptions())
 
 

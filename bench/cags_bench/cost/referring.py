@@ -76,7 +76,7 @@ def _size(moment: Moment) -> Stage:
 
 
 def _footprint(moment: Moment) -> Stage:
-    kinds = {"plain": Footprint.classic(), "antialiased": Footprint.antialiased(), "client": None}
+    kinds = {"plain": Footprint.classic(), "client": None}
     points = tuple(
         _point(Referring(moment, footprint=footprint), name, default=footprint is None)
         for name, footprint in kinds.items()

@@ -12,8 +12,8 @@ from cags_common import correction
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
 from cags_common.video.h264 import H264Decoder
-from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Hello, ReferenceKind
+from cags_protocol.wire.limits import PROTOCOL_VERSION
+from cags_protocol.wire.messages import Hello, ReferenceKind
 from cags_server.reference.coder import Coded, ReferenceCoder
 from cags_server.settings import ServerSettings
 
@@ -42,7 +42,7 @@ class Referring:
         return replace(camera, intrinsics=camera.intrinsics.resized(self._coder.width_px, self._coder.height_px))
 
     def drawn(self) -> tuple[F32, F32 | None]:
-        """The truth [h, w, 3], and the client's own view where the server needs it."""
+        """The truth [h, w, 3], and the client's render from the reference camera where the server needs it."""
         truth = self._seen(self.moment.true)
         return truth, self._seen(self.moment.held) if self._coder.compares else None
 
@@ -69,10 +69,8 @@ class Referring:
         seen = view or moment.view()
         if reference is None:
             return seen.rgb
-        if reference.kind is ReferenceKind.DIFFERENCE:
-            return correction.create().correct(seen, moment.camera, reference.difference).rgb
-        own = self._seen(moment.held)
-        return correction.create().correct(seen, moment.camera, reference.compared(own), own).rgb
+        own = self._seen(moment.held) if reference.reference.picture else None
+        return correction.create().correct(seen, moment.camera, reference.reference, own).rgb
 
     def _seen(self, scene: RasterScene) -> F32:
         camera = self.camera

@@ -12,10 +12,10 @@ from cags_bench.cost.moments import Workbench
 from cags_common import raster
 from cags_common.geometry import F32, Camera
 from cags_common.metrics import psnr
-from cags_common.morton import morton_order
 from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
 from cags_common.splats import Splats
-from cags_common.tiles import DRACO_LEVEL
+from cags_common.tiles.morton import morton_order
+from cags_common.tiles.payloads import DRACO_LEVEL
 from cags_encoder.quantiser.kmeans import ITERATIONS, NearestCentre, kmeans
 
 TILE_SPLATS = 8_000

@@ -11,12 +11,12 @@ from cags_common.settings import check_settings, setting
 class DemoSettings:
     """What the demo streams, over what, and how large."""
 
-    out: str = setting("cags-demo-report", "folder for the report; replaced as a whole when the demo ends well")
-    frames: int = setting(0, "media frames to play; 0: all of the scene, at most 90", low=0, high=100_000)
+    out: str = setting("cags-demo-report", "folder for the report; replaced when the demo succeeds")
+    frames: int = setting(0, "media frames to play; 0: the whole scene, up to 90", low=0, high=100_000)
     trace: str = setting("generated:lte-driving", "network trace: a file or generated:NAME (see cags-shaper --help)")
     share: float = setting(
         0.12,
-        "share of the trace's rate that the link gets; the built-in scene is a quarter of a capture",
+        "factor on the trace's bandwidth; the built-in scene is smaller than a capture",
         low=1e-3,
         high=10,
     )
@@ -24,13 +24,9 @@ class DemoSettings:
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME (see cags-client --help)")
     width: int = setting(0, "client width in pixels; 0: 640, or 320 without the native kernels", low=0, high=8192)
     height: int = setting(0, "client height in pixels; 0: 480, or 240 without the native kernels", low=0, high=8192)
-    threads: int = setting(
-        0, "threads of a render, in the server and in the client; 0: all cores for either", low=0, high=256
-    )
-    view: bool = setting(False, "open the live page in place of a report; plays until interrupted")
-    cache: str = setting(
-        "", "folder of encoded bundles to reuse; empty: cags-stream/bundles in the user's cache folder"
-    )
+    threads: int = setting(0, "threads per render, in server and client; 0: all cores", low=0, high=256)
+    view: bool = setting(False, "open the live page instead of writing a report; runs until interrupted")
+    cache: str = setting("", "folder for encoded bundles; empty: cags-stream/bundles in the user's cache folder")
 
     def __post_init__(self) -> None:
         check_settings(self)

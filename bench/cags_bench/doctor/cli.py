@@ -117,7 +117,7 @@ def _times(timings: Timings) -> Any:
     from rich.table import Table
 
     title = f"milliseconds a frame: {timings.splats:,} splats, {timings.backend}, {timings.threads} threads"
-    columns = ["picture", "draw", "correct", "own view", "together"]
+    columns = ["picture", "draw", "correct", "reference camera", "together"]
     table = Table(*columns, *(["GPU draws"] if timings.adapter else []), title=title)
     for size in timings.sizes:
         cells = (size.raster_ms, size.correct_ms, size.own_ms, size.total_ms)

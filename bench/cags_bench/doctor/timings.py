@@ -97,7 +97,7 @@ def measure(threads: int) -> Timings:
     """Time one scene at several sizes; a few seconds with the kernels, half a minute without."""
     from cags_common import raster
     from cags_common.correction import Reference, compand
-    from cags_common.raster.base import DepthKind, Footprint, RenderOptions
+    from cags_common.raster.base import DepthKind, RenderOptions
     from cags_encoder.scenes import open_scene
 
     rasteriser = raster.create()
@@ -109,7 +109,7 @@ def measure(threads: int) -> Timings:
     pose = Pose.looking_at((float(eye[0]), float(eye[1]), float(eye[2])), focus.centre, source.up)
     sizes = SIZES if native else READABLE_SIZES
     reference = _camera(400, 300, pose)
-    options = RenderOptions(threads=threads, depth=DepthKind.NONE, footprint=Footprint.antialiased())
+    options = RenderOptions(threads=threads, depth=DepthKind.NONE)
     seeing = replace(options, contribution=True)
     held = rasteriser.load(_flawed(source.frame(0)))
     pictures = [
@@ -145,8 +145,8 @@ def _beside(pose: Pose) -> Pose:
 
 def _coding_ms(pictures: Sequence[tuple[F32, F32]], intrinsics: Intrinsics) -> float:
     """Of the difference of a true and a client's view, of one pair after the other."""
-    from cags_protocol.limits import PROTOCOL_VERSION
-    from cags_protocol.messages import Hello
+    from cags_protocol.wire.limits import PROTOCOL_VERSION
+    from cags_protocol.wire.messages import Hello
     from cags_server.reference.coder import ReferenceCoder
     from cags_server.settings import ServerSettings
 

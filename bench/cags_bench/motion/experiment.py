@@ -19,9 +19,9 @@ from cags_common import raster
 from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.metrics import covered_mask, psnr
 from cags_common.raster import RenderOptions
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_encoder import EncodeSettings, encode
-from cags_encoder.executors import open_workers
+from cags_encoder.execution.executors import open_workers
 from cags_encoder.scenes import FrameSource, open_scene
 from cags_encoder.views import cameras_around
 

@@ -7,8 +7,8 @@ import numpy as np
 from cags_common.motion import chunk
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import Blocks, ChunkDecoder
-from cags_common.splat_buffer import Slot, SplatBuffer
 from cags_common.splats import Splats
+from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 
 TILE, BLOCK, SPAN = 8_000, 128, 32
 

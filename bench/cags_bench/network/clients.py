@@ -24,8 +24,8 @@ from cags_common.transport import websocket
 from cags_common.transport.base import ConnectionEndedError, Transport
 from cags_protocol import PROTOCOL_VERSION, ClientSession
 from cags_protocol import events as ev
-from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
-from cags_protocol.messages import Control, Hello, PoseSample
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_protocol.wire.messages import Control, Hello, PoseSample
 
 CLIENT_FPS = 5.0
 START_DELAY_US = 1_000_000

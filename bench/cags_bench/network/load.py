@@ -13,7 +13,7 @@ from cags_bench.sim.world import Direction, World
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import PROTOCOL_VERSION, ClientSession, Outgoing, ServerSession
 from cags_protocol import events as ev
-from cags_protocol.messages import Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.wire.messages import Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
 from cags_server.ratecontrol.bandwidth import BandwidthEstimator
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import Trace

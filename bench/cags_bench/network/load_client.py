@@ -9,7 +9,7 @@ import time
 from cags_bench.network.load import Arrivals, LoadClient
 from cags_bench.network.sockets import drive
 from cags_common.transport.websocket import connect
-from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 
 
 async def watch(url: str, duration_us: int) -> None:

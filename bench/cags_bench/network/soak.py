@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 
 from cags_bench.network.load import INTRINSICS, ZEROS
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import PROTOCOL_VERSION, ClientSession, Outgoing, ServerSession
 from cags_protocol import events as ev
-from cags_protocol.inventory import pack_inventory, unpack_inventory
-from cags_protocol.messages import Control, FrameEnd, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
+from cags_protocol.wire.inventory import pack_inventory, unpack_inventory
+from cags_protocol.wire.messages import Control, FrameEnd, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_shaper.link import Link, LinkSettings, tcp_wire_bytes
 from cags_shaper.trace import Trace
@@ -120,7 +120,7 @@ class _Soak:
         self.known: dict[tuple[int, int], int] = {}  # the server's idea of the store
         self.frame, self.playing, self.reference = self.rng.randrange(FRAMES), True, 0
         self.frame_us = self.pose_us = self.now_us
-        inventory = pack_inventory(HeldTile(f, t, lods) for (f, t), lods in self.store.items())
+        inventory = pack_inventory(InventoryEntry(f, t, lods) for (f, t), lods in self.store.items())
         hello = Hello(PROTOCOL_VERSION, INTRINSICS, Pose.identity(), resume="soak", inventory=inventory)
         self.client.hello(hello, now_us=self.now_us)
         self.end_us = self.now_us + round(self.rng.expovariate(self.faults.disconnects_per_s) * 1e6)
@@ -243,7 +243,7 @@ class _Soak:
                 if len(self.store) > STORE_TILES:
                     frame, tile = next(iter(self.store))
                     del self.store[frame, tile]
-                    self.client.report_evictions([HeldTile(frame, tile, 0)])
+                    self.client.report_evictions([InventoryEntry(frame, tile, 0)])
             case ev.Closed(code):
                 self.result.endings[f"client: {code}"] += 1
 

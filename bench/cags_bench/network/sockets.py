@@ -22,7 +22,7 @@ from cags_bench.sim.world import Peer
 from cags_common.errors import NetworkError
 from cags_common.transport import ConnectionEndedError, Transport
 from cags_common.transport.websocket import ServerWebSocket, connect
-from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES, MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_protocol.wire.limits import MAX_CLIENT_MESSAGE_BYTES, MAX_MESSAGE_BYTES, SUBPROTOCOL
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import Trace, open_trace

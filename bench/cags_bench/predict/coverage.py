@@ -18,7 +18,7 @@ from cags_bench.predict.precision import WARM_UP_US
 from cags_common.geometry import F64, Intrinsics, Pose
 from cags_common.poses.room import Room
 from cags_common.poses.walks import Walk
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.fov import FovObservation, FovPolicy
 from cags_server.fov.base import MAX_REFERENCE_FOV_RAD, client_halves
 from cags_server.fov.truth import NEAREST, exact_margins, fast_margins, in_reference, margins_for, view_rays

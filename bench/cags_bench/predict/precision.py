@@ -12,7 +12,7 @@ import numpy as np
 
 from cags_common.geometry import angle_between
 from cags_common.poses.walks import Walk
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.predict import PoseHistory, Predictor
 
 WARM_UP_US = 2_000_000

@@ -13,18 +13,18 @@ import numpy as np
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.raster.cases import interleaved, size_text, view_of
 from cags_bench.raster.settings import RasterSettings
-from cags_common.correction import Reference, compand
+from cags_common import correction
+from cags_common.correction import Correction, Reference, compand
 from cags_common.correction.oracle import correct
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster import Exactness, RasterScene, RenderedView, RenderOptions, create
 from cags_common.raster.cpu import BOUNDS
 from cags_common.splats import Splats
 from cags_encoder.scenes import FrameSource, open_scene
-from cags_gpu.correct import corrected
 from cags_gpu.device import choose
 from cags_gpu.raster import GpuScene
 from cags_gpu.timing import frame_counts
-from cags_gpu.work import DEVICES, STEPS, FrameCounts, estimated_ms, pass_bytes, visits
+from cags_gpu.work import DEVICES, STEPS, FrameCounts, compared_bytes, estimated_ms, pass_bytes, read_back_bytes, visits
 
 LEAST_PSNR_DB = 100.0
 LEAST_SHARE = 0.9999
@@ -108,19 +108,27 @@ def errors_against(ours: RenderedView, right: RenderedView) -> Line:
 
 
 def correction_errors(source: FrameSource, splats: Splats, camera: Camera, scene: GpuScene) -> Line:
-    """Share of the corrected frame's pixels within a level of the definition's, for a difference from a step aside."""
+    """Shares of the pixels of a client's frame, made on the device from a difference seen a step aside, that are within
+    a level of 255 of the definition's, and of the one that the CPU makes step by step.
+    """
     there = _aside(source, camera)
     native = create("auto").load(splats)
     truth = native.render(there, EXACT)
     lack = np.clip(truth.rgb, 0, 1) * np.float32(0.3)  # what a client without a third of the light lacks
     reference = Reference(compand(lack, 0.1).astype(np.float32), there)
-    right = correct(native.render(camera, EXACT), camera, reference)
+    view = native.render(camera, EXACT)
+    right, by_cpu = correct(view, camera, reference), correction.create().correct(view, camera, reference)
     start = time.perf_counter()
-    ours = corrected(scene, camera, EXACT, reference)
+    ours = scene.frame(camera, EXACT, Correction(reference, camera.intrinsics))
     taken = (time.perf_counter() - start) * 1e3
-    within = (np.abs(ours.rgb.astype(np.float64) - right.rgb) <= 1 / 255).all(axis=2)
-    figures = {"share_within_a_level": float(within.mean()), "added_to": float((right.confidence > 0).mean())}
-    return figures | {"first_frame_ms": round(taken, 2)}
+    if ours is None:
+        raise RuntimeError("the device was lost while a frame was made; run the command again")
+    shares = [
+        float((np.abs(ours.rgb.astype(np.float64) - other.rgb) <= 1 / 255).all(axis=2).mean())
+        for other in (right, by_cpu)
+    ]
+    figures = {"share_within_a_level": shares[0], "of_the_cpus": shares[1]}
+    return figures | {"added_to": float((right.confidence > 0).mean()), "first_frame_ms": round(taken, 2)}
 
 
 def _aside(source: FrameSource, camera: Camera) -> Camera:
@@ -166,6 +174,12 @@ def work_lines(spec: str, size: tuple[int, int] = WORK_SIZE) -> Iterator[Line]:
             "bytes_total": sum(moved.values()),
             "estimated_ms": {device.name: round(estimated_ms(scaled, device, design), 2) for device in DEVICES},
         }
+    for way, in_one_go in (("step by step", False), ("in one go", True)):
+        down = {
+            "a client's frame": read_back_bytes(scaled, in_one_go=in_one_go),
+            "a server's reference": compared_bytes(scaled, in_one_go=in_one_go),
+        }
+        yield {"case": "read-back", **made_of, "way": way, "bytes": down}
 
 
 def _checks(lines: list[Line]) -> list[Line]:

@@ -17,7 +17,6 @@ from cags_bench.jsonl import check, provenance, summary
 from cags_bench.raster.contenders import Contender, Frame, backend_contenders, prototype_contender
 from cags_bench.raster.peers import peer_contenders
 from cags_bench.raster.settings import RasterSettings
-from cags_bench.raster.shortcuts import shortcut_lines, walk
 from cags_bench.raster.upkeep import upkeep_checks, upkeep_line
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.raster import Exactness, RenderedView, RenderOptions, create
@@ -74,8 +73,7 @@ def measure(settings: RasterSettings) -> Iterator[Line]:
                 view = {"scene": source.name, "splats": len(splats), "size": size_text(size)}
                 line = {"case": "peer", **view, "peer": peer.name, **_spread(taken), "balanced": _spread(times[0])}
                 yield line | {"times_slower": peer_ratios[-1], **provenance()}
-        if settings.shortcuts:
-            yield from _shortcuts(settings, source, splats)
+        if settings.upkeep:
             upkeep.append(upkeep_line(source.name, splats, view_of(source, *REFERENCE_SIZE), settings.repetitions))
             yield upkeep[-1]
     growth = list(_growth(settings)) if settings.growth else []
@@ -155,14 +153,6 @@ def _ratio(taken: list[float], other: list[float]) -> float:
 def _spread(taken: list[float]) -> Line:
     low, high = np.quantile(taken, (0.25, 0.75))
     return {"ms": round(statistics.median(taken), 2), "ms_quartiles": [round(float(low), 2), round(float(high), 2)]}
-
-
-def _shortcuts(settings: RasterSettings, source: FrameSource, splats: Splats) -> Iterator[Line]:
-    size, threads = settings.size_list[-1], max(settings.thread_list)
-    centre, up = np.asarray(source.focus.centre), np.asarray(source.up, np.float64)
-    cameras = walk(view_of(source, *size), centre, up, settings.repetitions + 1)
-    view: Line = {"scene": source.name, "splats": len(splats), "threads": threads, "size": size_text(size)}
-    yield from shortcut_lines(view, splats, cameras, threads)
 
 
 def _growth(settings: RasterSettings) -> Iterator[Line]:

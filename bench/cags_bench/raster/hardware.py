@@ -14,12 +14,12 @@ import numpy as np
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.raster.cases import REFERENCE_SIZE, size_text, view_of
 from cags_bench.raster.settings import RasterSettings
-from cags_common.correction import Reference
+from cags_common.correction import Look, Reference
 from cags_common.correction.compander import ZERO
 from cags_common.raster import Footprint, RenderOptions, create
 from cags_common.splats import Splats
 from cags_encoder.scenes import FrameSource, open_scene
-from cags_gpu.correct import coded_reference, shown
+from cags_gpu.correct import shown
 from cags_gpu.device import choose
 from cags_gpu.raster import GpuScene
 from cags_gpu.timing import frame_times_ms
@@ -85,13 +85,19 @@ def reference_lines(
     there = replace(camera, intrinsics=camera.intrinsics.resized(*REFERENCE_SIZE))
     footprint = Footprint.of(camera.intrinsics, there.intrinsics)
     options = RenderOptions(footprint=footprint, contribution=True)
+    looks = Look.LACK, Look.COMPANDED
+
+    def compare(mirror: GpuScene) -> None:
+        if truth.compared(mirror, there, options, knee=KNEE, looks=looks) is None:
+            raise RuntimeError("the device was lost or cannot hold the scenes; draw fewer splats and run it again")
+
     mirrors = [_mirror(splats, seed) for seed in range(clients)]
     for mirror in mirrors:
-        coded_reference(truth, mirror, there, options, KNEE)  # uploads, and the first frame's pipelines
+        compare(mirror)  # uploads, and the first frame's pipelines
     start = time.perf_counter()
     for _ in range(settings.repetitions):
         for mirror in mirrors:
-            coded_reference(truth, mirror, there, options, KNEE)
+            compare(mirror)
     rate = settings.repetitions * clients / (time.perf_counter() - start)
     size = size_text((there.width_px, there.height_px))
     yield {"case": "references", "clients": clients, "size": size, "a_second": round(rate, 1)}

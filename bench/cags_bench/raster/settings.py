@@ -22,9 +22,7 @@ class RasterSettings:
     reference: bool = setting(True, "whether to render the float64 reference and report errors (seconds a view)")
     growth: bool = setting(True, "whether to time 50,000 to 800,000 splats as well")
     views: bool = setting(True, "whether to time every scene, size and number of threads at each level")
-    shortcuts: bool = setting(
-        True, "whether to walk around the scene with each shortcut, and to time loads and updates"
-    )
+    upkeep: bool = setting(True, "whether to time loads, updates and contributions as well")
     peers: bool = setting(True, "whether to time peers that are installed (Open3D: seconds a frame)")
 
     table: bool = setting(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 
 from cags_bench.reproduce.cases import Runner, StreamCase
-from cags_common.processes import process_pool
+from cags_common.runtime.processes import process_pool
 
 Tell = Callable[[str], None]
 

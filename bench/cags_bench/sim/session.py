@@ -23,7 +23,7 @@ from cags_common.bundle import BundleReader
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 from cags_common.poses import Focus, open_poses
-from cags_protocol.client import ClientSession
+from cags_protocol.sessions.client import ClientSession
 from cags_server.ratecontrol.bandwidth import BandwidthEstimator, MeasuredEstimator, OracleEstimator
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.connection import Connection

@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.correction import changed_cells
+from cags_common.correction import Spheres
 from cags_common.geometry import F32, Camera
 from cags_common.splats import Splats
 
@@ -67,17 +67,16 @@ class Changes:
         """Whether splats were changed by what came after mark ``basis``."""
         return any(mark > basis for mark, _ in self._commits)
 
-    def veto(self, since: tuple[int, int | None], splats: Splats, depth: F32, camera: Camera, focal_px: float) -> F32:
-        """Where a view of ``depth`` [H, W] from ``camera`` shows what has moved ``since`` a media frame, as a reference
-        of ``focal_px`` sees it, or was changed since a mark (None: that does not matter): a veto for correctors
-        (:func:`~cags_common.correction.changed_cells`).
+    def spheres(self, since: tuple[int, int | None], splats: Splats, camera: Camera, focal_px: float) -> Spheres:
+        """Around what has moved ``since`` a media frame, as a reference of ``focal_px`` sees it from about ``camera``,
+        or was changed since a mark (None: that does not matter).
         """
         frame, basis = since
         rows = [] if basis is None else [changed for mark, changed in self._commits if mark > basis]
         changed = np.unique(np.concatenate([*rows, self._moved(frame, splats, camera, focal_px)]))
         changed = changed[:: -(-len(changed) // MOST_LOOKED_AT) or 1]
         radii = SEEN_SIGMAS * np.exp(splats.log_scales[changed]).max(axis=1, initial=0.0)
-        return changed_cells(splats.means[changed], radii, camera, depth)
+        return Spheres(splats.means[changed], radii)
 
     def _moved(self, frame: int, splats: Splats, camera: Camera, focal_px: float) -> NDArray[np.intp]:
         before = [means for shown, means in self._places if shown <= frame] or [m for _, m in self._places][:1]

@@ -8,34 +8,34 @@ the reference says is lacking. One thread may decode while another presents.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from cags_client.frame import align, restore
 from cags_client.frame.align import Aligned, AlignSettings
 from cags_client.frame.changes import Changes
+from cags_client.frame.painting import Canvas, Painter, StagedPictures
 from cags_client.frame.presented import PresentedFrame
 from cags_client.frame.resolution import Resolutions
 from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer
 from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
-from cags_common import correction, raster
+from cags_common import raster
+from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import tile_codec
-from cags_common.correction import Corrected, CorrectSettings, Reference
+from cags_common.coding.packing import decode_ids
+from cags_common.correction import Correction, FramePictures
 from cags_common.errors import ConfigError, DecodeError
-from cags_common.geometry import F32, Camera, Pose
-from cags_common.held_tile import HeldTile
-from cags_common.packing import decode_ids
+from cags_common.geometry import Camera, Pose
 from cags_common.passes import Pass, PassPlan, Situation, held_sh_degree, plan_frame
-from cags_common.raster.base import DepthKind, Exactness, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.halving import enlarged, halved
+from cags_common.raster.base import DepthKind, Exactness, RasterScene, RenderOptions
 from cags_common.store.gof_buffer import Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival, TileOpener
 from cags_common.store.tile_store import TileStore
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from cags_common.tiles.inventory import InventoryEntry
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 PATIENCE_FRAMES = 3
 """Frames for which a late reference is waited for before more is shown than the one before it assumes."""
@@ -70,9 +70,7 @@ class ClientPipeline:
         self._used = 0  # order of the newest reference that was shown
         self._changes = Changes()
         self._scene_changes = 0
-        self._own: tuple[Received, int, Reference, F32] | None = None  # the own view of a picture, of which scene
-        self._corrector = correction.create("auto", settings.threads)
-        self._correct_settings = CorrectSettings()
+        self._painter = Painter(settings.threads)
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
         self._resolutions = Resolutions(1e3 / info.fps)
@@ -97,7 +95,7 @@ class ClientPipeline:
         """
         return self._store.flush()
 
-    def take_dropped(self) -> list[HeldTile]:
+    def take_dropped(self) -> list[InventoryEntry]:
         """Tiles of which layers had come and were given up since the last call, for want of memory."""
         return self._store.take_dropped()
 
@@ -156,7 +154,7 @@ class ClientPipeline:
         """Whether ``frame`` can be drawn whole without anything from the network."""
         return self._store.holds(frame)
 
-    def restarted(self, inventory: Sequence[HeldTile]) -> None:
+    def restarted(self, inventory: Sequence[InventoryEntry]) -> None:
         """What follows comes over another connection, which was told that ``inventory`` is held.
 
         References that are there stay in use.
@@ -165,7 +163,7 @@ class ClientPipeline:
         self._marked_before = self._marked
         self._store.restarted(inventory)
 
-    def held(self) -> list[HeldTile]:
+    def held(self) -> list[InventoryEntry]:
         """The tiles that are decoded, for a server that takes the session over."""
         return self._store.held()
 
@@ -214,30 +212,21 @@ class ClientPipeline:
                 self._changes.shown(frame, store.splats.means)
         plan = plan_frame(self._situation(store, committed, (frame + share, camera), reference), self.settings.effects)
         half = self._resolutions.chosen(self.live.resolution) == HALF
-        seen_by = halved(camera) if half else camera
-        with watch("raster"):
-            view = scene.render(seen_by, self._drawing(plan, half=half))
-        drawn = _Drawn(scene, store, seen_by, view)
-        corrected, aligned, shown = None, None, view.rgb
-        if reference is not None and Pass.CORRECTION in plan:
-            corrected = self._corrected(plan, drawn, reference, frame, watch)
-            shown = corrected.rgb
-        elif reference is not None and Pass.RESTORATION in plan:
-            aligned, shown = self._restored(plan, drawn, reference, frame, watch)
-        if half:
-            with watch("enlarge"):
-                shown = enlarged(shown, camera, self.settings.threads)
+        canvas = Canvas(scene, self._scene_changes, camera, half, self._options(plan))
+        pictures: FramePictures
+        aligned, used = None, reference if reference is not None and reference.coded is not None else None
+        if used is not None and Pass.RESTORATION in plan:
+            aligned, pictures = self._restored(plan, canvas, used, frame, watch)
+        else:
+            given = self._correction(plan, canvas, store, used, frame) if used and Pass.CORRECTION in plan else None
+            pictures = self._painter.paint(canvas, given, watch)
         if self.live.resolution == AUTO:
             self._resolutions.observe(self._clock(), watch.stages_ms, (self._clock() - started_s) * 1e3)
         return PresentedFrame(
             frame=frame,
             camera=camera,
-            rgb=shown,
-            drawn=view.rgb,
+            pictures=pictures,
             aligned=aligned,
-            confidence=_confidence(corrected, aligned),
-            depth=view.depth,
-            alpha=view.alpha,
             reference=reference,
             lod_mean=store.shown.lod_mean(camera),
             missed=committed.missed,
@@ -286,7 +275,6 @@ class ClientPipeline:
         return Situation(
             sh_degree=self._sh_degree,
             scene_sh_degree=self.info.sh_degree,
-            changed=committed.changed,
             whole=store.full and not committed.missed,
             reference=speaks and name != NONE,
             picture=reference is not None and reference.kind is ReferenceKind.PICTURE,
@@ -309,50 +297,33 @@ class ClientPipeline:
             return None
         return restore.create(self._restorer_wanted, threads=self.settings.threads, weights=self._weights)
 
-    def _corrected(self, plan: PassPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch) -> Corrected:
-        """The picture with what is lacking in it added."""
-        own = given = None
-        if Pass.OWN_VIEW in plan:
-            with watch("own"):
-                given, own = self._compared(plan, drawn, reference)
-        with watch("correct"):
-            veto = None
-            if Pass.VETO in plan:
-                assert drawn.view.depth is not None
-                focal_px, splats = reference.camera.intrinsics.fx_px, drawn.store.splats
-                since = reference.frame, reference.basis if reference.assumes else None
-                veto = self._changes.veto(since, splats, drawn.view.depth, drawn.camera, focal_px)
-            freshness = self._freshness(reference, frame) if Pass.FADE in plan else 1.0
-            if freshness < 1.0:
-                stale = np.float32(1.0 - freshness)
-                veto = np.full(correction.veto_shape(drawn.camera), stale) if veto is None else np.maximum(veto, stale)
-            settings = self._correct_settings
-            given = given or reference.difference
-            return self._corrector.correct(drawn.view, drawn.camera, given, own, settings, veto=veto)
-
-    def _compared(self, plan: PassPlan, drawn: _Drawn, reference: Received) -> tuple[Reference, F32]:
-        """A picture compared with the client's splats from its camera, anew when they get better; and these."""
-        if self._own is None or self._own[0] is not reference or self._own[1] != self._scene_changes:
-            footprint = Footprint.of(self.settings.intrinsics, reference.camera.intrinsics)
-            options = replace(self._options(plan), depth=DepthKind.NONE, footprint=footprint)
-            own = drawn.scene.render(reference.camera, options).rgb
-            self._own = reference, self._scene_changes, reference.compared(own), own
-        return self._own[2:]
+    def _correction(
+        self, plan: PassPlan, canvas: Canvas, store: GofBuffer, reference: Received, frame: int
+    ) -> Correction:
+        """What ``reference`` says is lacking in the frame, and where it is not to be believed."""
+        changed = None
+        if Pass.VETO in plan:
+            since = reference.frame, reference.basis if reference.assumes else None
+            changed = self._changes.spheres(since, store.splats, canvas.camera, reference.camera.intrinsics.fx_px)
+        stale = 1.0 - self._freshness(reference, frame) if Pass.FADE in plan else 0.0
+        return Correction(reference.reference, self.settings.intrinsics, changed=changed, stale=stale)
 
     def _restored(
-        self, plan: PassPlan, drawn: _Drawn, reference: Received, frame: int, watch: Stopwatch
-    ) -> tuple[Aligned | None, F32]:
+        self, plan: PassPlan, canvas: Canvas, reference: Received, frame: int, watch: Stopwatch
+    ) -> tuple[Aligned | None, StagedPictures]:
         """The aligned picture, and what the restorer makes of it."""
-        picture, depth = reference.picture, drawn.view.depth
-        if picture is None or depth is None or self._restorer is None:
-            return None, drawn.view.rgb
+        view, picture = self._painter.view(canvas, watch), reference.picture
+        made = StagedPictures.of(view)
+        if picture is None or view.depth is None or self._restorer is None:
+            return None, self._painter.finished(canvas, made, watch)
         with watch("align"):
             occlusion, colours = Pass.OCCLUSION in plan, Pass.EROSION in self._restorer.needs
-            aligned = self._aligner.align(picture, depth, drawn.camera, occlusion=occlusion, colours=colours)
+            aligned = self._aligner.align(picture, view.depth, canvas.camera, occlusion=occlusion, colours=colours)
             if Pass.FADE in plan:
                 aligned = _faded(aligned, self._freshness(reference, frame))
         with watch("restore"):
-            return aligned, self._restorer.restore(RestoreInput(drawn.view.rgb, aligned))
+            rgb = self._restorer.restore(RestoreInput(view.rgb, aligned))
+        return aligned, self._painter.finished(canvas, StagedPictures.of(view, rgb, aligned.confidence), watch)
 
     def _updated(self, store: GofBuffer, committed: Committed) -> RasterScene:
         self._scene_changes += committed.fresh or len(committed.rows) > 0
@@ -376,30 +347,10 @@ class ClientPipeline:
             depth=DepthKind.EXPECTED if Pass.DEPTH in plan else DepthKind.NONE,
         )
 
-    def _drawing(self, plan: PassPlan, *, half: bool) -> RenderOptions:
-        options = replace(self._options(plan), displayed=True)
-        return replace(options, footprint=options.footprint.at_half_resolution()) if half else options
-
     def _freshness(self, reference: Received, frame: int) -> float:
         """1 for references up to half as old as is allowed, falling to 0 past the oldest: none goes at a stroke."""
         allowed = self.settings.reference_age + 1
         return min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
-
-
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    """The client's own picture of a frame, and what it was drawn from."""
-
-    scene: RasterScene
-    store: GofBuffer
-    camera: Camera
-    view: RenderedView
-
-
-def _confidence(corrected: Corrected | None, aligned: Aligned | None) -> F32 | None:
-    if corrected is not None:
-        return corrected.confidence
-    return None if aligned is None else aligned.confidence
 
 
 def _faded(aligned: Aligned, freshness: float) -> Aligned:

@@ -9,8 +9,9 @@ import numpy as np
 
 from cags_client.frame.align import Aligned
 from cags_client.store.references import Received
+from cags_common.correction import FramePictures
 from cags_common.geometry import F32, Camera
-from cags_common.passes import PassPlan
+from cags_common.passes import Pass, PassPlan
 from cags_common.raster.halving import enlarged
 
 THREADS = 1
@@ -23,14 +24,10 @@ class PresentedFrame:
 
     frame: int
     camera: Camera
-    rgb: F32  # [H, W, 3] in [0, 1]: what is shown
-    drawn: F32  # [h, w, 3] in [0, 1]: the client's own render, of the display's size or of half of it
+    pictures: FramePictures
+    """What is shown, and what it was made of: looked at through the properties below."""
     aligned: Aligned | None
     """The aligned picture [h, w] that a restorer worked with; None where there was none."""
-    confidence: F32 | None
-    """[h, w] in [0, 1]: how much of what the reference says was used; None where none was."""
-    depth: F32 | None  # [h, w] camera-space z; +inf where void. None where nothing needed it
-    alpha: F32  # [h, w]
     reference: Received | None
     """The reference at hand, whether or not the frame's effects use it."""
     lod_mean: float
@@ -47,6 +44,42 @@ class PresentedFrame:
     tier: str = "none"
     """What is done with references, whether or not the frame's effects needed it."""
 
+    @property
+    def rgb(self) -> F32:
+        """[H, W, 3] in [0, 1]: what is shown."""
+        return self.pictures.rgb
+
+    @property
+    def drawn(self) -> F32:
+        """[h, w, 3] in [0, 1]: the client's own render, of the display's size or of half of it."""
+        return self.pictures.drawn
+
+    @property
+    def alpha(self) -> F32:
+        """[h, w] in [0, 1]: of the client's own render."""
+        return self.pictures.alpha
+
+    @property
+    def depth(self) -> F32 | None:
+        """[h, w] camera-space z; +inf where void. None where nothing needed it."""
+        return self.pictures.depth
+
+    @property
+    def confidence(self) -> F32 | None:
+        """[h, w] in [0, 1]: how much of what the reference says was used; None where none was."""
+        return self.pictures.confidence
+
+    @property
+    def corrected(self) -> bool:
+        """Whether the reference was used."""
+        return Pass.CORRECTION in self.effects or self.aligned is not None
+
+    @property
+    def half(self) -> bool:
+        """Whether it was worked out at half the pixels a side, and brought up."""
+        i = self.camera.intrinsics
+        return self.pictures.size != (i.height_px, i.width_px)
+
     @cached_property
     def distorted(self) -> F32:
         """[H, W, 3]: the client's own render at the display's size. Made when it is first looked at."""
@@ -60,7 +93,7 @@ class PresentedFrame:
     @property
     def correction(self) -> F32 | None:
         """[H, W, 3] in [0, 1]: what the reference changed in the picture, half of it around grey; None: nothing."""
-        if self.confidence is None:
+        if not self.corrected:
             return None
         return np.asarray((self.rgb - self.distorted) / 2 + 0.5, np.float32)
 

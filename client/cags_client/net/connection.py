@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 
 from cags_common.errors import NetworkError
-from cags_common.tasks import watched
+from cags_common.runtime.tasks import watched
 from cags_common.transport import Transport
 
 MAX_UNSENT_BYTES = 512 * 1024
@@ -21,11 +21,11 @@ FAREWELL_S = 0.3
 """How long an end waits for the last words to be written, and again for the connection to be closed in order."""
 
 
-class Line:
+class Connection:
     """A transport, and what is still to be written to it."""
 
-    def __init__(self, transport: Transport, on_lost: Callable[[Line, str], None]) -> None:
-        """``on_lost`` is told, with this line and the reason, of a connection that ends while it is written to."""
+    def __init__(self, transport: Transport, on_lost: Callable[[Connection, str], None]) -> None:
+        """``on_lost`` hears, with this connection and the reason, of an end while it is written to."""
         self.transport = transport
         self._on_lost = on_lost
         self._unsent: deque[bytes] = deque()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import http.client
+import json
 import ssl
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.errors import ConfigError, NetworkError
 from cags_common.transport import Transport, websocket
-from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 
 INFO_TIMEOUT_S = 10.0
 FIRST_TIMEOUT_S, AGAIN_TIMEOUT_S = 10.0, 1.5
@@ -23,6 +24,14 @@ def addresses(url: str) -> tuple[str, ...]:
         if not _is_stream_address(address):
             raise NetworkError(f"{address}: is no stream address; write ws://HOST:PORT/stream")
     return found
+
+
+def of_scene(url: str, scene: str) -> str:
+    """``url`` for one scene of servers that have several. Raises :class:`NetworkError` for what is no address."""
+    if not scene:
+        return url
+    named = (urlsplit(address)._replace(query=urlencode({"scene": scene})) for address in addresses(url))
+    return ",".join(address.geturl() for address in named)
 
 
 def _is_stream_address(text: str) -> bool:
@@ -106,7 +115,8 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
     if parts.scheme == "wss":
         connection = http.client.HTTPSConnection(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S, context=tls)
     try:
-        connection.request("GET", "/bundle", headers={"Authorization": f"Bearer {token}"} if token else {})
+        path = f"/bundle?{parts.query}" if parts.query else "/bundle"
+        connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
         response = connection.getresponse()
         data = response.read(MAX_MANIFEST_BYTES + 1)
     except ssl.SSLError as error:
@@ -121,6 +131,18 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
         connection.close()
     if response.status == http.HTTPStatus.UNAUTHORIZED:
         raise NetworkError(f"{url}: the token is missing or wrong; give the server's with --token")
+    if response.status == http.HTTPStatus.NOT_FOUND and (reason := _reason(data)):
+        raise NetworkError(f"{url}: {reason}")
     if response.status != 200:
         raise NetworkError(f"{url}: the server answers {response.status} {response.reason} for its bundle")
     return Manifest.from_json(data)
+
+
+def _reason(data: bytes) -> str:
+    """What a server says of a refusal, in a line; empty where it says nothing."""
+    try:
+        table = json.loads(data)
+    except ValueError:
+        return ""
+    reason = table.get("error") if isinstance(table, dict) else None
+    return reason[:500] if isinstance(reason, str) and reason.isprintable() else ""

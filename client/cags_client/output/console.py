@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
-from cags_protocol.encoding import printable
+from cags_protocol.wire.encoding import printable
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -2,8 +2,8 @@
 
 A client that simply drops what comes too late draws whichever frame is due when it has done with the last one. The
 server cannot know which that will be, so it looks at frames that nobody sees, and what is seen has the reference of an
-earlier frame, which costs a second own view. Where a client cannot keep up it therefore says what share it displays
-(:mod:`cags_protocol.cadence`): a little more than it manages, so that it is the machine that sets the pace.
+earlier frame, which costs a second render from the reference camera. Where a client cannot keep up it therefore says
+what share it displays (:mod:`cags_protocol.cadence`): a little more than it manages, so that the machine sets the pace.
 """
 
 from __future__ import annotations

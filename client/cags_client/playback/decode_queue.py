@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 
 from cags_client.playback.jobs import DataEvent, Restarted, Traffic
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
 
 DECODE_BATCH = 32
@@ -77,7 +77,7 @@ class DecodeQueue:
         self._tile_bytes = self._reference_bytes = 0
         return traffic
 
-    def held(self, stored: Iterable[HeldTile]) -> list[HeldTile]:
+    def held(self, stored: Iterable[InventoryEntry]) -> list[InventoryEntry]:
         """What a store holds once everything here is decoded into it; a layer without the one below it is not held."""
         lods = {(tile.frame, tile.tile): tile.lods for tile in stored}
         for event in (*self.decoding, *self._waiting):
@@ -85,7 +85,7 @@ class DecodeQueue:
                 key = event.message.frame, event.message.tile
                 if event.message.from_lod <= lods.get(key, 0):
                     lods[key] = max(lods.get(key, 0), event.message.to_lod)
-        return [HeldTile(frame, tile, count) for (frame, tile), count in lods.items()]
+        return [InventoryEntry(frame, tile, count) for (frame, tile), count in lods.items()]
 
 
 def _size(event: DataEvent) -> int:

@@ -6,7 +6,7 @@ from cags_client.settings import ClientSettings
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import NetworkError
 from cags_common.splats import SH_REST_OF_DEGREE
-from cags_protocol.messages import Refusal, RefusalCode
+from cags_protocol.wire.messages import Refusal, RefusalCode
 
 FATAL_REFUSALS = frozenset(RefusalCode) - {RefusalCode.FULL, RefusalCode.TIMEOUT, RefusalCode.INTERNAL}
 """Refusals that another attempt would only meet again; any other code may be gone a moment later."""

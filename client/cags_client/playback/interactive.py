@@ -16,7 +16,7 @@ from cags_client.playback.jobs import Decode, DecodeResult, Present
 from cags_client.playback.player import Player
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
-from cags_protocol.messages import Control
+from cags_protocol.wire.messages import Control
 
 SEEK_PATIENCE_US = 15_000_000
 """How long the old picture stays after a seek when the first frame does not come whole; then what there is is shown."""

@@ -10,7 +10,7 @@ from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
 from cags_common.errors import DecodeError
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
 
 
@@ -18,7 +18,7 @@ from cags_protocol import events as ev
 class Restarted:
     """From here on data comes over another connection, whose references and marks are numbered from 1 again."""
 
-    inventory: tuple[HeldTile, ...] = ()
+    inventory: tuple[InventoryEntry, ...] = ()
     """What the server was told that the client holds."""
 
 
@@ -33,7 +33,7 @@ class DecodeResult:
     needs_idr: bool
     whole: int
     """The latest frame whose end was decoded; -1 if none was."""
-    dropped: tuple[HeldTile, ...] = ()
+    dropped: tuple[InventoryEntry, ...] = ()
     """What had come and was given up for want of memory."""
     references: bool = False
     """Whether a reference was decoded."""

@@ -35,12 +35,12 @@ from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
 from cags_common.geometry import DEFAULT_NEAR, Pose
 from cags_protocol import events as ev
-from cags_protocol.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
-from cags_protocol.client import ClientSession, ClientSessionSettings
-from cags_protocol.inventory import pack_inventory, unpack_inventory
-from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Control, Hello, Welcome
-from cags_protocol.session import SessionTimers
+from cags_protocol.sessions.base import SessionTimers
+from cags_protocol.sessions.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
+from cags_protocol.sessions.client import ClientSession, ClientSessionSettings
+from cags_protocol.wire.inventory import pack_inventory, unpack_inventory
+from cags_protocol.wire.limits import PROTOCOL_VERSION
+from cags_protocol.wire.messages import Control, Hello, Welcome
 
 KEYFRAME_RETRY_US = 250_000
 """A lost reference video is asked for again after this long."""

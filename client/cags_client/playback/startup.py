@@ -7,7 +7,7 @@ comes, or as long as a viewer is made to wait.
 
 from __future__ import annotations
 
-QUIET_US = 150_000
+QUIET_US = 250_000
 """When nothing has come for so long, there is nothing more to come."""
 
 PREVIEW_EVERY_US = 200_000

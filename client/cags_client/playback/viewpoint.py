@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from cags_common.geometry import Pose
-from cags_protocol.limits import MAX_POSE_SAMPLES
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.limits import MAX_POSE_SAMPLES
+from cags_protocol.wire.messages import PoseSample
 
 
 class PoseSource(Protocol):

@@ -6,30 +6,18 @@ import threading
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
-import numpy as np
-
 from cags_client.store.picture import ReferencePicture
 from cags_common.correction import Reference
 from cags_common.errors import DecodeError
 from cags_common.geometry import DEFAULT_NEAR, F32, Camera
 from cags_common.video.h264 import H264Decoder
-from cags_protocol.messages import ReferenceFrame, ReferenceKind
+from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 
 KEPT = 24
 """References kept: those sent ahead of display and the last few shown."""
 
 MAX_REFERENCE_PIXELS = 1 << 21
 """Largest reference that is decoded."""
-
-
-AROUND_PX = 3
-"""Radius of the neighbourhoods in which a picture is compared with the client's own view, its pixels."""
-
-NOISE_WEIGHT = 2.0
-"""Weight of what coding has left, which is not the same everywhere."""
-
-LEAST_POWER = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,24 +43,11 @@ class Received:
         return self.kind is not ReferenceKind.PICTURE
 
     @cached_property
-    def difference(self) -> Reference:
-        """What correctors take of a difference."""
+    def reference(self) -> Reference:
+        """What correctors take."""
         assert self.coded is not None, "a reference that says nothing corrects nothing"
-        return Reference(self.coded, self.camera, knee=self.knee)
-
-    def compared(self, own: F32) -> Reference:
-        """What correctors take of a picture, by the client's ``own`` view [h, w, 3] of it.
-
-        Where the two differ by no more than coding has left in the picture, nothing is lacking: of the difference d in
-        a neighbourhood 1 - error / mean d^2 counts, Wiener's share.
-        """
-        assert self.coded is not None, "a reference that says nothing corrects nothing"
-        own = np.clip(own, 0.0, 1.0)
-        away = self.coded - own
-        size = (2 * AROUND_PX + 1,) * 2
-        power = cv2.boxFilter(np.einsum("ijk,ijk->ij", away, away), -1, size) / 3
-        share = np.clip(1 - NOISE_WEIGHT * self.error / np.maximum(power, LEAST_POWER), 0.0, 1.0)
-        return Reference(np.asarray(own + share[..., None] * away, np.float32), self.camera, picture=True)
+        picture = self.kind is ReferenceKind.PICTURE
+        return Reference(self.coded, self.camera, picture, self.knee, self.error if picture else 0.0)
 
     @cached_property
     def picture(self) -> ReferencePicture | None:

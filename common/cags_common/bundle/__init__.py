@@ -6,7 +6,7 @@ from cags_common.bundle.player import BundlePlayer, DecodedFrame
 from cags_common.bundle.reader import BundleReader
 from cags_common.bundle.source import SourceDelta, SourceFrame
 from cags_common.bundle.writer import BundleWriter, TilePayloads
-from cags_common.lod import LodLayer
+from cags_common.tiles.lod import LodLayer
 
 __all__ = [
     "BundlePlayer",

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cags_common.coding.packing import gunzip_bounded, gzip_bytes
 from cags_common.errors import BundleError, DecodeError
 from cags_common.geometry import Vec3
 from cags_common.motion.chunk import LEVELS, MAX_SPAN
-from cags_common.packing import gunzip_bounded, gzip_bytes
 from cags_common.splats import MAX_SPLATS
-from cags_common.tile_kinds import TileKind
-from cags_common.tiles import MAX_TILE_SPLATS
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.payloads import MAX_TILE_SPLATS
 
 TILES_MAGIC = b"CAGSGF02"
 SOURCE_MAGIC = b"CAGSSR01"

@@ -7,25 +7,22 @@ lie.
 from __future__ import annotations
 
 import json
-import math
 from bisect import bisect_right
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any, TypeVar
 
+from cags_common.bundle.fields import Fields
 from cags_common.bundle.tracks import MAX_LIFE_CLASSES, ChangedShares, TrackStatistics
+from cags_common.bundle.view import AuthorView
 from cags_common.errors import BundleError
 from cags_common.geometry import DEFAULT_NEAR, Vec3
-from cags_common.lod import MAX_LODS, LodLayer
 from cags_common.splats import MAX_SPLATS
-from cags_common.svq import MAX_BASE_BITS
+from cags_common.tiles.lod import MAX_LODS, LodLayer
+from cags_common.tiles.svq import MAX_BASE_BITS
 
 FORMAT = "cags-bundle"
 VERSION = 3
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FRAMES = 1_000_000
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +86,7 @@ class Manifest:
     """PSNR gained by each level of ``lod_order``, measured on renders of this content; empty when it was not measured.
     """
     codec: str = "svq"
-    """Name of the tile codec (:data:`cags_common.codecs.TILE_CODECS`)."""
+    """Name of the tile codec (:data:`cags_common.bundle.codecs.TILE_CODECS`)."""
     quantiser: str = ""
     """Name of the codec's configuration, such as ``paper-66``; for people."""
     up: Vec3 = (0.0, 1.0, 0.0)
@@ -106,6 +103,8 @@ class Manifest:
     """Units of motion; None where no splat of the bundle moves by itself."""
     tracks: TrackStatistics | None = None
     """How splats continue from frame to frame; for people."""
+    view: AuthorView | None = None
+    """How the author wants the scene to be opened."""
     version: int = VERSION
 
     @property
@@ -133,6 +132,9 @@ class Manifest:
                 del table[name]
         if self.weights_crc is None:
             del table["weights_crc"]
+        del table["view"]
+        if self.view is not None:
+            table["view"] = self.view.table()
         return json.dumps(table, separators=(",", ":"), sort_keys=True, allow_nan=False).encode()
 
     def public_json(self) -> bytes:
@@ -154,10 +156,10 @@ class Manifest:
             raise BundleError(
                 f"manifest: version {table.get('version')!r} is unknown; this program reads {VERSION}, encode again"
             )
-        return _checked(_Fields(table))
+        return _checked(Fields(table))
 
 
-def _checked(fields: _Fields) -> Manifest:
+def _checked(fields: Fields) -> Manifest:
     manifest = Manifest(
         name=fields.text("name"),
         fps=fields.number("fps", 1e-3, 1000.0),
@@ -177,6 +179,7 @@ def _checked(fields: _Fields) -> Manifest:
         pruning=_pruning(fields.inner("pruning")) if fields.has("pruning") else None,
         motion=_motion(fields.inner("motion")) if fields.has("motion") else None,
         tracks=_tracks(fields.inner("tracks")) if fields.has("tracks") else None,
+        view=AuthorView.read(fields.inner("view")) if fields.has("view") else None,
         weights_crc=fields.integer("weights_crc", 0, 2**32 - 1) if fields.has("weights_crc") else None,
         gofs=fields.many("gofs", lambda f: GofFiles(_file(f.inner("tiles")), _file(f.inner("source"))), MAX_FRAMES),
     )
@@ -192,14 +195,14 @@ def _checked(fields: _Fields) -> Manifest:
     return manifest
 
 
-def _bounds(fields: _Fields) -> tuple[Vec3, Vec3]:
+def _bounds(fields: Fields) -> tuple[Vec3, Vec3]:
     corners = fields.many("bounds", lambda f: f.vector(""), 2)
     if len(corners) != 2:
         raise BundleError("manifest: bounds must be two corners")
     return corners[0], corners[1]
 
 
-def _pruning(fields: _Fields) -> Pruning:
+def _pruning(fields: Fields) -> Pruning:
     return Pruning(
         share=fields.number("share", 0.0, 1.0),
         splats_before=fields.integer("splats_before", 1, MAX_SPLATS),
@@ -209,8 +212,8 @@ def _pruning(fields: _Fields) -> Pruning:
     )
 
 
-def _motion(fields: _Fields) -> MotionSteps:
-    def step(field: _Fields) -> float:
+def _motion(fields: Fields) -> MotionSteps:
+    def step(field: Fields) -> float:
         return field.number("", 0.0, 1e12)
 
     moves, turns = (fields.many(name, step, 1 << MAX_BASE_BITS) for name in ("moves", "turns"))
@@ -219,7 +222,7 @@ def _motion(fields: _Fields) -> MotionSteps:
     return MotionSteps(moves, turns)
 
 
-def _tracks(fields: _Fields) -> TrackStatistics:
+def _tracks(fields: Fields) -> TrackStatistics:
     most, changed = MAX_FRAMES * MAX_SPLATS, fields.inner("changed")
     return TrackStatistics(
         frames=fields.integer("frames", 1, MAX_FRAMES),
@@ -231,75 +234,16 @@ def _tracks(fields: _Fields) -> TrackStatistics:
     )
 
 
-def _lod_layer(field: _Fields) -> LodLayer:
+def _lod_layer(field: Fields) -> LodLayer:
     parts = field.sequence("")
     if len(parts) != 2:
         raise BundleError(f"manifest: lod_order entry {parts!r} must be [attribute, layer]")
-    return LodLayer(_Fields(parts[0], "lod_order").text(""), _Fields(parts[1], "lod_order").integer("", 1, MAX_LODS))
+    return LodLayer(Fields(parts[0], "lod_order").text(""), Fields(parts[1], "lod_order").integer("", 1, MAX_LODS))
 
 
-def _file(fields: _Fields) -> FileEntry:
+def _file(fields: Fields) -> FileEntry:
     name = fields.text("name")
     if not name or name.startswith("/") or ".." in name.split("/") or "\\" in name or ":" in name:
         raise BundleError(f"manifest: file name {name!r} must stay inside the bundle")
     size = fields.integer("size_bytes", 0, 2**50)
     return FileEntry(name, fields.integer("index_offset", 0, size), fields.integer("index_crc", 0, 2**32 - 1), size)
-
-
-class _Fields:
-    """Typed access to one parsed JSON value; errors name the path of the field."""
-
-    def __init__(self, value: Any, path: str = "") -> None:
-        self._value, self._path = value, path
-
-    def _get(self, name: str) -> tuple[Any, str]:
-        if not name:
-            return self._value, self._path
-        path = f"{self._path}.{name}" if self._path else name
-        if not isinstance(self._value, dict) or name not in self._value:
-            raise BundleError(f"manifest: {path} is missing")
-        return self._value[name], path
-
-    def has(self, name: str) -> bool:
-        """Whether an optional field is there; null means that it is not."""
-        return isinstance(self._value, dict) and self._value.get(name) is not None
-
-    def inner(self, name: str) -> _Fields:
-        return _Fields(*self._get(name))
-
-    def text(self, name: str) -> str:
-        value, path = self._get(name)
-        if not isinstance(value, str) or len(value) > 1024:
-            raise BundleError(f"manifest: {path} must be a short text")
-        return value
-
-    def integer(self, name: str, low: int, high: int) -> int:
-        value, path = self._get(name)
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise BundleError(f"manifest: {path} = {repr(value)[:40]} must be a whole number in [{low}, {high}]")
-        return value
-
-    def number(self, name: str, low: float, high: float) -> float:
-        value, path = self._get(name)
-        if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
-            raise BundleError(f"manifest: {path} = {repr(value)[:40]} must be a number in [{low}, {high}]")
-        return float(value)
-
-    def vector(self, name: str) -> Vec3:
-        value, path = self._get(name)
-        parts = self.many(name, lambda f: f.number("", -1e30, 1e30), 3)
-        if len(parts) != 3 or not all(map(math.isfinite, parts)):
-            raise BundleError(f"manifest: {path} must be three numbers, not {repr(value)[:40]}")
-        return parts[0], parts[1], parts[2]
-
-    def sequence(self, name: str) -> list[Any]:
-        value, path = self._get(name)
-        if not isinstance(value, list):
-            raise BundleError(f"manifest: {path} must be a list")
-        return value
-
-    def many(self, name: str, read: Callable[[_Fields], T], most: int) -> tuple[T, ...]:
-        values, (_, path) = self.sequence(name), self._get(name)
-        if len(values) > most:
-            raise BundleError(f"manifest: {path} has {len(values)} entries; at most {most} are allowed")
-        return tuple(read(_Fields(value, f"{path}[{i}]")) for i, value in enumerate(values))

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cags_common.bundle.codecs import AnyTile, MotionTile
 from cags_common.bundle.index import TileEntry
 from cags_common.bundle.reader import BundleReader
 from cags_common.bundle.source import SourceFrame
-from cags_common.codecs import AnyTile, MotionTile
 from cags_common.errors import BundleError, DecodeError
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_common.splat_buffer import Slot, SplatBuffer
-from cags_common.updates import UpdateState
+from cags_common.tiles.splat_buffer import Slot, SplatBuffer
+from cags_common.tiles.updates import UpdateState
 
 
 @dataclass(frozen=True, eq=False)

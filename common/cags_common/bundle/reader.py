@@ -5,19 +5,21 @@ from __future__ import annotations
 import threading
 from types import TracebackType
 
+from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.index import FrameEntry, TileEntry, decode_source_index, decode_tile_index
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, FileEntry, Manifest
 from cags_common.bundle.quality import MAX_QUALITY_BYTES, QUALITY_NAME, LodQuality
 from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, decode_source
 from cags_common.bundle.store import ByteStore, UrlStore
-from cags_common.codecs import tile_codec
+from cags_common.coding.packing import check_crc, crc32, decode_ids
 from cags_common.errors import BundleError
-from cags_common.packing import check_crc, crc32, decode_ids
-from cags_common.recent import Recent
+from cags_common.runtime.recent import Recent
 from cags_common.splats import Ids
-from cags_common.svq import MAX_CODEBOOK_BYTES
+from cags_common.tiles.svq import MAX_CODEBOOK_BYTES
 
 MANIFEST_NAME = "manifest.json"
+THUMBNAIL_NAME = "thumbnail.jpg"
+MAX_THUMBNAIL_BYTES = 1 << 18
 CODEBOOKS_NAME = "codebooks.bin"
 MAX_WEIGHTS_BYTES = 4 << 20
 
@@ -74,7 +76,7 @@ class BundleReader:
             self._replay = None
 
     def codebooks(self) -> bytes:
-        """Serialised codebooks, for :func:`~cags_common.codecs.tile_codec`."""
+        """Serialised codebooks, for :func:`~cags_common.bundle.codecs.tile_codec`."""
         return self._codebooks
 
     def quality(self) -> LodQuality | None:
@@ -82,6 +84,12 @@ class BundleReader:
         if not self._store.has(QUALITY_NAME):
             return None
         return LodQuality.from_json(self._store.read_all(QUALITY_NAME, MAX_QUALITY_BYTES))
+
+    def thumbnail(self) -> bytes | None:
+        """A small JPEG of the first view, None where the encoder made none. Raises :class:`BundleError`."""
+        if not self._store.has(THUMBNAIL_NAME):
+            return None
+        return self._store.read_all(THUMBNAIL_NAME, MAX_THUMBNAIL_BYTES)
 
     def weights(self) -> bytes | None:
         """Weights of a restorer that were trained for this content, or None. Raises :class:`DecodeError`."""
@@ -123,7 +131,7 @@ class BundleReader:
         return self._within(self.codec.tile_ids(self.payload(*(looks or (frame, tile)), 0)), frame, f"tile {tile}")
 
     def removed_payload(self, frame: int) -> bytes:
-        """The ids that ``frame`` removes, packed by :func:`~cags_common.packing.encode_ids`."""
+        """The ids that ``frame`` removes, packed by :func:`~cags_common.coding.packing.encode_ids`."""
         entry = self.frame(frame)
         data = self._frame_bytes(entry)[: entry.removed_bytes]
         check_crc(data, entry.removed_crc, f"frame {frame}, removed ids")

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.coding.packing import decode_ids, encode_ids, gunzip_bounded, gzip_bytes
 from cags_common.errors import BundleError
 from cags_common.geometry import F32
-from cags_common.packing import decode_ids, encode_ids, gunzip_bounded, gzip_bytes
 from cags_common.splats import MAX_SPLATS, SH_REST_OF_DEGREE, Ids, Splats
 
 _HEADER = struct.Struct("<BBxxIII")  # version, SH degree, splats, bytes of ids, bytes of removed ids

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
@@ -91,6 +91,21 @@ class UrlStore:
         except Exception as error:
             way_out = "check the address and, for s3, the credentials in the environment"
             raise BundleError(f"{self._url}/{name}: cannot be read ({error}); {way_out}") from error
+
+
+def replace_files(url: str, files: Mapping[str, bytes]) -> None:
+    """Write files into a bundle that is there, in order, each by renaming: readers find the old or the new, whole.
+
+    Raises :class:`BundleError`.
+    """
+    fs, path = filesystem(url)
+    try:
+        for name, content in files.items():
+            with fs.open(f"{path}/.{name}.new", "wb") as file:
+                file.write(content)
+            fs.mv(f"{path}/.{name}.new", f"{path}/{name}")
+    except OSError as error:
+        raise BundleError(f"{url}: cannot be written ({error.strerror or error})") from error
 
 
 def remove_tree(path: Path) -> None:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
 from cags_common.bundle.reader import MANIFEST_NAME, MAX_WEIGHTS_BYTES, weights_name
-from cags_common.bundle.store import UrlStore, filesystem
+from cags_common.bundle.store import UrlStore, filesystem, replace_files
+from cags_common.coding.packing import crc32
 from cags_common.errors import BundleError
-from cags_common.packing import crc32
 
 
 def store_weights(url: str, data: bytes) -> None:
@@ -20,16 +20,10 @@ def store_weights(url: str, data: bytes) -> None:
         raise BundleError(f"{url}: {len(data)} bytes of weights are more than the allowed {MAX_WEIGHTS_BYTES}")
     manifest = Manifest.from_json(UrlStore(url).read_all(MANIFEST_NAME, MAX_MANIFEST_BYTES))
     old, new = manifest.weights_crc, crc32(data)
-    files, path = filesystem(url)
-    try:
-        for name, content in (
-            (weights_name(new), data),
-            (MANIFEST_NAME, replace(manifest, weights_crc=new).to_json()),
-        ):
-            with files.open(f"{path}/.{name}.new", "wb") as file:
-                file.write(content)
-            files.mv(f"{path}/.{name}.new", f"{path}/{name}")
-        if old is not None and old != new:
+    replace_files(url, {weights_name(new): data, MANIFEST_NAME: replace(manifest, weights_crc=new).to_json()})
+    if old is not None and old != new:
+        files, path = filesystem(url)
+        try:
             files.rm_file(f"{path}/{weights_name(old)}")
-    except OSError as error:
-        raise BundleError(f"{url}: weights cannot be stored ({error.strerror or error})") from error
+        except OSError as error:
+            raise BundleError(f"{url}: old weights stay there ({error.strerror or error})") from error

@@ -26,11 +26,11 @@ from cags_common.bundle.manifest import FileEntry, GofFiles, Manifest
 from cags_common.bundle.quality import QUALITY_NAME, LodQuality
 from cags_common.bundle.reader import CODEBOOKS_NAME, MANIFEST_NAME
 from cags_common.bundle.store import filesystem, local_path, remove_tree
+from cags_common.coding.packing import crc32, encode_ids
 from cags_common.errors import BundleError
 from cags_common.geometry import Vec3
-from cags_common.packing import crc32, encode_ids
 from cags_common.splats import Ids
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 
 
 @dataclass(frozen=True, eq=False)

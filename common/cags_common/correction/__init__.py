@@ -17,22 +17,35 @@ from cags_common.correction.base import (
     Reference,
     veto_shape,
 )
-from cags_common.correction.changed import changed_cells
+from cags_common.correction.changed import Spheres, changed_cells
 from cags_common.correction.compander import compand, expand
+from cags_common.correction.frames import Correction, FramePictures, FrameScene
+from cags_common.correction.trust import trusted
+from cags_common.correction.views import ComparedViews, ComparingScene, DrawnViews, Look, StagedViews
 from cags_common.errors import ConfigError
 
 __all__ = [
     "NAMES",
     "VETO_CELL_PX",
+    "ComparedViews",
+    "ComparingScene",
     "CorrectSettings",
     "Corrected",
+    "Correction",
     "Corrector",
+    "DrawnViews",
+    "FramePictures",
+    "FrameScene",
+    "Look",
     "Placement",
     "Reference",
+    "Spheres",
+    "StagedViews",
     "changed_cells",
     "compand",
     "create",
     "expand",
+    "trusted",
     "veto_shape",
 ]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import RenderedView
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_settings, parameter
 
 CELL_PX = 8
 """Side of the cells whose mean depth fills holes."""
@@ -39,14 +39,14 @@ LEAST_KNEE, LARGEST_KNEE = 1e-3, 10.0
 class CorrectSettings:
     """How what is lacking is brought to the client's view."""
 
-    depth_tolerance: float = setting(
+    depth_tolerance: float = parameter(
         0.03, "a pixel is hidden where it lies this share of the depth behind what the reference shows", low=0, high=1
     )
-    slope_cells: float = setting(
+    slope_cells: float = parameter(
         1.0, "depth change over this many reference pixels of the surface's own slope hides nothing", low=0, high=8
     )
-    border_px: float = setting(3.0, "corrections fade over this many reference pixels at the border", low=0, high=64)
-    hole_alpha: float = setting(0.3, "pixels of less opacity take their depth from around them", low=0, high=1)
+    border_px: float = parameter(3.0, "corrections fade over this many reference pixels at the border", low=0, high=64)
+    hole_alpha: float = parameter(0.3, "pixels of less opacity take their depth from around them", low=0, high=1)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -59,9 +59,11 @@ class Reference:
     coded: F32  # [h, w, 3] in [0, 1]
     camera: Camera
     picture: bool = False
-    """A picture of the scene, from which the client subtracts its own view; else a companded difference."""
+    """A picture of the scene, from which the client subtracts its own render; else a companded difference."""
     knee: float = 0.1
     """Differences below it are coded about linearly."""
+    error: float = 0.0
+    """Mean squared error that coding has left in a picture, [0, 1] RGB; see :func:`.trust.trusted`."""
 
     def __post_init__(self) -> None:
         size = self.camera.height_px, self.camera.width_px, 3
@@ -70,6 +72,8 @@ class Reference:
         if not LEAST_KNEE <= self.knee <= LARGEST_KNEE:
             limits = f"[{LEAST_KNEE}, {LARGEST_KNEE}]"
             raise ValueError(f"knee = {self.knee} must lie in {limits}; 0.05 to 0.15 suit")
+        if not 0 <= self.error <= 1:
+            raise ValueError(f"error = {self.error} must lie in [0, 1]: a mean square of colours in [0, 1]")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +93,7 @@ class Corrector(Protocol):
         ...
 
     def needs_own(self, reference: Reference) -> bool:
-        """Whether :meth:`correct` has to be given the client's own view of ``reference``: of a picture not yet seen."""
+        """Whether :meth:`correct` needs ``own``: a render from the camera of a picture not yet seen."""
         ...
 
     def correct(
@@ -154,7 +158,9 @@ def checked_depth(view: RenderedView, camera: Camera) -> F32:
 def checked_own(own: F32, reference: Reference) -> F32:
     """``own``. Raises ``ValueError`` where it is not of the reference's size."""
     if own.shape != reference.coded.shape:
-        raise ValueError(f"an own view of shape {own.shape} for a reference of shape {reference.coded.shape}")
+        raise ValueError(
+            f"render from the reference camera: shape {own.shape}, but the reference has {reference.coded.shape}"
+        )
     return own
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,32 +14,43 @@ SLABS = 32
 """Steps of depth, equal in their logarithm, by which splats are told from what hides them."""
 
 
-def changed_cells(
-    positions: NDArray[np.floating],
-    radii: NDArray[np.floating],
-    camera: Camera,
-    depth: F32,
-    tolerance: float = 0.1,
-) -> F32:
+BEHIND = 0.1
+"""A splat is seen that lies no further behind a cell's farthest depth, a share of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spheres:
+    """Balls around splats. Raises ``ValueError`` for shapes that do not fit."""
+
+    positions: NDArray[np.floating]  # [N, 3] world
+    radii: NDArray[np.floating]  # [N] world units
+
+    def __post_init__(self) -> None:
+        if self.positions.shape != (len(self.radii), 3) or self.radii.ndim != 1:
+            raise ValueError(
+                f"positions of shape {self.positions.shape} and radii of shape {self.radii.shape}: "
+                "[N, 3] and [N] wanted"
+            )
+
+    def __len__(self) -> int:
+        return len(self.radii)
+
+
+def changed_cells(spheres: Spheres, camera: Camera, depth: F32, tolerance: float = BEHIND) -> F32:
     """A veto for :meth:`.base.Corrector.correct` [ceil(H / 16), ceil(W / 16)]: 1 where a changed splat is seen, else 0.
 
-    ``positions`` [N, 3] (world) and ``radii`` [N] (world units, of spheres that hold them) are those of the splats that
-    changed; ``depth`` [H, W] is that of the view from ``camera``. A splat is seen in a cell where its near side lies no
-    further than the cell's farthest depth, by ``tolerance`` of it and a step of a logarithmic scale (holes are
-    infinitely far): what is in doubt counts as seen. The cost grows with N and the number of cells, not with the
-    splats' sizes.
+    ``spheres`` hold the splats that changed; ``depth`` [H, W] is that of the view from ``camera``. A splat is seen in
+    a cell where its near side lies no further than the cell's farthest depth, by ``tolerance`` of it and a step of a
+    logarithmic scale (holes are infinitely far): what is in doubt counts as seen. The cost grows with N and the number
+    of cells, not with the splats' sizes.
 
-    Raises ``ValueError`` for shapes that do not fit.
+    Raises ``ValueError`` where the depth is of another size.
     """
     size = camera.height_px, camera.width_px
     if depth.shape != size:
         raise ValueError(f"depth of shape {depth.shape} under a camera of {size[1]}x{size[0]}")
-    if positions.shape != (len(radii), 3) or radii.ndim != 1:
-        raise ValueError(
-            f"positions of shape {positions.shape} and radii of shape {radii.shape}: [N, 3] and [N] wanted"
-        )
     shape = veto_shape(camera)
-    near, boxes = _boxes(np.asarray(positions, np.float64), np.asarray(radii, np.float64), camera, shape)
+    near, boxes = cell_boxes(spheres, camera)
     if not len(near):
         return np.zeros(shape, np.float32)
     edges = _slab_edges(depth)
@@ -50,8 +63,10 @@ def changed_cells(
     return seen.astype(np.float32)
 
 
-def _boxes(positions: F64, radii: F64, camera: Camera, shape: tuple[int, int]) -> tuple[F64, NDArray[np.int64]]:
-    """Depths of the near sides, and first and last cell [M, 4] (rows, then columns), of the spheres in the image."""
+def cell_boxes(spheres: Spheres, camera: Camera) -> tuple[F64, NDArray[np.int64]]:
+    """Depths of the near sides [M], and first and last cell [M, 4] (rows, then columns), of spheres in the image."""
+    positions, radii = np.asarray(spheres.positions, np.float64), np.asarray(spheres.radii, np.float64)
+    shape = veto_shape(camera)
     rotation, shift = camera.world_to_camera
     x, y, z = (positions @ rotation.T + shift).T
     in_front = (z + radii > camera.near) & (radii > 0)

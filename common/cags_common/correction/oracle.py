@@ -26,6 +26,7 @@ from cags_common.correction.base import (
     checked_veto,
 )
 from cags_common.correction.compander import expand
+from cags_common.correction.trust import trusted
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import RenderedView
 
@@ -33,7 +34,7 @@ LEAST_WEIGHT = 1e-6
 
 
 class ReferenceCorrector:
-    """The definition behind the seam; keeps the own view that came with a picture."""
+    """The definition behind the seam; keeps the render from the reference camera that came with a picture."""
 
     name = "reference"
 
@@ -67,8 +68,9 @@ def lacking(reference: Reference, own: F32 | None) -> F64:
     if not reference.picture:
         return expand(reference.coded, reference.knee)
     if own is None:
-        raise ValueError("a reference that is a picture needs the client's own view of it")
-    lack = np.clip(reference.coded.astype(np.float64), 0, 1) - np.clip(checked_own(own, reference), 0, 1)
+        raise ValueError("a reference that is a picture needs the client's render from the reference camera")
+    picture = trusted(reference.coded, checked_own(own, reference), reference.error)
+    lack = np.clip(picture.astype(np.float64), 0, 1) - np.clip(own, 0, 1)
     return np.asarray(lack)
 
 

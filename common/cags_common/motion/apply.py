@@ -18,7 +18,7 @@ import cags_kernels
 from cags_common.geometry import F32, F64
 from cags_common.motion.chunk import TURN_UNIT, Chunk
 from cags_common.motion.knots import FRACTION_BITS, I32
-from cags_common.threads import threads_for_rows
+from cags_common.runtime.threads import threads_for_rows
 
 ABSENT_LOGIT = np.float32(-30.0)
 """Opacity logit of a splat that is not there: drawn opacity 1e-13, which every rasteriser culls."""

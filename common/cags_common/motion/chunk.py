@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.coding.packing import squeeze, unsqueeze
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32, F64
 from cags_common.motion.knots import I32, knots
 from cags_common.motion.symbols import SymbolReader, SymbolWriter, fade_tables, life_tables
-from cags_common.packing import squeeze, unsqueeze
 
 VERSION = 5
 LEVELS = 3

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cags_kernels
-from cags_common import rans
+from cags_common.coding import rans
+from cags_common.coding.packing import squeeze, unsqueeze
 from cags_common.errors import DecodeError
 from cags_common.geometry import F64
 from cags_common.motion.contexts import TOLD, U8, Contexts, class_tables, runs
 from cags_common.motion.knots import FRACTION_BITS, I32, Knot, predicted, quantised
-from cags_common.packing import squeeze, unsqueeze
 
 ESCAPE = 254
 """Signed numbers from here on, folded, stand beside the symbols in four bytes."""

@@ -105,6 +105,11 @@ class PoseTrace:
         turned = so3.multiply(np.asarray(quaternion_of_matrix(rotation)), self.rotations)
         return PoseTrace(self.times_us, positions, turned)
 
+    def beginning_at(self, pose: Pose) -> PoseTrace:
+        """The same walk, moved rigidly so that its first pose is ``pose``."""
+        rotation = np.asarray(pose.rotation_matrix @ self.matrices[0].T, dtype=np.float64)
+        return self.moved(rotation, 1.0, self.positions[0], np.asarray(pose.position))
+
     def _poses_at(self, times_us: NDArray[np.int64]) -> list[Pose]:
         positions, rotations = self._sample(times_us)
         return [Pose(_vec3(p), _quat(q)) for p, q in zip(positions, rotations, strict=True)]

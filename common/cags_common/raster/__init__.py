@@ -12,7 +12,6 @@ from functools import cache
 
 from cags_common.errors import ConfigError
 from cags_common.raster.base import (
-    BackProjection,
     DepthKind,
     Exactness,
     Footprint,
@@ -20,13 +19,11 @@ from cags_common.raster.base import (
     RasterScene,
     RenderedView,
     RenderOptions,
-    Shortcuts,
 )
 from cags_common.registry import Registry
 
 __all__ = [
     "FACTORIES",
-    "BackProjection",
     "DepthKind",
     "Exactness",
     "Footprint",
@@ -34,7 +31,6 @@ __all__ = [
     "Rasteriser",
     "RenderOptions",
     "RenderedView",
-    "Shortcuts",
     "chosen",
     "create",
 ]

@@ -52,11 +52,6 @@ class Footprint:
         """As the 3DGS papers draw: 0.3 squared pixels at the image's own pixels, uncompensated."""
         return cls()
 
-    @classmethod
-    def antialiased(cls) -> Footprint:
-        """Opacity compensated for the whole dilation (Mip-Splatting's screen-space filter)."""
-        return cls(0.0, DILATION_PX2)
-
     def at_half_resolution(self) -> Footprint:
         """The footprint of an image of half the pixels a side that is brought up again.
 
@@ -91,35 +86,6 @@ class DepthKind(StrEnum):
     NONE = "none"
     EXPECTED = "expected"
     """Front-to-back alpha-weighted camera-space z, divided by alpha."""
-    MEDIAN = "median"
-    """z of the splat at which transmittance falls through one half."""
-
-
-MAX_COLOUR_ANGLE_RAD = 0.5
-"""Harmonics of degree 3 are another colour after that."""
-
-
-@dataclass(frozen=True, slots=True)
-class Shortcuts:
-    """What a frame may leave out beyond its level of exactness. ``cpu`` takes them; the others draw every frame whole.
-
-    docs/rasteriser.md says what each gives up and saves.
-    """
-
-    colour_angle_rad: float = 0.0
-    """A splat's colour is kept until its direction has turned by more than this. 0 evaluates every frame's colours.
-
-    With it a picture depends, within the angle, on the views that the scene drew before.
-    """
-    half_resolution: bool = False
-    """Draw half the pixels a side and bring them up: colours and alpha by cubic convolution, depth within one surface.
-
-    Contributions are still in pixels of the whole image. Not for :meth:`RasterScene.back_project`.
-    """
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.colour_angle_rad <= MAX_COLOUR_ANGLE_RAD:
-            raise ValueError(f"colour_angle_rad = {self.colour_angle_rad} must lie in [0, {MAX_COLOUR_ANGLE_RAD}]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +103,6 @@ class RenderOptions:
     threads: int = 2
     displayed: bool = False
     """Whether colours end at 1, as a display shows them."""
-    shortcuts: Shortcuts = Shortcuts()
 
     def __post_init__(self) -> None:
         if not 0 <= self.void_alpha <= 1:
@@ -158,14 +123,6 @@ class RenderedView:
     contribution: F32 | None  # [N] sum over pixels of the splat's compositing weight, in pixels
 
 
-@dataclass(frozen=True, eq=False)
-class BackProjection:
-    """An image residual carried back onto the splats: the adjoint of compositing."""
-
-    weighted_residual: F32  # [N, 3] sum over pixels of weight x residual
-    weight: F32  # [N] sum over pixels of weight
-
-
 class RasterScene(Protocol):
     """Splats held by a renderer. Not thread-safe for updates; concurrent renders are allowed."""
 
@@ -178,21 +135,13 @@ class RasterScene(Protocol):
     def move(self, rows: NDArray[np.integer], splats: Splats, threads: int = 1) -> None:
         """Take position, rotation and opacity of the splats at ``rows`` [M] from ``splats``, those of the whole scene.
 
-        Their other attributes must be those that the scene was given (colours by :meth:`recolour` stay): a fraction of
-        :meth:`update`. Raises ``ValueError`` where ``splats`` are not as many as the scene's, and what ``update`` does.
+        Their other attributes must be those that the scene was given. Costs a fraction of :meth:`update`. Raises
+        ``ValueError`` where ``splats`` are not as many as the scene's, and what :meth:`update` raises.
         """
-        ...
-
-    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
-        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]: a fraction of :meth:`update`."""
         ...
 
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view. The result does not depend on ``options.threads``."""
-        ...
-
-    def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
-        """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
         ...
 
 

@@ -77,16 +77,6 @@ def movement(rows: NDArray[np.integer], splats: Splats, count: int) -> tuple[NDA
     return indices, np.clip(splats.logit_opacities, -MAX_LOGIT, MAX_LOGIT, dtype=np.float32)
 
 
-def recolouring(rows: NDArray[np.integer], sh0: F32, count: int) -> tuple[NDArray[np.int64], F32]:
-    """``rows`` and ``sh0`` as they replace the base colours of a scene of ``count`` splats; raises as above."""
-    indices, colours = np.ascontiguousarray(rows, dtype=np.int64), np.ascontiguousarray(sh0, dtype=np.float32)
-    if indices.ndim != 1 or colours.shape != (len(indices), 3):
-        raise ValueError(f"colours of shape {colours.shape} for rows of shape {indices.shape}; give one row for each")
-    _check_rows(indices, count)
-    _check_finite("sh0", colours, "splats")
-    return indices, colours
-
-
 def check_camera(camera: Camera) -> None:
     """Raise :class:`ConfigError` for an image that is too large or a near plane that is not in front of the camera."""
     if max(camera.width_px, camera.height_px) > MAX_SIDE_PX:
@@ -95,17 +85,6 @@ def check_camera(camera: Camera) -> None:
         )
     if not 0 < camera.near < np.inf:
         raise ConfigError(f"near = {camera.near} must be positive and finite; the papers use 0.2")
-
-
-def check_residual(residual: F32, camera: Camera) -> F32:
-    """``residual`` as contiguous float32 [H, W, 3]. Raises ``ValueError`` for another shape or non-finite values."""
-    array = np.ascontiguousarray(residual, dtype=np.float32)
-    shape = (camera.height_px, camera.width_px, 3)
-    if array.shape != shape:
-        raise ValueError(f"residual has shape {array.shape}, expected {shape}")
-    if not np.isfinite(array).all():
-        raise ValueError("residual holds values that are not finite")
-    return array
 
 
 def _check_rows(indices: NDArray[np.int64], count: int) -> None:

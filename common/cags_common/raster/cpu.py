@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 import cags_kernels
 from cags_common.errors import CagsError, ConfigError
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import BackProjection, DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable, movement, recolouring, replacements
-from cags_common.raster.halving import halved
+from cags_common.raster.base import DepthKind, Exactness, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.checks import check_camera, drawable, movement, replacements
+from cags_common.runtime.threads import threads_for_rows
 from cags_common.splats import Splats
-from cags_common.threads import threads_for_rows
 
 if TYPE_CHECKING:
-    from cags_kernels.raster import RasterCamera, RasterImage, RasterOptions
+    from cags_kernels.raster import RasterCamera, RasterOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,7 @@ BOUNDS = {
 """The levels' bounds; docs/rasteriser.md tells what each level gives up."""
 
 _EXACTNESS = {Exactness.FAST: 0, Exactness.BALANCED: 1, Exactness.EXACT: 2}
-_DEPTH = {DepthKind.NONE: 0, DepthKind.EXPECTED: 1, DepthKind.MEDIAN: 2}
+_DEPTH = {DepthKind.NONE: 0, DepthKind.EXPECTED: 1}
 
 
 class CpuRasteriser:
@@ -84,41 +83,14 @@ class CpuScene:
             drawable(splats.take(indices))  # says what is wrong with them
             raise
 
-    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
-        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
-        self._native.recolour(*recolouring(rows, sh0, len(self)))
-
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view over black."""
         check_camera(camera)
-        draw = self._half if options.shortcuts.half_resolution else self._whole
         try:
-            image = draw(camera, options)
+            image = self._native.render(_camera(camera), _options(options), contribution=options.contribution)
         except cags_kernels.KernelError as error:
             raise CagsError(f"rendering {camera.width_px}x{camera.height_px} px failed: {error}") from error
         return RenderedView(image.rgb, image.alpha, image.depth, image.contribution)
-
-    def _whole(self, camera: Camera, options: RenderOptions) -> RasterImage:
-        return self._native.render(_camera(camera), _options(options), contribution=options.contribution)
-
-    def _half(self, camera: Camera, options: RenderOptions) -> RasterImage:
-        footprint = options.footprint.at_half_resolution()
-        half = self._whole(halved(camera), replace(options, footprint=footprint))
-        if half.contribution is not None:
-            half.contribution[:] *= 4  # pixels of the whole image
-        width, height = camera.width_px, camera.height_px
-        return self._native.upsample(half, width, height, _options(options))
-
-    def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
-        """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
-        check_camera(camera)
-        if options.shortcuts.half_resolution:
-            raise ValueError("half_resolution is for pictures; back-project at the residual's own resolution")
-        image = check_residual(residual, camera)
-        try:
-            return BackProjection(*self._native.back_project(_camera(camera), image, _options(options)))
-        except cags_kernels.KernelError as error:
-            raise CagsError(f"back-projection failed: {error}") from error
 
 
 def _arrays(splats: Splats) -> tuple[F32, ...]:
@@ -144,6 +116,5 @@ def _options(options: RenderOptions) -> RasterOptions:
         depth=_DEPTH[options.depth],
         max_sh_degree=options.max_sh_degree,
         threads=options.threads,
-        colour_angle=options.shortcuts.colour_angle_rad,
         brightest=1.0 if options.displayed else BRIGHTEST,
     )

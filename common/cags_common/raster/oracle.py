@@ -8,14 +8,14 @@ levels of exactness change nothing here. Slow: about a second for 30,000 splats 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64, Camera
-from cags_common.raster.base import BackProjection, DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
-from cags_common.raster.checks import check_camera, check_residual, drawable, movement, recolouring, replacements
+from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
+from cags_common.raster.checks import check_camera, drawable, movement, replacements
 from cags_common.raster.definition import ALPHA_CUT, ALPHA_MAX, JACOBIAN_MARGIN, MAX_DEPTH, MAX_SCALE, content_hash
 from cags_common.raster.harmonics import harmonics
 from cags_common.splats import SH_C0, SH_REST_OF_DEGREE, Splats
@@ -80,13 +80,6 @@ class OracleScene:
             columns[name][rows] = getattr(new, name)
         self._splats = Splats(**columns)
 
-    def recolour(self, rows: NDArray[np.integer], sh0: F32) -> None:
-        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
-        rows, colours = recolouring(rows, sh0, len(self))
-        changed = self._splats.sh0.copy()
-        changed[rows] = colours
-        self._splats = replace(self._splats, sh0=changed)
-
     def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
         """Render one view over black."""
         projected = project(self._splats, camera, options)
@@ -95,16 +88,10 @@ class OracleScene:
         depth = np.zeros((height, width))
         contribution = np.zeros(len(self))
         for step in footsteps(projected, camera):
-            before = transmittance[step.window]
-            weight = before * step.alpha
-            after = before - weight
+            weight = transmittance[step.window] * step.alpha
             rgb[step.window] += weight[..., None] * projected.colours[step.index]
-            z = projected.depths[step.index]
-            if options.depth is DepthKind.MEDIAN:
-                depth[step.window][(before >= 0.5) & (after < 0.5)] = z
-            else:
-                depth[step.window] += weight * z
-            transmittance[step.window] = after
+            depth[step.window] += weight * projected.depths[step.index]
+            transmittance[step.window] -= weight
             contribution[projected.rows[step.index]] = weight.sum()
         alpha = 1.0 - transmittance
         return RenderedView(
@@ -113,20 +100,6 @@ class OracleScene:
             _finished_depth(depth, alpha, options),
             contribution.astype(np.float32) if options.contribution else None,
         )
-
-    def back_project(self, camera: Camera, residual: F32, options: RenderOptions) -> BackProjection:
-        """Carry ``residual`` [H, W, 3] onto the splats with the weights that :meth:`render` composites by."""
-        image = check_residual(residual, camera).astype(np.float64)
-        projected = project(self._splats, camera, options)
-        transmittance = np.ones((camera.height_px, camera.width_px))
-        weighted, total = np.zeros((len(self), 3)), np.zeros(len(self))
-        for step in footsteps(projected, camera):
-            weight = transmittance[step.window] * step.alpha
-            transmittance[step.window] -= weight
-            row = projected.rows[step.index]
-            weighted[row] = np.tensordot(weight, image[step.window], 2)
-            total[row] = weight.sum()
-        return BackProjection(weighted.astype(np.float32), total.astype(np.float32))
 
 
 def project(splats: Splats, camera: Camera, options: RenderOptions) -> ProjectedSplats:
@@ -235,6 +208,4 @@ def _finished_depth(depth: F64, alpha: F64, options: RenderOptions) -> F32 | Non
     if options.depth is DepthKind.NONE:
         return None
     known = (alpha >= options.void_alpha) & (alpha > 0)
-    if options.depth is DepthKind.MEDIAN:
-        return np.where(known & (depth > 0), depth, np.inf).astype(np.float32)
     return np.where(known, depth / np.where(known, alpha, 1.0), np.inf).astype(np.float32)

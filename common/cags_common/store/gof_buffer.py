@@ -1,9 +1,10 @@
 """What is held of one group of frames: tiles at any depth, in any order of arrival.
 
 Tiles are decoded when they arrive (:mod:`cags_common.store.gof_tiles`); :meth:`GofBuffer.commit` makes them visible,
-all of a frame at once, when that frame is shown (:mod:`cags_common.splat_buffer` has the rules by which looks, updates
-and motion become one array of splats). What is shown depends on what came up to a mark and on the frame alone: not on
-how arrivals were batched, nor on what was committed before. Each group of frames has ids, and a store, of its own.
+all of a frame at once, when that frame is shown (:mod:`cags_common.tiles.splat_buffer` has the rules by which looks,
+updates and motion become one array of splats). What is shown depends on what came up to a mark and on the frame alone:
+not on how arrivals were batched, nor on what was committed before. Each group of frames has ids, and a store, of its
+own.
 Showing an earlier frame of the group replays what is held, so a loop or a jump back asks the network for nothing.
 """
 
@@ -19,18 +20,18 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.bundle.codecs import WHOLE_TILES_CODEC
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import WHOLE_TILES_CODEC
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.motion.chunk import Chunk
-from cags_common.splat_buffer import Slot, SplatBuffer
 from cags_common.splats import Ids, Splats
 from cags_common.store.gof_tiles import GofTiles
-from cags_common.store.motions import HeldMotion, HeldUpdate, LooksValue, Staged
-from cags_common.store.shown import Held, Shown
+from cags_common.store.motions import LooksValue, Staged, StoredMotion, StoredUpdate
+from cags_common.store.shown import Shown, StoredLooks
 from cags_common.store.tile_decode import Arrival, Key, Opener
+from cags_common.tiles.inventory import InventoryEntry
+from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +85,8 @@ class GofBuffer:
         )
         layered, in_motion = manifest.codec != WHOLE_TILES_CODEC, manifest.motion is not None
         self._tiles = GofTiles(frames, self.capacity, opener, layered=layered, in_motion=in_motion, mark=mark)
-        self._shown: list[Held] = []
-        self._coarse: dict[Key, HeldMotion | HeldUpdate] = {}  # shown below its highest level
+        self._shown: list[StoredLooks] = []
+        self._coarse: dict[Key, StoredMotion | StoredUpdate] = {}  # shown below its highest level
         self._shown_frame = self._horizon = -1
         self.whole = False
         """Whether the end of the frame on display had come when it was committed."""
@@ -133,12 +134,12 @@ class GofBuffer:
         """What comes from now on belongs to later marks. After :meth:`flush`, in the same thread."""
         self._tiles.mark = number
 
-    def take_dropped(self) -> list[HeldTile]:
+    def take_dropped(self) -> list[InventoryEntry]:
         """What had come and was given up since the last call, for want of memory: the server may send it again."""
         return self._tiles.take_dropped()
 
     def end(self, frame: int, removed: Ids) -> None:
-        """Nothing more is planned for ``frame``; ``removed`` ids end there. Raises :class:`DecodeError`."""
+        """The server plans nothing more for ``frame``; splats ``removed`` end there. Raises :class:`DecodeError`."""
         self._tiles.check_ids(removed, f"removed ids of frame {frame}")
         with self._lock:
             if frame not in self._ended:
@@ -184,7 +185,7 @@ class GofBuffer:
     def _show(self, staged: Staged) -> NDArray[np.integer]:
         """The rows that change by it; motion changes none before all of it is evaluated."""
         held, value = staged.held, staged.value
-        if isinstance(held, Held):
+        if isinstance(held, StoredLooks):
             assert isinstance(value, LooksValue)
             held.steps, held.grows = value.steps, value.grows
             self.begun |= len(value.ids) > 0
@@ -195,7 +196,7 @@ class GofBuffer:
             return self._buffer.write(held, staged.lod, value.ids, value.splats)
         held.shown_lod, top = staged.lod, MOTION_LEVELS - 1
         rows = np.zeros(0, np.intp)
-        if isinstance(held, HeldUpdate):
+        if isinstance(held, StoredUpdate):
             assert isinstance(value, dict)
             held.ids_of, top = {column: ids for column, (ids, _) in value.items()}, self._top_lod
             rows = self._buffer.update(held.key[0], value)
@@ -232,7 +233,7 @@ class GofBuffer:
 
     def _replaced(self, slot: Slot) -> None:
         """Nothing of a tile is shown any more."""
-        assert isinstance(slot, Held)
+        assert isinstance(slot, StoredLooks)
         if slot.replaced or slot.grows:
             return
         self._buffer.drop_motion(slot.key)
@@ -247,7 +248,7 @@ class GofBuffer:
                     self._tiles.forget(update)
                     self._forget([update])
 
-    def _forget(self, changes: Sequence[HeldMotion | HeldUpdate]) -> None:
+    def _forget(self, changes: Sequence[StoredMotion | StoredUpdate]) -> None:
         for held in changes:
             self._coarse.pop(held.key, None)
 
@@ -274,7 +275,7 @@ class GofBuffer:
         """What is on display."""
         return Shown(self._buffer.owner, tuple(self._shown))
 
-    def held(self) -> list[HeldTile]:
+    def held(self) -> list[InventoryEntry]:
         """The tiles of which splats are shown, wait to be, or are kept for a replay; motion and updates like looks."""
         return self._tiles.held()
 
@@ -283,9 +284,9 @@ class GofBuffer:
         """Whether everything shown is at its highest LoD, motion and updates too: nothing is left to restore."""
         return self.shown.full(self._top_lod) and not any(map(self._counts, list(self._coarse.values())))
 
-    def _counts(self, held: HeldMotion | HeldUpdate) -> bool:
+    def _counts(self, held: StoredMotion | StoredUpdate) -> bool:
         """Whether ``held`` makes anything that is shown what it is."""
-        if isinstance(held, HeldUpdate):
+        if isinstance(held, StoredUpdate):
             return self._buffer.uses(held.key[0], held.ids_of, shown=True)
         looks = self._tiles.looks(held.looks)
         return looks is not None and looks.on_display and self._buffer.moves(held.looks) == held.key[0]

@@ -12,26 +12,26 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import TypeAlias
 
-from cags_common.codecs import MotionDecoder
+from cags_common.bundle.codecs import MotionDecoder
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.splats import Ids
 from cags_common.store.motions import (
-    AnyHeld,
-    HeldMotion,
-    HeldUpdate,
     KeptPayload,
     Motions,
     Staged,
+    StoredMotion,
+    StoredTile,
+    StoredUpdate,
     named,
     staged,
     to_stage,
 )
 from cags_common.store.reorder_buffer import WaitingLayers
-from cags_common.store.shown import Held
+from cags_common.store.shown import StoredLooks
 from cags_common.store.tile_decode import Arrival, First, Key, Opened, Opener, OpenMotion, OpenUpdate
 from cags_common.store.versions import Versions
+from cags_common.tiles.inventory import InventoryEntry
 
 MAX_LATE_BYTES = 8 << 20
 """Bound on layers of replaced tiles that are kept for showing earlier frames again; past it none are."""
@@ -73,17 +73,17 @@ class GofTiles:
         """What comes belongs to every mark after this one. Set by the thread that adds, after a flush."""
         self.keeps = True
         """Whether earlier frames of the group can be shown again from what is held."""
-        self._tiles: dict[Key, AnyHeld | None] = {}  # None: nothing of it is shown any more, and it is not kept
+        self._tiles: dict[Key, StoredTile | None] = {}  # None: nothing of it is shown any more, and it is not kept
         self._motions = Motions()
         self._late: dict[Key, list[tuple[int, int, bytes | memoryview]]] = {}  # of kept tiles, by mark and level
-        self._replay: dict[Key, AnyHeld] = {}
+        self._replay: dict[Key, StoredTile] = {}
         self._kept_splats = self._late_bytes = self._motion_bytes = self._updated_splats = 0
         self._waiting = WaitingLayers(opener.kept)
-        self._dropped: list[HeldTile] = []
-        self._touched: dict[Key, AnyHeld] = {}
+        self._dropped: list[InventoryEntry] = []
+        self._touched: dict[Key, StoredTile] = {}
         self._errors: list[DecodeError] = []
         self._staged: dict[Key, list[Staged]] = {}  # a tile's in the order of marks
-        self._several: dict[Key, AnyHeld] = {}  # of which versions may be over
+        self._several: dict[Key, StoredTile] = {}  # of which versions may be over
         self._horizon, self._basis = -1, math.inf  # of what is shown
         self._floor = -math.inf  # no mark before it is asked for any more
         self._lock = threading.Lock()
@@ -118,7 +118,7 @@ class GofTiles:
             errors, self._errors = self._errors, []
         return errors
 
-    def take_dropped(self) -> list[HeldTile]:
+    def take_dropped(self) -> list[InventoryEntry]:
         """What had come and was given up since the last call, for want of memory: the server may send it again."""
         with self._decoding:
             dropped, self._dropped = self._dropped, []
@@ -140,27 +140,27 @@ class GofTiles:
                 levels = {key: inventory[key] for key in levels if inventory.get(key)}
             for key, lods in sorted(levels.items()):
                 held = self._tiles[key]
-                if isinstance(held, Held):
+                if isinstance(held, StoredLooks):
                     self._hand_over_looks(held, lods, other)
-                elif isinstance(held, HeldUpdate):
+                elif isinstance(held, StoredUpdate):
                     state = held.versions.newest
-                    update = HeldUpdate(key, Versions(state.reduced(min(lods, state.lod + 1)), self.mark))
+                    update = StoredUpdate(key, Versions(state.reduced(min(lods, state.lod + 1)), self.mark))
                     other._replay[key] = other._take_update(update)
-            moving = [held for key in sorted(levels) if isinstance(held := self._tiles[key], HeldMotion)]
+            moving = [held for key in sorted(levels) if isinstance(held := self._tiles[key], StoredMotion)]
         for motion in moving:
             lods = min(motion.lods, levels[motion.key])
             payloads = [memoryview(motion.payloads[level].data) for level in range(lods)]
             other._errors += other.add([Arrival(*motion.key, 0, payloads)])
         return other
 
-    def _hand_over_looks(self, held: Held, lods: int, other: GofTiles) -> None:
+    def _hand_over_looks(self, held: StoredLooks, lods: int, other: GofTiles) -> None:
         state = held.versions.newest.fork()
         late = self._late.get(held.key, []) if lods > held.lods else []  # of whole tiles nothing can be taken back
         for _, lod, payload in late:
             with suppress(DecodeError):
                 state.add_layer(lod, payload)
         state = state.reduced(min(lods, state.lod + 1))
-        taken = Held(index=-1, key=held.key, sphere=held.sphere, versions=Versions(state, self.mark))
+        taken = StoredLooks(index=-1, key=held.key, sphere=held.sphere, versions=Versions(state, self.mark))
         other._tiles[held.key] = other._replay[held.key] = taken
 
     def _looks_of(self, key: Key, lod: int, payload: memoryview) -> Key | None:
@@ -188,7 +188,7 @@ class GofTiles:
         if key in self._tiles and self._tiles[key] is None:
             return
         held = self._tiles.get(key)
-        if isinstance(held, Held) and held.replaced:  # of use once earlier frames are shown again
+        if isinstance(held, StoredLooks) and held.replaced:  # of use once earlier frames are shown again
             self._keep_late(key, layers)
             return
         if held is None:
@@ -208,14 +208,14 @@ class GofTiles:
     def _opened(self, key: Key, lod: int, payload: memoryview) -> Opened | DecodeError:
         return self._opener.opened([First(key, lod, payload)])[0]
 
-    def _add_layer(self, held: AnyHeld, lod: int, payload: memoryview) -> bool:
+    def _add_layer(self, held: StoredTile, lod: int, payload: memoryview) -> bool:
         versions = held.versions
         changed = False
         try:
             if versions is not None and lod > versions.newest.lod:
                 changed = versions.writable(self.mark).add_layer(lod, payload)
         except DecodeError:  # of this level, or of one that had to wait for it
-            if isinstance(held, HeldMotion):
+            if isinstance(held, StoredMotion):
                 self._drop_levels(held)
             raise
         if changed and versions is not None:
@@ -223,7 +223,7 @@ class GofTiles:
         if versions is not None and len(versions) > 1:
             with self._lock:
                 self._several[held.key] = held
-        if isinstance(held, HeldMotion) and 0 < lod < MOTION_LEVELS:
+        if isinstance(held, StoredMotion) and 0 < lod < MOTION_LEVELS:
             self._keep_motion(held, lod, payload)
         return changed
 
@@ -240,11 +240,11 @@ class GofTiles:
     def _wait(self, key: Key, layers: Layers) -> None:
         for gone in self._waiting.add(key, layers):
             self._motions.give_up(gone)
-            self._dropped.append(HeldTile(*gone, 0))
+            self._dropped.append(InventoryEntry(*gone, 0))
 
     def _take(
         self, key: Key, payload: memoryview, tile: Opened | DecodeError, ahead: dict[Key, Opened | DecodeError]
-    ) -> AnyHeld | None:
+    ) -> StoredTile | None:
         """A tile that is new; None where what it moves is not kept. Raises :class:`DecodeError`."""
         if isinstance(tile, DecodeError):
             raise tile
@@ -254,8 +254,8 @@ class GofTiles:
             return self._take_motion(key, payload, tile)
         self.check_ids(tile.state.ids, named(key))
         if isinstance(tile, OpenUpdate):
-            return self._take_update(HeldUpdate(key, Versions(tile.state, self.mark)))
-        held = Held(index=-1, key=key, sphere=tile.sphere, versions=Versions(tile.state, self.mark))
+            return self._take_update(StoredUpdate(key, Versions(tile.state, self.mark)))
+        held = StoredLooks(index=-1, key=key, sphere=tile.sphere, versions=Versions(tile.state, self.mark))
         with self._lock:
             self._tiles[key] = held
         self._bring(self._motions.come(key), ahead)
@@ -270,18 +270,18 @@ class GofTiles:
                 except DecodeError as error:
                     self._errors.append(error)
 
-    def _take_motion(self, key: Key, payload: memoryview, tile: OpenMotion) -> HeldMotion | None:
+    def _take_motion(self, key: Key, payload: memoryview, tile: OpenMotion) -> StoredMotion | None:
         state = tile.state
         looks = self._tiles.get(state.looks)
         if looks is None and state.looks in self._tiles:
             self._tiles[key] = None
             return None
-        if not self._in_motion or not isinstance(looks, Held) or looks.key[0] > key[0]:
+        if not self._in_motion or not isinstance(looks, StoredLooks) or looks.key[0] > key[0]:
             raise DecodeError(f"{named(key)}: moves {named(state.looks)}, which holds no splats that move by then")
         if len(state) != len(looks.versions.newest):
             had = f"{named(state.looks)}, which has {len(looks.versions.newest)}"
             raise DecodeError(f"{named(key)}: moves {len(state)} splats of {had}")
-        held = HeldMotion(key, state.looks, Versions(state, self.mark), {})
+        held = StoredMotion(key, state.looks, Versions(state, self.mark), {})
         with self._lock:
             self._tiles[key] = held
             if (before := self._motions.add(held)) is not None:
@@ -289,7 +289,7 @@ class GofTiles:
         self._keep_motion(held, 0, payload)
         return held
 
-    def _take_update(self, held: HeldUpdate) -> HeldUpdate:
+    def _take_update(self, held: StoredUpdate) -> StoredUpdate:
         with self._lock:
             self._tiles[held.key] = held
             self._updated_splats += len(held.versions.newest)
@@ -309,14 +309,14 @@ class GofTiles:
             if self._late_bytes > MAX_LATE_BYTES and self._opener.bounded:
                 self._stop_keeping()
 
-    def _keep_motion(self, held: HeldMotion, level: int, payload: memoryview) -> None:
+    def _keep_motion(self, held: StoredMotion, level: int, payload: memoryview) -> None:
         with self._lock:
             if level not in held.payloads:
                 held.payloads[level] = KeptPayload(self.mark, self._opener.kept(payload))
                 self._motion_bytes += len(payload)
                 self._bound_kept()
 
-    def _drop_levels(self, held: HeldMotion) -> None:
+    def _drop_levels(self, held: StoredMotion) -> None:
         """Of a tile of motion only what is decoded counts as held."""
         with self._lock:
             decoded = held.versions.newest.lod if held.versions is not None else 0
@@ -361,7 +361,7 @@ class GofTiles:
         motions = []
         for key in keys:
             held = self._touched[key] = self._replay.pop(key)
-            if isinstance(held, HeldMotion):
+            if isinstance(held, StoredMotion):
                 if self._is_followed(held):
                     self._retire(held)
                 elif held.versions is None:
@@ -372,20 +372,20 @@ class GofTiles:
             else:
                 held.versions = versions
 
-    def _decoded_again(self, held: HeldMotion) -> Versions[MotionDecoder] | DecodeError:
+    def _decoded_again(self, held: StoredMotion) -> Versions[MotionDecoder] | DecodeError:
         return held.opened(self._opener, self._floor)
 
-    def _is_followed(self, held: HeldMotion) -> bool:
+    def _is_followed(self, held: StoredMotion) -> bool:
         """Whether a later chunk of the same looks is shown in its place."""
         others = [other for other in self._motions.of(held.looks) if held.key[0] < other.key[0] <= self._horizon]
         return any(other.payloads[0].since < self._basis for other in others)
 
-    def _take_touched(self, horizon: float) -> dict[Key, AnyHeld]:
-        touched: dict[Key, AnyHeld] = {}
+    def _take_touched(self, horizon: float) -> dict[Key, StoredTile]:
+        touched: dict[Key, StoredTile] = {}
         for key in [k for k in self._touched if k[0] <= horizon]:
             held = self._touched.pop(key)
             try:
-                if isinstance(held, Held):
+                if isinstance(held, StoredLooks):
                     self.check_ids(held.versions.newest.ids, named(key))
                 touched[key] = held
             except DecodeError as error:
@@ -431,7 +431,7 @@ class GofTiles:
                 if held is None:
                     continue
                 self._replay[key], held.shown_lod = held, -1
-                if isinstance(held, Held):
+                if isinstance(held, StoredLooks):
                     held.owned, held.replaced = 0, False
                     self._take_late(held)
                 if held.versions is not None:
@@ -441,13 +441,13 @@ class GofTiles:
             self._kept_splats = self._late_bytes = 0
             return self._motions.looks()
 
-    def _take_late(self, held: Held) -> None:
+    def _take_late(self, held: StoredLooks) -> None:
         for mark, lod, payload in self._late.pop(held.key, []):
             with suppress(DecodeError):  # damaged on the way: the tile stays as good as it was
                 held.versions.writable(mark).add_layer(lod, payload)
                 self._several[held.key] = held
 
-    def replaced(self, held: Held) -> list[HeldMotion]:
+    def replaced(self, held: StoredLooks) -> list[StoredMotion]:
         """Nothing of a tile is shown any more: it is kept for a replay while there is room. Its motion, now past."""
         with self._lock:
             self._staged.pop(held.key, None)
@@ -461,7 +461,7 @@ class GofTiles:
             self._bound_kept()
             return past
 
-    def past(self, chunks: list[tuple[Key, int]]) -> list[HeldMotion]:
+    def past(self, chunks: list[tuple[Key, int]]) -> list[StoredMotion]:
         """Later chunks of motion have followed these, each named by its looks and first frame: the tiles."""
         with self._lock:
             past = [held for looks, start in chunks if (held := self._motions.at(looks, start)) is not None]
@@ -469,41 +469,42 @@ class GofTiles:
                 self._retire(held)
             return past
 
-    def forget(self, update: HeldUpdate) -> None:
+    def forget(self, update: StoredUpdate) -> None:
         """Nothing of an update is shown any more, and nothing is kept."""
         with self._lock:
             self._give_up(update)
 
-    def updates(self) -> list[HeldUpdate]:
+    def updates(self) -> list[StoredUpdate]:
         """Those that have been shown."""
         with self._lock:
-            return [held for held in self._tiles.values() if isinstance(held, HeldUpdate) and held.shown_lod >= 0]
+            return [held for held in self._tiles.values() if isinstance(held, StoredUpdate) and held.shown_lod >= 0]
 
-    def looks(self, key: Key) -> Held | None:
+    def looks(self, key: Key) -> StoredLooks | None:
         """The tile of looks ``key``."""
         held = self._tiles.get(key)
-        return held if isinstance(held, Held) else None
+        return held if isinstance(held, StoredLooks) else None
 
-    def held(self) -> list[HeldTile]:
+    def held(self) -> list[InventoryEntry]:
         """The tiles of which splats are shown, wait to be, or are kept for a replay; motion and updates like looks."""
         with self._decoding, self._lock:
-            return [HeldTile(*key, h.lods) for key, h in self._tiles.items() if h is not None]
+            return [InventoryEntry(*key, h.lods) for key, h in self._tiles.items() if h is not None]
 
-    def _retire(self, held: HeldMotion) -> None:
+    def _retire(self, held: StoredMotion) -> None:
         """A tile of motion is past, or nothing is left of what it moves: only its payloads stay."""
         held.versions = None
         self._staged.pop(held.key, None)
         if not self.keeps:
             self._give_up(held)
 
-    def _give_up(self, held: AnyHeld) -> None:
+    def _give_up(self, held: StoredTile) -> None:
         self._tiles[held.key] = None
-        if isinstance(held, HeldMotion):
+        if isinstance(held, StoredMotion):
             self._motions.discard(held)
 
     def _stop_keeping(self) -> None:
         self.keeps = False
         self._late.clear()
         for held in [h for h in self._tiles.values() if h is not None]:
-            if held.replaced if isinstance(held, Held) else isinstance(held, HeldMotion) and held.versions is None:
+            past = isinstance(held, StoredMotion) and held.versions is None
+            if past or (isinstance(held, StoredLooks) and held.replaced):
                 self._give_up(held)

@@ -16,13 +16,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import MotionDecoder, TileDecoder, UpdateDecoder
+from cags_common.bundle.codecs import MotionDecoder, TileDecoder, UpdateDecoder
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import LEVELS, Chunk
 from cags_common.splats import Ids, Splats
-from cags_common.store.shown import Held
+from cags_common.store.shown import StoredLooks
 from cags_common.store.tile_decode import First, Key, Opener, OpenMotion
 from cags_common.store.versions import Version, Versions
 
@@ -36,7 +36,7 @@ class KeptPayload:
 
 
 @dataclass(eq=False)
-class HeldMotion:
+class StoredMotion:
     """One tile of motion: its payloads, and what is decoded of them."""
 
     key: Key
@@ -70,7 +70,7 @@ class HeldMotion:
 
 
 @dataclass(eq=False)
-class HeldUpdate:
+class StoredUpdate:
     """One update: what is decoded of it."""
 
     key: Key
@@ -85,7 +85,7 @@ class HeldUpdate:
         return self.versions.newest.lod + 1
 
 
-AnyHeld: TypeAlias = Held | HeldMotion | HeldUpdate
+StoredTile: TypeAlias = StoredLooks | StoredMotion | StoredUpdate
 UpdateValues: TypeAlias = dict[str, tuple[NDArray[np.intp], F32]]
 
 
@@ -105,20 +105,20 @@ class LooksValue:
 class Staged:
     """A tile that the display may show, at the levels that there were before the mark after ``since``."""
 
-    held: AnyHeld
+    held: StoredTile
     since: int
     lod: int
     value: LooksValue | UpdateValues | Chunk
 
 
-def to_stage(held: AnyHeld) -> list[Callable[[], Staged]]:
+def to_stage(held: StoredTile) -> list[Callable[[], Staged]]:
     """Makes of what is to be staged of a tile, a version each; none of motion that is past.
 
     What they make never changes, for nothing is added to a version that was handed out.
     """
-    if isinstance(held, Held):
+    if isinstance(held, StoredLooks):
         return [partial(_staged_looks, held, version) for version in held.versions.fresh()]
-    if isinstance(held, HeldUpdate):
+    if isinstance(held, StoredUpdate):
         return [partial(_staged_update, held, version) for version in held.versions.fresh()]
     return [partial(_staged_motion, held, v) for v in held.versions.fresh()] if held.versions is not None else []
 
@@ -128,18 +128,18 @@ def staged(make: Callable[[], Staged]) -> Staged:
     return make()
 
 
-def _staged_looks(held: Held, version: Version[TileDecoder]) -> Staged:
+def _staged_looks(held: StoredLooks, version: Version[TileDecoder]) -> Staged:
     state = version.handed_out()
     splats = state.dequantise()
     return Staged(held, version.since, state.lod, LooksValue(state.ids, splats, state.steps, state.grows))
 
 
-def _staged_update(held: HeldUpdate, version: Version[UpdateDecoder]) -> Staged:
+def _staged_update(held: StoredUpdate, version: Version[UpdateDecoder]) -> Staged:
     state = version.handed_out()
     return Staged(held, version.since, state.lod, state.values())
 
 
-def _staged_motion(held: HeldMotion, version: Version[MotionDecoder]) -> Staged:
+def _staged_motion(held: StoredMotion, version: Version[MotionDecoder]) -> Staged:
     state = version.handed_out()
     return Staged(held, version.since, state.lod, state.chunk)
 
@@ -153,28 +153,28 @@ class Motions:
     """Tiles of motion by the looks that they move, and those that wait for their looks."""
 
     def __init__(self) -> None:
-        self._of: dict[Key, dict[int, HeldMotion]] = {}
+        self._of: dict[Key, dict[int, StoredMotion]] = {}
         self._orphans: dict[Key, set[Key]] = {}
         self._looks_of: dict[Key, Key] = {}  # of those that wait
 
-    def add(self, held: HeldMotion) -> HeldMotion | None:
+    def add(self, held: StoredMotion) -> StoredMotion | None:
         """Take a tile in; the one of the same looks and frame that it takes the place of."""
         of = self._of.setdefault(held.looks, {})
         before = of.get(held.key[0])
         of[held.key[0]] = held
         return before
 
-    def discard(self, held: HeldMotion) -> None:
+    def discard(self, held: StoredMotion) -> None:
         """Forget a tile."""
         of = self._of.get(held.looks, {})
         if of.get(held.key[0]) is held:
             del of[held.key[0]]
 
-    def of(self, looks: Key) -> list[HeldMotion]:
+    def of(self, looks: Key) -> list[StoredMotion]:
         """All that move tile ``looks``."""
         return list(self._of.get(looks, {}).values())
 
-    def at(self, looks: Key, start: int) -> HeldMotion | None:
+    def at(self, looks: Key, start: int) -> StoredMotion | None:
         """The one that moves tile ``looks`` from media frame ``start`` on."""
         return self._of.get(looks, {}).get(start)
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import TileDecoder
+from cags_common.bundle.codecs import TileDecoder
 from cags_common.geometry import F32, Camera
-from cags_common.splat_buffer import Slot
 from cags_common.store.tile_decode import Key, Sphere, in_view
 from cags_common.store.versions import Versions
+from cags_common.tiles.splat_buffer import Slot
 
 
 @dataclass(eq=False, kw_only=True)
-class Held(Slot):
+class StoredLooks(Slot):
     """One tile of looks: what is decoded of it, and how many rows it still owns."""
 
     sphere: Sphere
@@ -42,7 +42,7 @@ class Shown:
 
     owner: NDArray[np.int32]
     """[capacity] by splat id: place in ``tiles`` of the tile that it is from; -1 where there is no splat."""
-    tiles: Sequence[Held]
+    tiles: Sequence[StoredLooks]
 
     @property
     def splats(self) -> int:

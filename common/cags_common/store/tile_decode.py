@@ -10,7 +10,7 @@ from typing import Protocol, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import (
+from cags_common.bundle.codecs import (
     AnyTile,
     MotionDecoder,
     MotionTile,
@@ -24,7 +24,7 @@ from cags_common.geometry import F32, Camera, axis_bounds
 from cags_common.motion.chunk import VERSION as MOTION_VERSION
 from cags_common.motion.chunk import read_looks
 from cags_common.splats import Splats
-from cags_common.updates import UpdateState
+from cags_common.tiles.updates import UpdateState
 
 T = TypeVar("T")
 U = TypeVar("U")

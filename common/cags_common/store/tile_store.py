@@ -11,13 +11,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from cags_common.bundle.codecs import TileCodec
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import TileCodec
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.splats import Ids
 from cags_common.store.gof_buffer import Changes, Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival, Opener, TileOpener
+from cags_common.tiles.inventory import InventoryEntry
 
 
 class TileStore:
@@ -89,11 +89,11 @@ class TileStore:
         if store is not None:
             store.end(frame, removed)
 
-    def take_dropped(self) -> list[HeldTile]:
+    def take_dropped(self) -> list[InventoryEntry]:
         """What was given up for want of memory since the last call."""
         return [tile for store in self._stores() for tile in store.take_dropped()]
 
-    def restarted(self, inventory: Iterable[HeldTile] | None = None) -> None:
+    def restarted(self, inventory: Iterable[InventoryEntry] | None = None) -> None:
         """From here on another connection brings what comes; it begins from ``inventory`` (None: what :meth:`held`
         says), of which nothing is shown before an end of a frame has come. What is on display stays until then.
 
@@ -192,7 +192,7 @@ class TileStore:
         """Frames after ``frame`` up to the newest that has come whole."""
         return max(max((store.newest for store in self._stores()), default=-1) - frame, 0)
 
-    def held(self) -> list[HeldTile]:
+    def held(self) -> list[InventoryEntry]:
         """Every tile that would not have to be sent again."""
         return [tile for store in self._stores() for tile in store.held()]
 

@@ -12,7 +12,7 @@ import logging
 import socket
 from collections.abc import Callable
 
-from cags_common.rare_log import RareLog
+from cags_common.runtime.rare_log import RareLog
 
 PAUSE_S = 0.1
 """Rest after the system has run out of something that a connection needs."""

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from cags_common.bundle import BundleReader, FrameEntry
-from cags_common.svq import CodebookSet
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.svq import CodebookSet
 
 Description = dict[str, Any]
 

@@ -37,10 +37,10 @@ class Published:
 
 
 def publish(url: str, folder: Path, page: Path | None) -> Published:
-    """Write the bundle at ``url`` to ``folder``, with the built viewer in ``page`` (None: there is none).
+    """Copy the bundle at ``url`` to ``folder``, together with the built viewer from ``page`` (None: without a viewer).
 
-    Raises :class:`ConfigError` for a folder that holds something, and :class:`cags_common.errors.BundleError` for what
-    is no bundle.
+    Raises :class:`ConfigError` if ``folder`` is not empty, and :class:`cags_common.errors.BundleError` if ``url`` holds
+    no bundle.
     """
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError(f"publish = {folder}: holds files already; give an empty or a new folder")
@@ -80,7 +80,7 @@ def built_page() -> Path | None:
 def _copy_page(page: Path, folder: Path) -> None:
     """The page's files; its HTML says that the scene lies beside it."""
     for path in sorted(page.iterdir()):
-        if path.is_file() and path.suffix in PAGE_SUFFIXES:
+        if path.is_file() and path.suffix in PAGE_SUFFIXES and not path.name.startswith("gallery."):
             shutil.copyfile(path, folder / path.name)
     index = folder / "index.html"
     index.write_text(

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cags_common.errors import SceneError
 from cags_common.geometry import F32, F64
-from cags_common.morton import morton_order
 from cags_common.splats import SH_C0, Splats
+from cags_common.tiles.morton import morton_order
 from cags_encoder.formats.files import (
     bytes_of_logits,
     check_count,

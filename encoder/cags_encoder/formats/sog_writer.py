@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64
-from cags_common.morton import morton_order
 from cags_common.splats import Splats
+from cags_common.tiles.morton import morton_order
 from cags_encoder.formats.files import bytes_of_logits, directed, logit_of_bytes, smallest_three, split_largest
 from cags_encoder.formats.sog import CODEBOOK, MAX_PALETTE, PALETTE_ROW, QUAT_TAG
 

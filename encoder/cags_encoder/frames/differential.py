@@ -4,7 +4,7 @@ A splat is sent again when drawing the decoder's copy differs visibly more from 
 would. Since the comparison is with the decoder's copy and never with the frame before, slow changes add up until they
 are sent: nothing drifts.
 
-Only two small steps depend on earlier frames: which ids a frame's splats get (:mod:`cags_encoder.frames.placing`), and
+Only two small steps depend on earlier frames: which ids a frame's splats get (:mod:`cags_encoder.tracks.placing`), and
 which of the changed ones are worth sending (:class:`DecoderCopy`). What costs time lies between and after them and
 depends on one frame alone, so that frames are quantised and packed in parallel (:mod:`cags_encoder.frames.tasks`).
 """
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from cags_common.bundle import SourceDelta
 from cags_common.geometry import F64
 from cags_common.splats import Ids, Splats
-from cags_common.tiles import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
-from cags_encoder.codecs import ClipCodec, CodedSplats
-from cags_encoder.frames.effect import visible_effect
-from cags_encoder.frames.rows import SplatTable
-from cags_encoder.frames.tiling import CutTile, cut_tiles
+from cags_common.tiles.payloads import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
+from cags_encoder.codecs.registry import ClipCodec, CodedSplats
+from cags_encoder.tiling import CutTile, cut_tiles
+from cags_encoder.tracks.effect import visible_effect
+from cags_encoder.tracks.rows import SplatTable
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 
 from cags_common.bundle.manifest import MotionSteps
 from cags_common.geometry import F32, F64, Vec3
-from cags_common.morton import morton_order, tile_ranges
 from cags_common.motion.apply import Steps
 from cags_common.splats import SH_C0, Ids, Splats
-from cags_common.svq import CodebookSet
-from cags_common.tiles import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
+from cags_common.tiles.morton import morton_order, tile_ranges
+from cags_common.tiles.payloads import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
+from cags_common.tiles.svq import CodebookSet
+from cags_encoder.codecs.svq import SvqCodec, SvqSplats
 from cags_encoder.frames.differential import QuantisedDelta
-from cags_encoder.frames.effect import drawn
-from cags_encoder.frames.placing import Placed
-from cags_encoder.frames.rows import SplatTable
-from cags_encoder.frames.tiling import CutTile, corners, cut_tiles
 from cags_encoder.motion.chunks import ROUND, TrackSpan
 from cags_encoder.motion.fades import fit_fades
 from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails, Window
 from cags_encoder.settings import EncodeSettings
-from cags_encoder.svq_codec import SvqCodec, SvqSplats
+from cags_encoder.tiling import CutTile, corners, cut_tiles
+from cags_encoder.tracks.effect import drawn
+from cags_encoder.tracks.placing import Placed
+from cags_encoder.tracks.rows import SplatTable
 
 PHASES = 4
 """The first chunks of a key frame's tiles are of so many lengths, so that later ones do not all begin at one frame."""

@@ -8,19 +8,19 @@ from typing import TypeAlias
 from cags_common.bundle import SourceDelta, TilePayloads
 from cags_common.bundle.source import encode_source
 from cags_common.splats import Splats
-from cags_common.tile_kinds import TileKind
-from cags_common.updates import encode_update
-from cags_encoder.codecs import ClipCodec
-from cags_encoder.executors import Shared
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.updates import encode_update
+from cags_encoder.codecs.registry import ClipCodec
+from cags_encoder.codecs.svq import SvqCodec
+from cags_encoder.execution.executors import Shared
 from cags_encoder.frames.differential import QuantisedDelta
-from cags_encoder.frames.effect import visible_effect
-from cags_encoder.frames.looking import Look
 from cags_encoder.frames.moving import UpdateCut
-from cags_encoder.frames.placing import Placed
-from cags_encoder.frames.tiling import CutTile
 from cags_encoder.motion.chunks import TrackSpan, encode_span
 from cags_encoder.scenes import FrameSource
-from cags_encoder.svq_codec import SvqCodec
+from cags_encoder.tiling import CutTile
+from cags_encoder.tracks.effect import visible_effect
+from cags_encoder.tracks.looking import Look
+from cags_encoder.tracks.placing import Placed
 
 AnyCut: TypeAlias = CutTile | UpdateCut | TrackSpan
 """What a frame sends, still to be packed."""

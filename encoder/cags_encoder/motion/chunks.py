@@ -14,12 +14,12 @@ from cags_common.motion.apply import Steps, product
 from cags_common.motion.chunk import DEADZONES, LEVELS, MAX_FINER, REFINEMENT, Blocks
 from cags_common.motion.knots import knots
 from cags_common.motion.symbols import SymbolWriter
-from cags_common.tile_kinds import TileKind
-from cags_encoder.frames.tiling import corners
+from cags_common.tiles.kinds import TileKind
 from cags_encoder.motion.rigid import carried, rigid_blocks
 from cags_encoder.motion.smoothing import smoothed
 from cags_encoder.motion.tolerance import Tolerance, Tolerances
 from cags_encoder.motion.turns import CONJUGATE, relative_turns
+from cags_encoder.tiling import corners
 
 BLOCKS = (128, 32)
 """Splats that move as one rigid body before their own residuals."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cags_common.bundle.manifest import MotionSteps
+from cags_common.coding.packing import U32
 from cags_common.geometry import F64
-from cags_common.packing import U32
 from cags_common.splats import Splats
 
 MOVE_STEP = 0.0625

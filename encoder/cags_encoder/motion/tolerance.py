@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.attributes import join_attributes
 from cags_common.geometry import F32, Camera
 from cags_common.metrics import covered_mask
 from cags_common.motion.apply import Steps, product
 from cags_common.raster import DepthKind, Rasteriser, RenderedView, RenderOptions
 from cags_common.splats import Splats
-from cags_encoder.svq_codec import SvqCodec, SvqSplats
+from cags_common.tiles.attributes import join_attributes
+from cags_encoder.codecs.svq import SvqCodec, SvqSplats
 
 SHARES = 0.2, 0.4
 """Parts of the squared error of quantised looks that motion, and that turning, may add: at the base and in all."""

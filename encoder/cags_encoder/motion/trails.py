@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cags_common.geometry import F32
 from cags_common.splats import Ids
-from cags_encoder.frames.effect import drawn
-from cags_encoder.frames.placing import Placed
 from cags_encoder.motion.fades import fit_fades, peaks
+from cags_encoder.tracks.effect import drawn
+from cags_encoder.tracks.placing import Placed
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.coding.packing import U32
 from cags_common.geometry import F32, F64
-from cags_common.packing import U32
-from cags_common.svq import Codebook
+from cags_common.tiles.svq import Codebook
 from cags_encoder.quantiser.configs import AttributeQuantiser, QuantiserConfig
 from cags_encoder.quantiser.kmeans import NearestCentre, kmeans
 from cags_encoder.quantiser.merging import merge_as_printed

@@ -7,11 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
-from cags_common.attributes import split_attributes
+from cags_common.coding.packing import U32
 from cags_common.geometry import F32, F64
-from cags_common.packing import U32
 from cags_common.splats import Splats
-from cags_common.svq import Codebook, CodebookSet
+from cags_common.tiles.attributes import split_attributes
+from cags_common.tiles.svq import Codebook, CodebookSet
 from cags_encoder.quantiser.canonical import canonical
 from cags_encoder.quantiser.configs import QuantiserConfig
 from cags_encoder.quantiser.layered import LayeredEncoder

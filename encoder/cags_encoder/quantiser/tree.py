@@ -49,7 +49,7 @@ class CodedTree:
     """Codes of leaves, and the values of all prefixes."""
 
     codes: np.ndarray  # [leaves] uint32, full length
-    tables: tuple[F32, ...]  # one a layer, see cags_common.svq.Codebook
+    tables: tuple[F32, ...]  # one a layer, see cags_common.tiles.svq.Codebook
 
 
 def code_length(roots: list[Node], base_bits: int, wished: int) -> int:

@@ -9,7 +9,6 @@
 @group(0) @binding(6) var<storage, read_write> picture: array<vec4<f32>>;  // rgb, alpha
 @group(0) @binding(7) var<storage, read_write> depth: array<u32>;          // bits of a float; +inf where void
 @group(0) @binding(8) var<storage, read_write> slots: array<u32>;          // contribution of each entry, 2^-23 pixels
-override MEDIAN: bool = false;
 const BATCH = 256u;
 const UNIT = 8388608.0;
 var<workgroup> batch_a: array<vec4<f32>, BATCH>;  // u, v, l11, l12
@@ -37,10 +36,8 @@ fn written(pixel: vec2<u32>, p: Pixel) {
   let i = pixel.y * view.size.x + pixel.x;
   let alpha = 1.0 - p.light;
   picture[i] = vec4(min(p.rgb, vec3(view.brightest)), alpha);
-  var known = alpha >= view.void_alpha && alpha > 0.0;
-  var z = p.z;
-  if (MEDIAN) { known = known && z > 0.0; } else { z /= alpha; }
-  depth[i] = select(VOID, bitcast<u32>(z), known);
+  let known = alpha >= view.void_alpha && alpha > 0.0;
+  depth[i] = select(VOID, bitcast<u32>(p.z / alpha), known);
 }
 
 fn going(lane: u32, finished: bool) -> bool {
@@ -63,14 +60,9 @@ fn alpha_at(k: u32, at: vec2<f32>) -> f32 {
 }
 
 fn composited(p: ptr<function, Pixel>, k: u32, weight: f32) {
-  let light = (*p).light - weight;
   (*p).rgb += weight * batch_c[k].xyz;
-  if (MEDIAN) {
-    if ((*p).light >= 0.5 && light < 0.5) { (*p).z = batch_b[k].z; }
-  } else {
-    (*p).z += weight * batch_b[k].z;
-  }
-  (*p).light = light;
+  (*p).z += weight * batch_b[k].z;
+  (*p).light -= weight;
 }
 
 @compute @workgroup_size(16, 16)

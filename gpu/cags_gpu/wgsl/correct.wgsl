@@ -23,6 +23,7 @@ struct Correction {
 @group(0) @binding(11) var<storage, read_write> shown: array<u32>;          // 8 bits a channel; with FLOATS four floats
 @group(0) @binding(12) var<storage, read_write> sums: array<vec4<f32>>;     // of the finest cells: what was added, confidence
 override FLOATS: bool = false;
+override CONFIDENCE: bool = false;  // in the place of the bytes' alpha
 const CELL = 8u;         // pixels a side of the grid that fills holes in the depth
 const VOID = 0x7f800000u;
 const OUTSIDE = 0xffffffffu;
@@ -35,7 +36,7 @@ const ZERO = 110.0 / 219.0; const SPAN = 109.0 / 219.0; const STILL = 1e-5;  // 
 
 fn known(bits: u32) -> bool { return bits >= LEAST_DEPTH && bits < VOID; }
 
-// What the reference says is lacking: the compander undone, or the picture less the client's own view of it.
+// What the reference says is lacking: the compander undone, or the picture less the client's render from its camera.
 @compute @workgroup_size(16, 16) fn expand(@builtin(global_invocation_id) id: vec3<u32>) {
   if (any(id.xy >= job.reference)) { return; }
   let i = id.y * job.reference.x + id.x;
@@ -226,7 +227,7 @@ fn show(i: u32, colour: vec3<f32>, confidence: f32) {
     for (var c = 0u; c < 3u; c++) { shown[4u * i + c] = bitcast<u32>(rgb[c]); }
     shown[4u * i + 3u] = bitcast<u32>(confidence);
   } else {
-    shown[i] = pack4x8unorm(vec4(rgb, 1.0));
+    shown[i] = pack4x8unorm(vec4(rgb, select(1.0, confidence, CONFIDENCE)));
   }
 }
 

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_kernels.library import check, library
+from cags_kernels.library import check, library, native
 
 F32: TypeAlias = NDArray[np.float32]
 U32: TypeAlias = NDArray[np.uint32]
@@ -23,6 +23,7 @@ COLUMNS = ("quats", "log_scales", "logit_opacities", "sh0", "sh_rest")
 _Pointer, _int32, _int64 = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64
 
 
+@native("CagsCodecAttribute")
 class _Attribute(ctypes.Structure):
     _fields_ = [
         *((name, _Pointer) for name in ("layer_bits", "table", "leaves", "spreads")),
@@ -30,6 +31,7 @@ class _Attribute(ctypes.Structure):
     ]
 
 
+@native("CagsCodecTile")
 class _Tile(ctypes.Structure):
     _fields_ = [
         ("count", _int64),
@@ -42,13 +44,14 @@ class _Tile(ctypes.Structure):
     ]
 
 
+@native("CagsCodecTargets")
 class _Targets(ctypes.Structure):
     _fields_ = [("codes", _Pointer), ("columns", _Pointer * len(COLUMNS))]
 
 
 @dataclass(frozen=True, eq=False)
 class CodecAttribute:
-    """How one attribute's codes are read; see ``cags_common.dequantise``. Arrays are C-contiguous."""
+    """How one attribute's codes are read; see ``cags_common.tiles.dequantise``. Arrays are C-contiguous."""
 
     layer_bits: NDArray[np.uint8]  # [layers] bits of the fresh layers, coarse first
     table: F32  # [2**bits, dim]

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_kernels.buffers import BufferPool
-from cags_kernels.library import check, library
+from cags_kernels.library import check, library, native
 
 F32: TypeAlias = NDArray[np.float32]
 F64: TypeAlias = NDArray[np.float64]
 I16: TypeAlias = NDArray[np.int16]
 
-_Pointer, _int32, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
+_Pointer, _int32, _int64, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_float
 
 LANES = 4
 """Of a pixel of what is lacking: red, green, blue, and one that is a whole unit."""
@@ -28,15 +28,18 @@ VETO_CELL_PX = 16
 """Side of the cells of a coarse veto."""
 
 
+@native("CagsLackInput")
 class _LackInput(ctypes.Structure):
     _fields_ = [
         *((name, _Pointer) for name in ("coded", "own")),
         *((name, _int32) for name in ("width", "height")),
         ("knee", _float),
         ("threads", _int32),
+        *((name, _int64) for name in ("coded_length", "own_length")),
     ]
 
 
+@native("CagsAddInput")
 class _AddInput(ctypes.Structure):
     _fields_ = [
         *((name, _Pointer) for name in ("rgb", "alpha", "depth", "lack", "veto")),
@@ -47,12 +50,13 @@ class _AddInput(ctypes.Structure):
         ("stride", _int32),
         *((name, _float) for name in ("depth_tolerance", "slope_cells", "border_px", "hole_alpha")),
         *((name, _int32) for name in ("coarse_veto", "threads")),
+        *((name, _int64) for name in ("rgb_length", "alpha_length", "depth_length", "lack_length", "veto_length")),
     ]
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnView:
-    """A client's own view."""
+    """A client's view."""
 
     rgb: F32  # [H, W, 3]
     alpha: F32  # [H, W]
@@ -87,8 +91,8 @@ def lack(coded: F32, own: F32 | None, knee: float, threads: int) -> I16:
     coded = _checked(coded, (height, width, 3))
     own = None if own is None else _checked(own, coded.shape)
     out = np.empty((height + 2, width + 1, LANES, 2), np.int16)
-    given = _LackInput(_address(coded), _address(own), width, height, knee, threads)
-    check(library().cags_lack(ctypes.byref(given), _address(out)), "lack")
+    given = _LackInput(_address(coded), _address(own), width, height, knee, threads, *map(_length, (coded, own)))
+    check(library().cags_lack(ctypes.byref(given), _address(out), _int64(out.size)), "lack")
     return out
 
 
@@ -114,9 +118,11 @@ def add(view: DrawnView, lacking: I16, veto: F32 | None, parameters: AddParamete
         (_float * 3)(*p.matrix[:, 3]),
         *(*p.cell_px, p.stride, p.depth_tolerance, p.slope_cells, p.border_px, p.hole_alpha),
         *(coarse, p.threads),
+        *map(_length, (rgb, alpha, depth, lacking, veto)),
     )
     shown, confidence = _buffers.empty((height, width, 3)), _buffers.empty((height, width))
-    check(library().cags_add_lack(ctypes.byref(given), _address(shown), _address(confidence)), "add")
+    out = (_address(shown), _int64(shown.size), _address(confidence), _int64(confidence.size))
+    check(library().cags_add_lack(ctypes.byref(given), *out), "add")
     return shown, confidence
 
 
@@ -132,6 +138,10 @@ def _checked(array: F32, shape: tuple[int, ...]) -> F32:
     if array.shape != shape:
         raise ValueError(f"array of shape {array.shape}, expected {shape}")
     return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _length(array: NDArray[np.generic] | None) -> int:
+    return 0 if array is None else array.size
 
 
 def _address(array: NDArray[np.generic] | None) -> ctypes.c_void_p:

@@ -4,16 +4,70 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
-ABI_VERSION = 12
+ABI_VERSION = 13
 _LIBRARY = "libcags_kernels.so"
 _REASONS = {1: "an argument is out of range", 2: "out of memory", 3: "an internal failure"}
 
 
 class KernelError(RuntimeError):
     """A native call failed: the reason, and the call's name."""
+
+
+class _Field(ctypes.Structure):
+    _fields_ = [
+        ("structure", ctypes.c_char_p),
+        ("field", ctypes.c_char_p),
+        ("offset", ctypes.c_int64),
+        ("bytes", ctypes.c_int64),
+    ]
+
+
+Structure = TypeVar("Structure", bound=type[ctypes.Structure])
+
+
+def native(name: str) -> Callable[[Structure], Structure]:
+    """The decorated class is structure ``name`` of the interface: its size and offsets are compared when it is made.
+
+    Raises :class:`KernelError` where the loaded library has another; without a library there is nothing to compare.
+    """
+
+    def register(structure: Structure) -> Structure:
+        loaded = _load()[0]
+        wrong = None if loaded is None else difference(structure, _layout(loaded).get(name, {}))
+        if wrong:
+            raise KernelError(f"structure {name} is another than the library's: {wrong}; reinstall cags-kernels")
+        return structure
+
+    return register
+
+
+def difference(structure: type[ctypes.Structure], native_layout: dict[str, tuple[int, int]]) -> str:
+    """The first difference from ``native_layout`` (field -> offset and bytes; ``""``: the whole); empty: none."""
+    ours = {"": (0, ctypes.sizeof(structure))}
+    for field, *_ in structure._fields_:
+        place = getattr(structure, field)
+        ours[field] = (place.offset, place.size)
+    for field in [*ours, *native_layout]:
+        here, there = ours.get(field), native_layout.get(field)
+        if here != there:
+            return f"{field or 'the whole'} at {here} here and {there} there (offset, bytes)"
+    return ""
+
+
+def _layout(loaded: ctypes.CDLL) -> dict[str, dict[str, tuple[int, int]]]:
+    """Structure -> field -> offset and bytes, as the library was compiled."""
+    loaded.cags_layout.restype = ctypes.POINTER(_Field)
+    count = ctypes.c_int64()
+    fields = loaded.cags_layout(ctypes.byref(count))
+    layout: dict[str, dict[str, tuple[int, int]]] = {}
+    for field in fields[: count.value]:
+        layout.setdefault(field.structure.decode(), {})[field.field.decode()] = field.offset, field.bytes
+    return layout
 
 
 @cache

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_kernels.library import check, library
+from cags_kernels.library import check, library, native
 
 F32: TypeAlias = NDArray[np.float32]
 F64: TypeAlias = NDArray[np.float64]
@@ -34,6 +34,7 @@ class DamagedError(ValueError):
     """Data that is not what an encoder wrote; the message says why, for a sentence that begins with what it is of."""
 
 
+@native("CagsMotionTree")
 class _Tree(ctypes.Structure):
     _fields_ = [
         *((name, _int32) for name in ("span", "splats", "parts", "turn", "knots", "first_table", "first_real_table")),
@@ -41,6 +42,7 @@ class _Tree(ctypes.Structure):
     ]
 
 
+@native("CagsMotionTile")
 class _Tile(ctypes.Structure):
     _fields_ = [
         *((name, _int32) for name in ("splats", "span", "sample", "block", "fades", "reserved")),
@@ -50,6 +52,7 @@ class _Tile(ctypes.Structure):
     ]
 
 
+@native("CagsMotionArrays")
 class _Arrays(ctypes.Structure):
     _fields_ = [
         ("capacity", _int64),

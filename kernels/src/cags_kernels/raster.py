@@ -13,18 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_kernels.buffers import BufferPool
-from cags_kernels.library import check, library
+from cags_kernels.library import check, library, native
 
 F32: TypeAlias = NDArray[np.float32]
 F64: TypeAlias = NDArray[np.float64]
-Planes: TypeAlias = tuple[F32, F32 | None, F32 | None]
-"""Colours, alpha, depth."""
 
 _Pointer = ctypes.c_void_p
 _int32, _int64, _float, _double = ctypes.c_int32, ctypes.c_int64, ctypes.c_float, ctypes.c_double
 
 FAST, BALANCED, EXACT = 0, 1, 2
-DEPTH_NONE, DEPTH_EXPECTED, DEPTH_MEDIAN = 0, 1, 2
+DEPTH_NONE, DEPTH_EXPECTED = 0, 1
 
 BRIGHTEST = float(np.finfo(np.float32).max)
 
@@ -43,12 +41,17 @@ SPLAT_SHAPES: dict[str, tuple[int, ...]] = {
 _pictures = BufferPool()
 
 
+@native("CagsSplats")
 class _Splats(ctypes.Structure):
-    _fields_ = [("count", _int64), ("sh_rest_count", _int32)] + [
-        (name, _Pointer) for name in ("means", "quats", "log_scales", "logit_opacities", "sh0", "sh_rest")
+    _fields_ = [
+        ("count", _int64),
+        ("sh_rest_count", _int32),
+        *((name, _Pointer) for name in SPLAT_SHAPES),
+        ("lengths", _int64 * len(SPLAT_SHAPES)),
     ]
 
 
+@native("CagsCamera")
 class _Camera(ctypes.Structure):
     _fields_ = [
         ("rotation", _double * 9),
@@ -59,16 +62,22 @@ class _Camera(ctypes.Structure):
     ]
 
 
+@native("CagsRasterOptions")
 class _Options(ctypes.Structure):
-    _fields_ = [(name, _float) for name in ("dilation", "filter", "void_alpha", "brightest", "colour_angle")] + [
+    _fields_ = [(name, _float) for name in ("dilation", "filter", "void_alpha", "brightest")] + [
         (name, _int32) for name in ("exactness", "depth", "max_sh_degree", "threads")
     ]
 
 
+@native("CagsRasterTargets")
 class _Targets(ctypes.Structure):
-    _fields_ = [(name, _Pointer) for name in ("rgb", "alpha", "depth", "contribution")]
+    _fields_ = [
+        *((name, _Pointer) for name in ("rgb", "alpha", "depth", "contribution")),
+        ("lengths", _int64 * 4),
+    ]
 
 
+@native("CagsRasterStatistics")
 class _Statistics(ctypes.Structure):
     _fields_ = [(name, _double) for name in ("project_ms", "bin_ms", "tiles_ms")] + [
         (name, _int64) for name in ("visible", "entries", "block_visits")
@@ -101,8 +110,6 @@ class RasterOptions:
     depth: int
     max_sh_degree: int
     threads: int
-    colour_angle: float = 0.0
-    """Radians that a splat's direction may turn before its harmonics are evaluated again; 0: every frame."""
     brightest: float = BRIGHTEST
     """No colour comes out above it."""
 
@@ -160,15 +167,8 @@ class NativeScene:
         if splats[5].shape[1] != self._coefficients:
             raise ValueError(f"{splats[5].shape[1]} SH coefficients for a scene of {self._coefficients}")
         update = self._library.cags_raster_scene_update
-        check(update(self._handle, _address(rows), ctypes.byref(given)), "raster_scene_update")
-
-    def recolour(self, rows: NDArray[np.int64], sh0: F32) -> None:
-        """Replace only the base colours ``sh0`` [M, 3] of the splats at ``rows`` [M]."""
-        if sh0.shape != (*rows.shape, 3):
-            raise ValueError(f"colours of shape {sh0.shape} for rows of shape {rows.shape}")
-        rows, sh0 = self._rows(rows, len(sh0)), np.ascontiguousarray(sh0, np.float32)
-        recolour = self._library.cags_raster_scene_recolour
-        check(recolour(self._handle, _address(rows), ctypes.c_int64(len(rows)), _address(sh0)), "raster_scene_recolour")
+        status = update(self._handle, _address(rows), _int64(len(rows)), ctypes.byref(given))
+        check(status, "raster_scene_update")
 
     def _rows(self, rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
         """``rows``, of which there must be ``count``, each of this scene."""
@@ -190,7 +190,7 @@ class NativeScene:
                 f"{len(splats[0])} splats of {splats[5].shape[1]} coefficients for a scene of {self.count}"
             )
         move = self._library.cags_raster_scene_move
-        count = ctypes.c_int64(len(rows))
+        count = _int64(len(rows))
         check(move(self._handle, _address(rows), count, ctypes.byref(given), threads), "raster_scene_move")
 
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
@@ -199,7 +199,7 @@ class NativeScene:
         rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
         depth = None if options.depth == DEPTH_NONE else self._buffers.empty(shape)
         weights = self._buffers.empty((self.count,)) if contribution else None
-        targets = _Targets(*(_address(array) for array in (rgb, alpha, depth, weights)))
+        targets = _targets(rgb, alpha, depth, weights)
         statistics = _Statistics()
         status = self._library.cags_raster_render(
             self._handle, *_arguments(camera, options), ctypes.byref(targets), ctypes.byref(statistics)
@@ -207,33 +207,6 @@ class NativeScene:
         check(status, "raster_render")
         figures = (getattr(statistics, name) for name, *_ in _Statistics._fields_)
         return RasterImage(rgb, alpha, depth, weights, RasterStatistics(*figures))
-
-    def upsample(self, half: RasterImage, width: int, height: int, options: RasterOptions) -> RasterImage:
-        """A view of twice the resolution: ``half`` is of (width + 1) // 2 by (height + 1) // 2 pixels."""
-        shape, small = _size(width, height), _half_shape(width, height)
-        wanted = ((half.rgb, (*small, 3)), (half.alpha, small), (half.depth, small))
-        for plane, expected in wanted:
-            if plane is not None and plane.shape != expected:
-                raise ValueError(f"plane of shape {plane.shape} is not half of {width}x{height} px: {expected}")
-        colours, opacity = np.ascontiguousarray(half.rgb, np.float32), np.ascontiguousarray(half.alpha, np.float32)
-        distance = None if half.depth is None else np.ascontiguousarray(half.depth, np.float32)
-        rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
-        depth = None if half.depth is None else self._buffers.empty(shape)
-        limits = options.void_alpha, options.brightest, options.threads
-        _upsample((colours, opacity, distance), (rgb, alpha, depth), *limits)
-        return RasterImage(rgb, alpha, depth, half.contribution, half.statistics)
-
-    def back_project(self, camera: RasterCamera, residual: F32, options: RasterOptions) -> tuple[F32, F32]:
-        """Carry ``residual`` [H, W, 3] onto the splats: sums of weight x residual [N, 3] and of weight [N]."""
-        residual = np.ascontiguousarray(residual, dtype=np.float32)
-        if residual.shape != (camera.height, camera.width, 3):
-            raise ValueError(f"residual has shape {residual.shape}, expected ({camera.height}, {camera.width}, 3)")
-        weighted, weight = self._buffers.empty((self.count, 3)), self._buffers.empty((self.count,))
-        status = self._library.cags_raster_back_project(
-            self._handle, *_arguments(camera, options), _address(residual), _address(weighted), _address(weight)
-        )
-        check(status, "raster_back_project")
-        return weighted, weight
 
 
 def enlarge(picture: F32, width: int, height: int, threads: int) -> F32:
@@ -244,8 +217,9 @@ def enlarge(picture: F32, width: int, height: int, threads: int) -> F32:
     _size(width, height)
     if picture.shape != (*_half_shape(width, height), 3):
         raise ValueError(f"picture of shape {picture.shape} is not half of {width}x{height} px")
-    whole = _pictures.empty((height, width, 3))
-    _upsample((np.ascontiguousarray(picture, np.float32), None, None), (whole, None, None), 0.0, 1.0, threads)
+    half, whole = np.ascontiguousarray(picture, np.float32), _pictures.empty((height, width, 3))
+    sizes = _int64(half.size), _int32(width), _int32(height), _int32(threads)
+    check(library().cags_enlarge(_address(half), *sizes, _address(whole), _int64(whole.size)), "enlarge")
     return whole
 
 
@@ -258,15 +232,6 @@ def _size(width: int, height: int) -> tuple[int, int]:
 
 def _half_shape(width: int, height: int) -> tuple[int, int]:
     return (height + 1) // 2, (width + 1) // 2
-
-
-def _upsample(half: Planes, whole: Planes, void_alpha: float, brightest: float, threads: int) -> None:
-    height, width = whole[0].shape[:2]
-    small, large = (_Targets(*map(_address, planes), None) for planes in (half, whole))
-    size = _int32(width), _int32(height)
-    limits = _float(void_alpha), _float(brightest)
-    done = library().cags_raster_upsample(ctypes.byref(small), *size, *limits, threads, ctypes.byref(large))
-    check(done, "raster_upsample")
 
 
 def _address(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
@@ -283,7 +248,15 @@ def _splats(arrays: tuple[F32, ...]) -> _Splats:
         coefficients = rest.shape[1:2] if name == "sh_rest" else ()
         if array.shape != (*means.shape[:1], *coefficients, *shape):
             raise ValueError(f"{name} of shape {array.shape} for {len(means)} splats")
-    return _Splats(len(means), rest.shape[1], *(_address(array) for array in arrays))
+    return _Splats(len(means), rest.shape[1], *map(_address, arrays), _lengths(*arrays))
+
+
+def _targets(*arrays: F32 | None) -> _Targets:
+    return _Targets(*map(_address, arrays), _lengths(*arrays))
+
+
+def _lengths(*arrays: F32 | None) -> ctypes.Array[ctypes.c_int64]:
+    return (_int64 * len(arrays))(*(0 if array is None else array.size for array in arrays))
 
 
 def _arguments(camera: RasterCamera, options: RasterOptions) -> tuple[object, object]:
@@ -295,7 +268,7 @@ def _arguments(camera: RasterCamera, options: RasterOptions) -> tuple[object, ob
         *(camera.fx, camera.fy, camera.cx, camera.cy, camera.near, camera.width, camera.height),
     )
     native_options = _Options(
-        *(options.dilation, options.filter, options.void_alpha, options.brightest, options.colour_angle),
+        *(options.dilation, options.filter, options.void_alpha, options.brightest),
         *(options.exactness, options.depth, options.max_sh_degree, options.threads),
     )
     return ctypes.byref(native_camera), ctypes.byref(native_options)

@@ -10,11 +10,11 @@ import DracoPy
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.draco import decode_points
+from cags_common.coding.draco import decode_points
+from cags_common.coding.packing import U32, decode_ids, encode_ids
 from cags_common.errors import DecodeError
-from cags_common.packing import U32, decode_ids, encode_ids
 from cags_common.splats import MAX_SPLATS, Ids
-from cags_common.tiles import DRACO_LEVEL, MAX_POSITION_BITS, MAX_TILE_SPLATS, PositionGrid
+from cags_common.tiles.payloads import DRACO_LEVEL, MAX_POSITION_BITS, MAX_TILE_SPLATS, PositionGrid
 from cags_research.codecs.scalar import U8
 
 _HEAD = struct.Struct("<4sBBHII4f")

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.attributes import join_attributes
 from cags_common.bundle.manifest import Manifest
+from cags_common.coding.packing import U32, decode_ids, encode_ids
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
-from cags_common.packing import U32, decode_ids, encode_ids
 from cags_common.splats import Ids, Splats
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.attributes import join_attributes
+from cags_common.tiles.kinds import TileKind
 from cags_research.codecs.cloud import TileHead, decode_cloud, decode_head, encode_cloud
 from cags_research.codecs.scalar import U8, ScalarBook
 
@@ -180,7 +180,7 @@ def _decode_chunk(payload: bytes | memoryview, head: TileHead, book: ScalarBook)
 
 
 class DensityTileCodec:
-    """Opens tiles of the density codec (:class:`cags_common.codecs.TileCodec`)."""
+    """Opens tiles of the density codec (:class:`cags_common.bundle.codecs.TileCodec`)."""
 
     def __init__(self, manifest: Manifest, codebooks: bytes | memoryview) -> None:
         del manifest  # every tile says how many levels it has

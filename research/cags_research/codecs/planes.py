@@ -15,7 +15,7 @@ from av.video.frame import VideoFrame
 from numpy.typing import NDArray
 
 from cags_common.errors import DecodeError
-from cags_common.tiles import MAX_TILE_SPLATS
+from cags_common.tiles.payloads import MAX_TILE_SPLATS
 from cags_research.codecs.scalar import U8
 
 MAX_PLANES = 64

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.attributes import ATTRIBUTE_DIMS
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
+from cags_common.tiles.attributes import ATTRIBUTE_DIMS
 
 U8 = NDArray[np.uint8]
 STEPS = 255

@@ -14,14 +14,14 @@ from copy import copy
 
 import numpy as np
 
-from cags_common.attributes import join_attributes
 from cags_common.bundle.manifest import Manifest
+from cags_common.coding.packing import U32
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
-from cags_common.packing import U32
 from cags_common.splats import Ids, Splats
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.attributes import join_attributes
+from cags_common.tiles.kinds import TileKind
 from cags_research.codecs.cloud import decode_cloud, decode_head, encode_cloud
 from cags_research.codecs.planes import decode_planes, encode_planes
 from cags_research.codecs.scalar import U8, ScalarBook
@@ -115,7 +115,7 @@ class VideoTile:
 
 
 class VideoTileCodec:
-    """Opens tiles of the video codec (:class:`cags_common.codecs.TileCodec`)."""
+    """Opens tiles of the video codec (:class:`cags_common.bundle.codecs.TileCodec`)."""
 
     def __init__(self, manifest: Manifest, codebooks: bytes | memoryview) -> None:
         del manifest  # every payload says which quality it is

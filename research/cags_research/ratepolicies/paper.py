@@ -12,7 +12,7 @@ transmitted with those of looks, motion after the looks that it moves, and the l
 
 from __future__ import annotations
 
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_server.ratecontrol.base import Decision, Observation, TileView
 from cags_server.ratecontrol.plan import Plan
 

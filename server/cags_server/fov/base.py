@@ -50,7 +50,7 @@ def widened(client: Intrinsics, margins: tuple[float, float], width_px: int, hei
     """Intrinsics of a centred reference image whose angles are the client's times (1 + margin), within bounds.
 
     A client whose principal point is off centre is covered by a view that reaches as far on both sides as the
-    client's wider side. The result never reaches ``MAX_REFERENCE_FOV_RAD`` unless the client's own view does.
+    client's wider side. The result never reaches ``MAX_REFERENCE_FOV_RAD`` unless the client's field of view does.
     """
     full = [2 * half for half in client_halves(client)]
     wide = [min(fov * (1 + max(0.0, s)), max(fov, MAX_REFERENCE_FOV_RAD)) for fov, s in zip(full, margins, strict=True)]

@@ -1,4 +1,4 @@
-"""As wide as the predictor's own uncertainty asks for: no more than needed while the viewer is still."""
+"""Margins of the field of view from the predictor's own error estimate: small while the viewer is still."""
 
 from __future__ import annotations
 

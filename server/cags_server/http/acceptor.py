@@ -21,8 +21,8 @@ from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.typedefs import Handler, Middleware
 from aiohttp.web_protocol import RequestHandler
 
-from cags_common.rare_log import RareLog
-from cags_common.tasks import watched
+from cags_common.runtime.rare_log import RareLog
+from cags_common.runtime.tasks import watched
 from cags_common.transport.accepting import accept_all
 from cags_server.http.waiting_list import WaitingList
 

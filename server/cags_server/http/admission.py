@@ -8,7 +8,7 @@ import ssl
 
 from cags_common.errors import ConfigError
 from cags_common.transport.hosts import host_allowed, is_loopback, named, same_host
-from cags_protocol.messages import Hello
+from cags_protocol.wire.messages import Hello
 from cags_server.settings import ServeSettings
 
 MAX_HANDSHAKES = 64

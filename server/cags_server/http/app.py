@@ -16,13 +16,13 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 from cags_common.errors import NetworkError, OutputError
-from cags_common.rare_log import RareLog
+from cags_common.runtime.rare_log import RareLog
 from cags_common.transport.accepting import listen_on
 from cags_common.transport.hosts import named
 from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
-from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from cags_protocol.messages import Hello, RefusalCode
+from cags_protocol.wire.limits import MAX_CLIENT_MESSAGE_BYTES
+from cags_protocol.wire.messages import Hello, RefusalCode
 from cags_server.http.acceptor import BACKLOG, Acceptor, max_connections
 from cags_server.http.admission import (
     MAX_HANDSHAKES,
@@ -37,6 +37,8 @@ from cags_server.http.admission_rate import AdmissionRate
 from cags_server.http.capacity import Capacity, capacity
 from cags_server.http.client_task import ClientTask, now_us
 from cags_server.http.event_file import EventFile
+from cags_server.http.gallery.scenes import add_scenes
+from cags_server.http.gallery.uploads import Uploads
 from cags_server.http.memory import FreedMemory
 from cags_server.http.metrics import Totals, exposition
 from cags_server.http.page import add_page
@@ -45,6 +47,7 @@ from cags_server.http.waiting_list import WaitingList
 from cags_server.records import StreamStats, write_session
 from cags_server.reference.render_pool import RenderPool
 from cags_server.reference.render_slots import RenderSlots
+from cags_server.scene.collection import Collection, UnknownSceneError
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.connection import Connection
 from cags_server.session.quota import Quotas
@@ -55,16 +58,19 @@ log = logging.getLogger(__name__)
 MOST_BY_MEASURE = 256
 """Descriptors are kept for so many clients where their number is measured."""
 
+DEFAULT_FPS = 30.0
+"""Of a server that has no scene yet."""
+
 LINES_AT_ONCE = 16
 """Log lines about comings and goings of one address that may come at once; then there is one a second."""
 
 
 class App:
-    """One served scene and its clients."""
+    """Served scenes and their clients."""
 
-    def __init__(self, library: SceneLibrary, settings: ServeSettings, acceptor: Acceptor | None = None) -> None:
+    def __init__(self, scenes: Collection, settings: ServeSettings, acceptor: Acceptor | None = None) -> None:
         """``acceptor``: where its connections come from, if there is one that wants to know what they are at."""
-        self._library, self._settings, self._acceptor = library, settings, acceptor
+        self._scenes, self._settings, self._acceptor = scenes, settings, acceptor
         self._told, self._turned_away = RareLog(log, burst=LINES_AT_ONCE), RareLog(log)
         self._turns = AdmissionRate()
         self._unvouched = WaitingList[str]()  # names of those who have shown neither a Hello nor the token yet
@@ -72,26 +78,31 @@ class App:
         self._names = itertools.count(1)
         self._clients: dict[str, tuple[ClientTask, Connection]] = {}
         self._executor = RenderPool(settings.workers, self._served)
+        self._uploads = Uploads(scenes, settings, self._streams) if settings.accept_uploads else None
         self._ended = Totals()
         self._memory, self._book = FreedMemory(), SessionBook()
         self._draining = False
-        self._executor.submit(library.warm)
-        self._executor.submit(self._read_ahead, 0)
+        if not scenes.several:
+            self._executor.submit(scenes.library(None).warm)
+            self._executor.submit(self._read_ahead, scenes.library(None), 0)
         self._empty = asyncio.Event()
         self._empty.set()
 
     def web_app(self) -> web.Application:
-        """Routes: the viewer, health, readiness, metrics, the operator's page, the public manifest, and the stream."""
+        """Routes: the viewer, the scenes, health, readiness, metrics, the operator's page, and the stream."""
         app = web.Application(
             middlewares=([] if self._acceptor is None else [self._acceptor.middleware()]) + [self._guard()]
         )
-        add_page(app)
+        add_page(app, gallery=self._scenes.several)
+        upload_bytes = round(self._settings.upload_mb * 1e6) if self._uploads else 0
+        if self._uploads:
+            self._uploads.add_routes(app)
+        add_scenes(app, self._scenes, self._settings.token, upload_bytes=upload_bytes)
         app.router.add_get("/healthz", self._health)
         app.router.add_get("/readyz", self._ready)
         app.router.add_get("/metrics", self._metrics)
         app.router.add_get("/status", self._status)
         app.router.add_get("/status.json", self._status)
-        app.router.add_get("/bundle", self._bundle)
         app.router.add_get("/stream", self._stream)
         return app
 
@@ -107,10 +118,10 @@ class App:
         """Name and figures of every client that has been let in."""
         return [(name, c.stats) for name, (_, c) in list(self._clients.items()) if c.streamer is not None]
 
-    def _read_ahead(self, frame: int) -> None:
+    def _read_ahead(self, library: SceneLibrary, frame: int) -> None:
         """While nobody watches yet, get on with what the first viewer will need, frame by frame."""
-        if not (self._clients or self._draining) and self._library.read_ahead(frame):
-            self._executor.submit(self._read_ahead, frame + 1)
+        if not (self._clients or self._draining) and library.read_ahead(frame):
+            self._executor.submit(self._read_ahead, library, frame + 1)
 
     def _served(self) -> int:
         """How many have been let in: not those who have yet to say hello."""
@@ -126,11 +137,19 @@ class App:
 
     def _capacity(self) -> Capacity:
         live = [stats for _, stats in self.sessions()]
-        return capacity(self._settings, self._library.manifest.fps, [*live, self._ended.as_stats()])
+        fps = max((manifest.fps for manifest in self._scenes.manifests), default=DEFAULT_FPS)
+        return capacity(self._settings, fps, [*live, self._ended.as_stats()])
+
+    def _streams(self, request: web.Request) -> None:
+        """A request takes the time that it takes."""
+        if self._acceptor is not None:
+            self._acceptor.streams(request)
 
     async def drain(self) -> None:
         """Let no one in any more, and say goodbye to everybody who is."""
         self._draining = True
+        if self._uploads:
+            await self._uploads.close()
         for task, _ in list(self._clients.values()):
             task.say_goodbye("the server is shutting down")
         try:
@@ -164,7 +183,7 @@ class App:
         if refusal is not None:
             return refusal
         report = {
-            "bundle": self._library.manifest.name,
+            "bundle": self._scenes.title,
             "max_clients": self._settings.max_clients or self._capacity().clients,
             "draining": self._draining,
             **self._book.report(self.sessions()),
@@ -172,7 +191,7 @@ class App:
         if request.path.endswith(".json"):
             return web.json_response(report)
         security = {"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"}
-        text = page(report, self._library.manifest.name)
+        text = page(report, self._scenes.title)
         return web.Response(text=text, content_type="text/html", charset="utf-8", headers=security)
 
     async def _metrics(self, request: web.Request) -> web.Response:
@@ -181,15 +200,14 @@ class App:
         page = exposition(self._ended, (stats for _, stats in self.sessions()))
         return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 
-    async def _bundle(self, request: web.Request) -> web.Response:
-        if not header_allowed(self._settings.token, request.headers.get("Authorization")):
-            return web.json_response({"error": "the token is missing or wrong"}, status=401)
-        return web.Response(body=self._library.manifest.public_json(), content_type="application/json")
-
     async def _stream(self, request: web.Request) -> web.StreamResponse:
         refusal = self._refusal(request)
         if refusal is not None:
             return refusal
+        try:
+            library = self._scenes.library(request.query.get("scene"))
+        except UnknownSceneError as error:
+            return web.json_response({"error": str(error)}, status=404)
         header = request.headers.get("Authorization")
         vouched = bool(self._settings.token) and header_allowed(self._settings.token, header)
         if not vouched and not await self._turns.take():
@@ -197,11 +215,10 @@ class App:
         transport = await ServerWebSocket.accept(
             request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
         )
-        if self._acceptor is not None:
-            self._acceptor.streams(request)
+        self._streams(request)
         name = f"s{next(self._names)}"
         events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
-        connection = self._connection(name, transport.peer, header, events)
+        connection = self._connection(library, name, transport.peer, header, events)
         task = ClientTask(
             transport, connection, self._executor, slow_s=self._settings.slow_s, clients=lambda: len(self._clients)
         )
@@ -235,7 +252,9 @@ class App:
             return web.json_response({"error": f"origin {origin} is not allowed; list it with --origins"}, status=403)
         return None
 
-    def _connection(self, name: str, peer: str, header: str | None, events: EventFile | None) -> Connection:
+    def _connection(
+        self, library: SceneLibrary, name: str, peer: str, header: str | None, events: EventFile | None
+    ) -> Connection:
         settings = self._settings
         session = ServerSessionSettings(
             timers=SessionTimers(idle_us=round(settings.idle_s * 1e6)),
@@ -253,7 +272,7 @@ class App:
             return None
 
         return Connection(
-            self._library,
+            library,
             settings,
             name=name,
             now_us=now_us(),
@@ -288,7 +307,7 @@ class App:
                 self._told.write(logging.WARNING, "session log", "%s", error)
 
 
-async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callable[[str, int, App], None]) -> None:
+async def serve(scenes: Collection, settings: ServeSettings, on_ready: Callable[[str, int, App], None]) -> None:
     """Serve until SIGTERM or SIGINT. ``on_ready`` is told the host, the actual port and what serves there.
 
     Raises :class:`NetworkError` where the address cannot be listened on.
@@ -301,7 +320,7 @@ async def serve(library: SceneLibrary, settings: ServeSettings, on_ready: Callab
             f"cannot listen on {settings.host}:{settings.port} ({_reason(error)}); {_way_out(error)}"
         ) from error
     acceptor = Acceptor(max_connections(settings.max_clients or MOST_BY_MEASURE))
-    app = App(library, settings, acceptor)
+    app = App(scenes, settings, acceptor)
     runner = web.AppRunner(app.web_app(), access_log=None, shutdown_timeout=settings.drain_s)
     await runner.setup()
     assert runner.server is not None

@@ -14,11 +14,11 @@ from concurrent.futures import Executor
 from typing import Any
 
 from cags_common.errors import CagsError
-from cags_common.rare_log import RareLog
-from cags_common.tasks import watched
+from cags_common.runtime.rare_log import RareLog
+from cags_common.runtime.tasks import watched
+from cags_common.runtime.wake import woken
 from cags_common.transport.base import ConnectionEndedError, Transport
-from cags_common.wake import woken
-from cags_protocol.messages import RefusalCode
+from cags_protocol.wire.messages import RefusalCode
 from cags_server.reference.job import FrameJob
 from cags_server.session.connection import Connection
 from cags_server.session.quota import ReadingShare

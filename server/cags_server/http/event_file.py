@@ -10,7 +10,7 @@ import logging
 from pathlib import Path
 from typing import TextIO
 
-from cags_protocol.tracing import EventTrace, Record
+from cags_protocol.sessions.tracing import EventTrace, Record
 
 MAX_BYTES = 64 * 1024 * 1024
 """A trace ends there: a line a packet of 8 KiB comes to that after about two gigabytes of stream."""

@@ -27,11 +27,15 @@ _INSTEAD = f"""<!doctype html><html lang="en"><meta charset="utf-8"><meta name="
 <p>Meanwhile <code>cags-client</code> plays <code>/stream</code> of this address.</p></html>"""
 
 
-def add_page(app: web.Application) -> None:
-    """Serve the page at ``/`` and its parts beside it."""
-    app.router.add_get("/", partial(_file, name="index.html"))
+def add_page(app: web.Application, *, gallery: bool) -> None:
+    """Serve the page at ``/`` and its parts beside it; with a ``gallery`` the page is that until a scene is named."""
+
+    async def home(request: web.Request) -> web.StreamResponse:
+        return await _file(request, "gallery.html" if gallery and "scene" not in request.query else "index.html")
+
+    app.router.add_get("/", home)
     for name in cags_web.FILES:
-        if name != "index.html":
+        if not name.endswith(".html"):
             app.router.add_get(f"/{name}", partial(_file, name=name))
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cags_common import so3
 from cags_common.geometry import F64, Pose, angle_between
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 
 HISTORY_US = 4_000_000
 """How far back samples are kept: enough to refit a predictor to the viewer of this minute."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,6 @@ class Observation:
     waiting_us: int = 0  # how long the oldest undelivered tile has been on its way
     layered: bool = True  # LoDs add up; else LoD L is the whole tile at quality L, and replaces what was sent
     timely_bytes: int = UNBOUNDED_BYTES  # of them, what may go to what must arrive before the frame is displayed
-    overtaking_bytes: int = 0  # what may go to that though the budget is used up by detail that waits, and is overtaken
 
 
 @dataclass(frozen=True, slots=True)

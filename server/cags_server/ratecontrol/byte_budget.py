@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import ceil
 
 from cags_protocol import events as ev
-from cags_protocol.messages import ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import ReferenceFrame, TileLayers
 from cags_server.ratecontrol.priorities import BASE_PRIORITY
 from cags_server.records import FrameRecord
 
@@ -82,15 +82,8 @@ class ByteBudget:
 
     def open(self, record: FrameRecord, allowed_bps: float, period_us: float) -> int:
         """What the tiles of ``record``'s frame may take; its reference is paid for first."""
-        return self._earned(record, allowed_bps, period_us, self._outstanding_bytes)
-
-    def overtaking(self, record: FrameRecord, allowed_bps: float, period_us: float) -> int:
-        """What those of them may take that overtake the detail which waits: without its share in what waits."""
-        return self._earned(record, allowed_bps, period_us, self._outstanding_bytes - self._overtaken_bytes)
-
-    def _earned(self, record: FrameRecord, allowed_bps: float, period_us: float, outstanding_bytes: int) -> int:
         seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * period_us / 1e6
-        waiting_bytes = outstanding_bytes + self._undecoded_bytes
+        waiting_bytes = self._outstanding_bytes + self._undecoded_bytes
         excess = max(0.0, waiting_bytes - allowed_bps * self._queue_ms / 8e3)
         income = int(allowed_bps * seconds / 8 - record.reference_bytes - excess)
         return max(0, income + self._saved_bytes)
@@ -109,15 +102,11 @@ class ByteBudget:
         within_us = max(spare_us - self._path_us, 0.0)
         delay_bytes = self._delay_bytes(link_bps, period_us)
         most = min(_carried(within_us, period_us, link_bps, self._references.mean_bytes), delay_bytes)
-        ahead = max(self._waiting_bytes(link_bps) - self._overtaken_bytes, 0.0)
+        overtaken = max(self._detail_bytes - self._in_flight_bytes, 0)
+        ahead = max(self._waiting_bytes(link_bps) - overtaken, 0.0)
         room = max(int(most - ahead), 0)
         late = dearest_bytes > most and ahead < min(link_bps * within_us / 8e6, delay_bytes)
         return max(room, dearest_bytes) if late else room
-
-    @property
-    def _overtaken_bytes(self) -> int:
-        """Detail that has not been written yet."""
-        return max(self._detail_bytes - self._in_flight_bytes, 0)
 
     def _delay_bytes(self, link_bps: float, period_us: float) -> float:
         return link_bps * (self._queue_ms * 1e3 + period_us) / 8e6

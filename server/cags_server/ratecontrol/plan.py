@@ -10,7 +10,6 @@ class Plan:
 
     def __init__(self, observation: Observation) -> None:
         self._budget, self._timely = observation.budget_bytes, observation.timely_bytes
-        self._overtaking = observation.overtaking_bytes
         self._spent = self._urgent = 0  # in all, and of it on what must arrive in time
         self._overhead = observation.message_overhead_bytes
         self._layered = observation.layered
@@ -58,11 +57,8 @@ class Plan:
         return depth == 0 or tile.passing or (not self._layered and self._start[tile.frame, tile.tile] == 0)
 
     def _fits(self, cost: int, *, urgent: bool) -> bool:
-        in_all = self._spent + cost <= self._budget
-        if not urgent:
-            return in_all
-        at_once = self._urgent + cost
-        return at_once <= self._timely and (in_all or at_once <= self._overtaking)
+        arrives = not urgent or self._urgent + cost <= self._timely
+        return arrives and self._spent + cost <= self._budget
 
     def decision(self) -> Decision:
         """The planned upgrades in the order in which their tiles were first raised."""

@@ -24,7 +24,7 @@ from functools import lru_cache
 from math import log10
 
 from cags_common.motion.chunk import REFINEMENT
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_server.ratecontrol.base import Decision, Observation, TileView
 from cags_server.ratecontrol.plan import Plan
 

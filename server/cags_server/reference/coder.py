@@ -9,20 +9,24 @@ beside it. A change of kind begins a new video, which costs a picture that needs
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from cags_common.correction.compander import compand, expand
+from cags_common.correction import ComparedViews, Look, StagedViews
+from cags_common.correction.compander import ZERO, expand
 from cags_common.geometry import F32, Intrinsics
 from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
-from cags_protocol.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
+from cags_protocol.wire.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
 from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 
 DIFFERENCE, PICTURE, NOTHING = ReferenceKind.DIFFERENCE, ReferenceKind.PICTURE, ReferenceKind.NOTHING
+
+LOOKS = {DIFFERENCE: frozenset({Look.LACK, Look.COMPANDED}), PICTURE: frozenset({Look.TRUTH, Look.LACK})}
+"""What a reference of a kind is made from."""
 
 INVISIBLE = (0.5 / 255) ** 2
 """Mean squared difference under which nothing is sent: half a step of a display's 8 bits."""
@@ -34,9 +38,6 @@ BLOCK_PX = 8
 
 LOOKED_AT = 2
 """Every how many rows and columns of a decoded reference are looked at to see what it leaves."""
-
-STEPS = (1 << 15) - 1
-"""Differences that are told apart before they are coded, on either side of none: far more than 8 bits hold."""
 
 KNEES = (0.03, 0.06, 0.12, 0.24)
 """Of the compander; a new one breaks the prediction from picture to picture, so there are few."""
@@ -87,7 +88,7 @@ class Coded:
     knee: float = KNEES[-1]
     idr: bool = False
     before: float = 0.0
-    """Mean squared error of the client's own view, [0, 1] RGB."""
+    """Mean squared error of the client's render from the reference camera, [0, 1] RGB."""
     after: float = 0.0
     """Of that view once it is corrected, seen from the reference's pose."""
 
@@ -134,7 +135,7 @@ class ReferenceCoder:
 
     @property
     def compares(self) -> bool:
-        """Whether the client's own view is needed: not of a client whose references often come late."""
+        """Whether the mirror's render is needed: not of a client whose references often come late."""
         return DIFFERENCE in self.kinds and not (PICTURE in self.kinds and self.lateness.often)
 
     @property
@@ -162,56 +163,73 @@ class ReferenceCoder:
         self._recode(wanted)
         return True
 
+    @property
+    def looks(self) -> frozenset[Look]:
+        """What the next reference will be made from for certain."""
+        return LOOKS[self.kinds[0]] if self.kinds else frozenset()
+
+    @property
+    def knee(self) -> float:
+        """Of the compander, of the last difference: the next one's in all likelihood."""
+        return self._knee
+
     def code(self, truth: F32, mirror: F32 | None, *, idr: bool) -> Coded:
-        """The reference of ``truth`` [h, w, 3], the scene, for a client whose own view is ``mirror`` [h, w, 3].
+        """The reference of the scene, ``truth`` [h, w, 3], for a client that sees ``mirror`` [h, w, 3] from there.
 
         Both are RGB of the display's range; None: the client holds nothing, or is not compared with. ``idr``: the
         reference must need no other.
         """
+        return self.code_views(StagedViews(truth, mirror), idr=idr)
+
+    def code_views(self, views: ComparedViews, *, idr: bool) -> Coded:
+        """As :meth:`code`."""
         if not self.kinds:
             return Coded(NOTHING)
-        truth = np.clip(truth, 0, 1)
         if self.lateness.often and self.kinds[0] is DIFFERENCE and PICTURE in self.kinds:
             self._change_kind()
-        lack = truth if mirror is None else truth - np.clip(mirror, 0, 1)
-        before = _power(lack)
+        before = _power(views.lack)
         if self.compares:
             if before < INVISIBLE:
                 return Coded(NOTHING, before=before, after=before)
             if self.kinds[0] is PICTURE and before < self._picture_left:
-                self._change_kind()  # the client's own view is better than what a picture would make of it
+                self._change_kind()  # the client's splats alone are better than what a picture would make of them
         kind = self.kinds[0]
-        coded = self._coded(kind, truth, lack, idr=idr or self._begin_anew)
+        coded = self._coded(kind, views, idr=idr or self._begin_anew)
         most = KEY_SHARE * self._target_bytes
         if coded.idr and most and len(coded.access_unit) > most:
             excess = len(coded.access_unit) / most
             if self._set_crf(self._crf + CRF_OF_DOUBLE * np.log2(excess)):
-                coded = self._coded(kind, truth, lack, idr=True)
+                coded = self._coded(kind, views, idr=True)
         coded = replace(coded, before=before)
         self._begin_anew = False
         if not coded.idr:
             self._mean_bytes += (len(coded.access_unit) - self._mean_bytes) / min(self._counted + 1, RATE_WINDOW)
             self._counted += 1
-        if len(self.kinds) > 1 and mirror is not None and self.compares:
-            self._try_other(coded, truth, lack)
+        if len(self.kinds) > 1 and views.compared and self.compares:
+            self._try_other(coded, views)
         return coded
 
-    def _coded(self, kind: ReferenceKind, truth: F32, lack: F32, *, idr: bool) -> Coded:
+    def _coded(self, kind: ReferenceKind, views: ComparedViews, *, idr: bool) -> Coded:
         video = self._videos.get(kind)
         if video is None:
             video, idr = self._videos.setdefault(kind, _Video(self._opened())), True
         if kind is PICTURE:
+            truth = views.truth
             unit, decoded = video.coded(truth, idr=idr)
             self._picture_left = _power((truth - decoded)[::LOOKED_AT, ::LOOKED_AT])
             return Coded(kind, unit, self._knee, is_idr(unit), after=self._picture_left)
-        worth, rms = _without_quiet_blocks(lack)
+        lack = views.lack
+        loud, rms = _loud_blocks(lack)
         knee = self._knee = _knee(rms, self._knee)
-        unit, decoded = video.coded(_companded(worth, knee), idr=idr)
+        companded = views.companded(knee)
+        if loud is not None:
+            companded = np.where(loud[..., None], companded, np.float32(ZERO))
+        unit, decoded = video.coded(companded, idr=idr)
         seen = decoded[::LOOKED_AT, ::LOOKED_AT]
         left = (lack[::LOOKED_AT, ::LOOKED_AT] - expand(seen, knee)).astype(np.float32)
         return Coded(kind, unit, knee, is_idr(unit), after=_power(left))
 
-    def _try_other(self, used: Coded, truth: F32, lack: F32) -> None:
+    def _try_other(self, used: Coded, views: ComparedViews) -> None:
         """Code the other kind beside the one in use, from time to time, and change over where it is better."""
         other = self.kinds[1]
         step = self._trial.step()
@@ -219,7 +237,7 @@ class ReferenceCoder:
             return
         if step == 0:
             self._videos.pop(other, None)
-        tried = self._coded(other, truth, lack, idr=step == 0)
+        tried = self._coded(other, views, idr=step == 0)
         if step and not used.idr:
             self._trial.count(used, tried)
         if self._trial.won:
@@ -301,9 +319,9 @@ def _power(picture: F32) -> float:
     return cv2.norm(picture, cv2.NORM_L2SQR) / picture.size
 
 
-def _without_quiet_blocks(lack: F32) -> tuple[F32, float]:
-    """``lack`` without the blocks in which there is too little to be worth its bits, and the root mean square of the
-    rest.
+def _loud_blocks(lack: F32) -> tuple[NDArray[np.bool_] | None, float]:
+    """The pixels [h, w] of blocks in which there is enough of ``lack`` to be worth its bits (None: all), and the root
+    mean square of these blocks.
     """
     height, width = lack.shape[:2]
     small = -(-width // BLOCK_PX), -(-height // BLOCK_PX)
@@ -311,10 +329,10 @@ def _without_quiet_blocks(lack: F32) -> tuple[F32, float]:
     blocks = np.asarray(cv2.resize(power, small, interpolation=cv2.INTER_AREA))
     loud = blocks > QUIET
     if loud.all():
-        return lack, float(np.sqrt(blocks.mean()))
+        return None, float(np.sqrt(blocks.mean()))
     rms = float(np.sqrt(blocks[loud].mean())) if loud.any() else 0.0
-    worth = cv2.resize(loud.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
-    return np.asarray(cv2.multiply(lack, cv2.merge([worth] * 3)), np.float32), rms
+    worth = cv2.resize(loud.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+    return worth.astype(bool), rms
 
 
 def _knee(rms: float, current: float) -> float:
@@ -323,14 +341,3 @@ def _knee(rms: float, current: float) -> float:
     if current / KEEP_KNEE <= best <= current * KEEP_KNEE:
         return current
     return min(KNEES, key=lambda knee: abs(np.log(best / knee)))
-
-
-def _companded(lack: F32, knee: float) -> F32:
-    """:func:`~cags_common.correction.compander.compand` by a table: a sixth of the time."""
-    steps = np.rint(lack * np.float32(STEPS) + np.float32(STEPS)).astype(np.uint16)
-    return np.asarray(_table(knee).take(steps))
-
-
-@lru_cache(maxsize=len(KNEES))
-def _table(knee: float) -> F32:
-    return compand(np.arange(-STEPS, STEPS + 1) / STEPS, knee).astype(np.float32)

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cags_common.correction import ComparingScene, DrawnViews, StagedViews
 from cags_common.geometry import F32, Camera, Intrinsics
-from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderOptions
-from cags_protocol.messages import ReferenceKind
+from cags_common.raster.base import DepthKind, Footprint, RasterScene, RenderedView, RenderOptions
+from cags_protocol.wire.messages import ReferenceKind
 from cags_server.predict.base import PoseDistribution
 from cags_server.records import Ahead
 from cags_server.reference.coder import Coded, ReferenceCoder
@@ -86,13 +87,13 @@ class FrameJob:
         started = clock()
         footprint = Footprint.classic() if self.plain_footprint else self._footprint(self.camera)
         options = RenderOptions(footprint=footprint, depth=DepthKind.NONE, contribution=True, threads=self.threads)
-        truth, contribution = self._drawn(options) if self.plan.speaks else (None, self._seen_ahead(options))
+        drawn, contribution = self._drawn(options) if self.plan.speaks else (None, self._seen_ahead(options))
         worth = self.stale.added_to(contribution, self.plan.ahead.frame)
         visible = self.library.visible_tiles(self.plan.ahead.frame, worth, self.visible_px)
         rendered = clock()
-        held = None if truth is None else self._held(options)
+        views = StagedViews(drawn.rgb, self._held(options)) if isinstance(drawn, RenderedView) else drawn
         mirrored = clock()
-        coded = NOTHING if truth is None else self.coder.code(truth, held, idr=self.plan.idr)
+        coded = NOTHING if views is None else self.coder.code_views(views, idr=self.plan.idr)
         return FrameRender(
             plan=self.plan,
             intrinsics=self.camera.intrinsics,
@@ -104,18 +105,29 @@ class FrameJob:
             encode_ns=clock() - mirrored,
         )
 
-    def _drawn(self, options: RenderOptions) -> tuple[F32, F32]:
-        """The true view [h, w, 3] and what splats contribute to the frame whose tiles are planned."""
+    def _drawn(self, options: RenderOptions) -> tuple[RenderedView | DrawnViews, F32]:
+        """The true view, compared with the client's where that is done in one go; and what splats contribute to the
+        frame whose tiles are planned.
+        """
         with self.library.scenes.at(self.plan.frame) as scene:
-            view = scene.render(self.camera, options)
-        assert view.contribution is not None
-        return view.rgb, self._contribution_ahead(view.contribution, options)
+            drawn = self._together(scene, options) or scene.render(self.camera, options)
+        assert drawn.contribution is not None
+        return drawn, self._contribution_ahead(drawn.contribution, options)
 
     def _footprint(self, camera: Camera) -> Footprint:
         return Footprint.of(self.client, camera.intrinsics)
 
+    def _together(self, scene: RasterScene, options: RenderOptions) -> DrawnViews | None:
+        """Truth and mirror, drawn and compared in one go by scenes that can; None: one after the other."""
+        if self.mirror is None or not isinstance(scene, ComparingScene):
+            return None
+        held = self.mirror.scene_at(self.plan.frame, self.plan.basis)
+        if held is None:
+            return None
+        return scene.compared(held, self.camera, options, knee=self.coder.knee, looks=self.coder.looks)
+
     def _held(self, options: RenderOptions) -> F32 | None:
-        """The client's own view [h, w, 3]; None where it holds nothing, or nobody asks."""
+        """The client's render from the reference camera [h, w, 3]; None where it holds nothing, or nobody asks."""
         scene: RasterScene | None = None
         if self.mirror is not None:
             scene = self.mirror.scene_at(self.plan.frame, self.plan.basis)

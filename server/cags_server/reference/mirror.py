@@ -14,14 +14,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-from cags_common.held_tile import HeldTile
-from cags_common.packing import decode_ids
+from cags_common.coding.packing import decode_ids
 from cags_common.raster.base import RasterScene
 from cags_common.splats import Splats
 from cags_common.store.gof_buffer import Committed, GofBuffer
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
-from cags_protocol.messages import Buffer, FrameEnd, TileLayers
+from cags_common.tiles.inventory import InventoryEntry
+from cags_protocol.wire.messages import Buffer, FrameEnd, TileLayers
 from cags_server.scene.decoded_tiles import SharedOpener
 from cags_server.scene.library import SceneLibrary
 
@@ -96,7 +96,7 @@ class Mirror:
             self._log.clear()
         self._append(_Restart(frame))
 
-    def resume(self, inventory: Iterable[HeldTile]) -> None:
+    def resume(self, inventory: Iterable[InventoryEntry]) -> None:
         """Over this connection the client begins with so many LoDs of each tile, and with no end of a frame."""
         layered = self._library.decoded.layered
         for held in inventory:
@@ -105,7 +105,7 @@ class Mirror:
                 sizes = self._library.decoded.entry((held.frame, held.tile)).lod_bytes[first : held.lods]
                 self._append(_Layers(held.frame, held.tile, first, sizes))
 
-    def _has(self, held: HeldTile) -> bool:
+    def _has(self, held: InventoryEntry) -> bool:
         """Whether the bundle has what a client says that it holds of it."""
         if not 0 <= held.frame < self._library.manifest.frames:
             return False

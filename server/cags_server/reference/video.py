@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cags_protocol import events as ev
-from cags_protocol.messages import ReferenceFrame, ReferenceKind
+from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 from cags_server.reference.job import FrameRender
 
 

@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.bundle import BundleReader, TileEntry
-from cags_common.codecs import WHOLE_TILES_CODEC, AnyTile, MotionTile
+from cags_common.bundle.codecs import WHOLE_TILES_CODEC, AnyTile, MotionTile
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import Chunk
-from cags_common.recent import Recent
+from cags_common.runtime.recent import Recent
 from cags_common.splats import Ids, Splats
 from cags_common.store.motions import LooksValue, UpdateValues
 from cags_common.store.tile_decode import First, Key, Opened, OpenMotion, OpenTile, OpenUpdate, Sphere
-from cags_common.tile_kinds import TileKind
-from cags_common.updates import UpdateState
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.updates import UpdateState
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -174,7 +174,7 @@ class SharedTile:
 
 
 class SharedLooks(SharedTile):
-    """A tile of looks of a mirror (:class:`~cags_common.codecs.TileDecoder`)."""
+    """A tile of looks of a mirror (:class:`~cags_common.bundle.codecs.TileDecoder`)."""
 
     kind = TileKind.LOOKS
     steps: Steps | None = None
@@ -206,7 +206,7 @@ class SharedLooks(SharedTile):
 
 
 class SharedMotion(SharedTile):
-    """A tile of motion of a mirror (:class:`~cags_common.codecs.MotionDecoder`)."""
+    """A tile of motion of a mirror (:class:`~cags_common.bundle.codecs.MotionDecoder`)."""
 
     @property
     def looks(self) -> Key:
@@ -228,7 +228,7 @@ class SharedMotion(SharedTile):
 
 
 class SharedUpdate(SharedTile):
-    """An update of a mirror (:class:`~cags_common.codecs.UpdateDecoder`)."""
+    """An update of a mirror (:class:`~cags_common.bundle.codecs.UpdateDecoder`)."""
 
     ids: Ids = np.zeros(0, np.int32)
     """None: they are checked when the update is read."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cags_common.bundle import BundleReader, FrameEntry, Manifest
 from cags_common.geometry import F32
 from cags_common.raster.base import Rasteriser
-from cags_common.recent import Recent
+from cags_common.runtime.recent import Recent
 from cags_server.scene.decoded_tiles import DECODED_BYTES, DecodedTiles
 from cags_server.scene.ownership import Owners, advanced
 from cags_server.scene.source_scenes import SourceScenes

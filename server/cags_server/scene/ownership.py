@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cags_common.bundle import BundleReader
 from cags_common.splats import Ids
-from cags_common.tile_kinds import TileKind
-from cags_common.updates import UPDATE_COLUMNS, UpdateState
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.updates import UPDATE_COLUMNS, UpdateState
 from cags_server.scene.tile_map import TileMap
 
 ATTRIBUTES = {"scale": 0, "opacity": 1, "alpha": 1, "sh0": 2, "sh1": 3, "sh2": 3, "sh3": 3}

@@ -16,7 +16,7 @@ import numpy as np
 
 from cags_common.bundle import BundleReader, SourceDelta
 from cags_common.raster.base import Rasteriser, RasterScene
-from cags_common.recent import Recent
+from cags_common.runtime.recent import Recent
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 
 IDLE_SCENES = 4

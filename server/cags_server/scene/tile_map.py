@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cags_common.bundle import FrameEntry
 from cags_common.errors import BundleError
 from cags_common.geometry import F64
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 
 Key = tuple[int, int]
 """Media frame and tile."""

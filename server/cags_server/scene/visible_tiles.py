@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_server.scene.ownership import Owners
 from cags_server.scene.stays import LONGEST_STAY, Stays
 from cags_server.scene.tile_map import Key, Numbers, TileMap

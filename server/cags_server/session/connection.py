@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterable
 from cags_common.errors import ProtocolError
 from cags_protocol import ServerSession
 from cags_protocol import events as ev
-from cags_protocol.inventory import unpack_inventory
-from cags_protocol.messages import Buffer, Hello, RefusalCode
-from cags_protocol.server import ServerSessionSettings
-from cags_protocol.tracing import EventTrace
+from cags_protocol.sessions.server import ServerSessionSettings
+from cags_protocol.sessions.tracing import EventTrace
+from cags_protocol.wire.inventory import unpack_inventory
+from cags_protocol.wire.messages import Buffer, Hello, RefusalCode
 from cags_server.fov.limits import undrawable
 from cags_server.ratecontrol.bandwidth import BandwidthEstimator, MeasuredEstimator
 from cags_server.records import StreamStats

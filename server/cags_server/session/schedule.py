@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from cags_protocol.cadence import EVERY_FRAME, last_displayed, next_displayed
-from cags_protocol.messages import Control
+from cags_protocol.wire.messages import Control
 from cags_server.session.clock import ClientClock
 from cags_server.session.pace import Pace
 from cags_server.session.timeline import Timeline

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from cags_common.geometry import Camera
 from cags_protocol import events as ev
-from cags_protocol.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB, blob_chunks
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_protocol.sessions.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB, blob_chunks
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.ratecontrol.priorities import BASE_PRIORITY, BLOB_PRIORITY, WEIGHTS_PRIORITY
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.tile_map import Key

@@ -10,10 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from cags_common.geometry import Camera, Pose
-from cags_common.held_tile import HeldTile
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.inventory import InventoryEntry
+from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, FrameEnd, Hello, Mark, ReferenceFrame, ReferenceKind, TileLayers, Welcome
+from cags_protocol.wire.messages import (
+    Control,
+    FrameEnd,
+    Hello,
+    Mark,
+    ReferenceFrame,
+    ReferenceKind,
+    TileLayers,
+    Welcome,
+)
 from cags_server.fov import widened
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.bandwidth.base import BandwidthEstimator
@@ -129,7 +138,7 @@ class Streamer:
         """The end of the first frame while the link is still busy with it, so that the play can begin."""
         return self._counted(self._startup.end(now_us), now_us)
 
-    def resume(self, inventory: Iterable[HeldTile]) -> None:
+    def resume(self, inventory: Iterable[InventoryEntry]) -> None:
         """The client still holds these tiles, and the codebooks, from an earlier session: they are not sent again."""
         held = tuple(inventory)
         self._startup.resumed = True
@@ -510,7 +519,6 @@ class Streamer:
             layered=self._tiles.layered,
             waiting_us=self._budget.waiting_us(now_us),
             timely_bytes=timely_bytes,
-            overtaking_bytes=self._budget.overtaking(record, allowed_bps, self._schedule.timeline.period_us),
         )
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)

@@ -8,13 +8,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.codecs import WHOLE_TILES_CODEC
+from cags_common.bundle.codecs import WHOLE_TILES_CODEC
+from cags_common.coding.packing import encode_ids
 from cags_common.geometry import Camera
-from cags_common.held_tile import HeldTile
-from cags_common.packing import encode_ids
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.inventory import InventoryEntry
+from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.ratecontrol import TileView, Upgrade
 from cags_server.ratecontrol.priorities import (
     BASE_PRIORITY,
@@ -52,14 +52,14 @@ class TileSender:
         self.forgotten = False
         """Whether the client is to forget what it holds, and has not been told."""
 
-    def resume(self, inventory: Iterable[HeldTile]) -> None:
+    def resume(self, inventory: Iterable[InventoryEntry]) -> None:
         """The client still holds these tiles from an earlier session: they are not sent again."""
         tiles = [held for held in inventory if held.lods]
         for held in tiles:
             self.inventory.hold(held.frame, held.tile, held.lods)
         self.age.held((held.frame, held.tile) for held in tiles)
 
-    def evicted(self, held: HeldTile) -> None:
+    def evicted(self, held: InventoryEntry) -> None:
         """The client keeps so many LoDs of a tile, for want of memory."""
         self.inventory.reduced(held.frame, held.tile, held.lods)
         if not held.lods:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from cags_protocol.messages import Control
+from cags_protocol.wire.messages import Control
 
 
 @dataclass(frozen=True, slots=True)

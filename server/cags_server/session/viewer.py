@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cags_common.geometry import Intrinsics
-from cags_protocol.messages import Hello, PoseSample
+from cags_protocol.wire.messages import Hello, PoseSample
 from cags_server.fov import FovObservation, FovOptions, create_fov_policy
 from cags_server.predict import PoseDistribution, PoseHistory, create_predictor
 from cags_server.records import FrameRecord

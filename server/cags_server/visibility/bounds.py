@@ -1,4 +1,4 @@
-"""What a client may see before anything was rendered for it: tiles chosen by their bounds alone."""
+"""Visibility before the first render for a client: tiles are selected by their bounds alone."""
 
 from __future__ import annotations
 

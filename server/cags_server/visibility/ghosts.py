@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, F64, Camera
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.stays import LONGEST_STAY, LOOK_AHEAD
 from cags_server.scene.tile_map import Numbers, TileMap

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cags_protocol.messages import TileLayers
+from cags_protocol.wire.messages import TileLayers
 
 Key = tuple[int, int]
 
 
 @dataclass(slots=True)
-class _Held:
+class _Layers:
     delivered: int = 0  # bit L: LoD L arrived
     travelling: int = 0  # bit L: LoD L is queued or in flight
 
@@ -25,22 +25,22 @@ class ClientInventory:
 
     def __init__(self, *, layered: bool = True) -> None:
         self._layered = layered
-        self._tiles: dict[Key, _Held] = {}
+        self._tiles: dict[Key, _Layers] = {}
 
     def queued(self, message: TileLayers) -> None:
         """Layers were queued for sending."""
-        held = self._tiles.setdefault((message.frame, message.tile), _Held())
+        held = self._tiles.setdefault((message.frame, message.tile), _Layers())
         held.travelling |= self._bits(message)
 
     def delivered(self, message: TileLayers) -> None:
         """The client has acknowledged layers."""
-        held = self._tiles.setdefault((message.frame, message.tile), _Held())
+        held = self._tiles.setdefault((message.frame, message.tile), _Layers())
         held.travelling &= ~self._bits(message)
         held.delivered |= self._bits(message)
 
     def hold(self, frame: int, tile: int, lods: int) -> None:
         """The client holds LoDs 0 .. ``lods`` - 1 of a tile."""
-        self._tiles.setdefault((frame, tile), _Held()).delivered |= (1 << lods) - 1
+        self._tiles.setdefault((frame, tile), _Layers()).delivered |= (1 << lods) - 1
 
     def dropped(self, message: TileLayers) -> None:
         """Layers will not arrive."""

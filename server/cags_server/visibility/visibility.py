@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from cags_common.geometry import F32, Camera
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.visibility.age import VersionAge

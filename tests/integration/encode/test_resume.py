@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from cags_encoder.journal import Journal
+from cags_encoder.execution.journal import Journal
 from support.bundle_bytes import assert_same_bundle
 from support.processes import assert_one_clear_line, run_module
 

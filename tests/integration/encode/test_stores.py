@@ -18,7 +18,7 @@ from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.errors import BundleError, SceneError
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.cli import main
-from cags_encoder.journal import Journal
+from cags_encoder.execution.journal import Journal
 from cags_encoder.pipeline import Resume
 from support.bundle_bytes import files_of
 from support.codec_scenes import cloud

@@ -26,11 +26,12 @@ from cags_common.geometry import Pose
 from cags_common.transport.websocket import connect
 from cags_protocol import SUBPROTOCOL
 from cags_protocol import events as ev
-from cags_protocol.encoding import encode
-from cags_protocol.limits import MAX_MESSAGE_BYTES
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES
+from cags_protocol.wire.messages import PoseSample
 from cags_server.http.admission import tls_context
 from cags_server.http.app import App
+from cags_server.scene.collection import Collection
 from cags_server.settings import ServeSettings
 from support.live_server import Client, now_us, serving, stream_url
 from support.server_scene import CLIENT, hello, library
@@ -109,7 +110,7 @@ def self_signed(folder: Path) -> tuple[str, str]:
 
 async def test_a_session_over_tls(tmp_path: Path) -> None:
     certificate, key = self_signed(tmp_path)
-    app = App(library(), ServeSettings(bundle="in memory", reference_width=64, reference_height=48))
+    app = App(Collection.of(library()), ServeSettings(bundle="in memory", reference_width=64, reference_height=48))
     server = TestServer(app.web_app(), host="127.0.0.1")
     await server.start_server(ssl=tls_context(certificate, key))
     url, what = f"wss://127.0.0.1:{server.port}/stream", {"max_message_bytes": MAX_MESSAGE_BYTES}

@@ -53,6 +53,7 @@ def test_the_ready_line_is_an_address_with_brackets_where_it_must_have_them() ->
 async def test_a_port_in_use_is_named() -> None:
     from cags_common.errors import NetworkError
     from cags_server.http.app import serve
+    from cags_server.scene.collection import Collection
     from cags_server.settings import ServeSettings
     from support.server_scene import library
 
@@ -62,4 +63,4 @@ async def test_a_port_in_use_is_named() -> None:
         port = taken.getsockname()[1]
         settings = ServeSettings(bundle="in memory", port=port)
         with pytest.raises(NetworkError, match=rf"cannot listen on 127\.0\.0\.1:{port} \(address already in use\)"):
-            await serve(library(), settings, lambda host, port, app: None)
+            await serve(Collection.of(library()), settings, lambda host, port, app: None)

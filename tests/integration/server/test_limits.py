@@ -13,12 +13,12 @@ import pytest
 
 from cags_common.errors import BundleError
 from cags_common.geometry import Pose
-from cags_common.rare_log import RareLog
+from cags_common.runtime.rare_log import RareLog
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.encoding import decode
-from cags_protocol.limits import MAX_CLIENT_MESSAGE_BYTES
-from cags_protocol.messages import Blob, Control, PoseSample, Refusal
+from cags_protocol.wire.encoding import decode
+from cags_protocol.wire.limits import MAX_CLIENT_MESSAGE_BYTES
+from cags_protocol.wire.messages import Blob, Control, PoseSample, Refusal
 from cags_server import cli
 from cags_server.http import app, client_task
 from cags_server.http.client_task import ClientTask

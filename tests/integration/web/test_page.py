@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from support.web_page import Page, Server, encoded, page, require_page, served
+from support.web_page import STILL, Page, Server, encoded, page, require_page, same_as_python, served
 
 ROOM = "procedural:size=800,frames=20,seed=1,fps=5,degree=1"
 MOVING = "fourd:splats=700,births=60,frames=12,fps=5,degree=1,seed=2"
-STILL = "player?.shown?.update.full && !player.waiting && player.pictures > 2"
 SMALL = ("--reference-width", "64", "--reference-height", "48", "--visible-px", "0")
 """Whatever contributes to the picture is sent: what is compared holds everything."""
 
@@ -34,13 +32,6 @@ def viewer(tmp_path: Path) -> Iterator[Page]:
     with page(tmp_path) as running:
         yield running
         assert running.complaints() == []
-
-
-def same_as_python(viewer: Page, bundle: Path) -> None:
-    shown = viewer.shown()
-    assert shown.values["full"] and not shown.values["missed"]
-    assert shown.pixels[..., :3].any(), "there is a picture"
-    np.testing.assert_array_equal(shown.pixels, shown.drawn_by_python(bundle))
 
 
 @pytest.mark.slow

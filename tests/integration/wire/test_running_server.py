@@ -13,9 +13,10 @@ from cags_common.errors import NetworkError
 from cags_common.transport.websocket import ServerWebSocket, connect
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.encoding import encode
-from cags_protocol.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 from cags_server.http.app import App
+from cags_server.scene.collection import Collection
 from cags_server.settings import ServeSettings
 from support.server_scene import hello, library
 from support.wire_fuzz import fuzzed
@@ -42,7 +43,8 @@ async def listening(app):
 async def server():
     """Port of a running server of a small scene."""
     app = App(
-        library(), ServeSettings(bundle="unused", rasteriser="reference", reference_width=64, reference_height=48)
+        Collection.of(library()),
+        ServeSettings(bundle="unused", rasteriser="reference", reference_width=64, reference_height=48),
     )
     async with listening(app.web_app()) as port:
         yield port

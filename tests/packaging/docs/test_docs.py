@@ -13,7 +13,7 @@ import pytest
 
 from cags_encoder.formats import write_splats
 from cags_encoder.scenes import open_scene
-from cags_protocol.messages import RefusalCode
+from cags_protocol.wire.messages import RefusalCode
 from support.capture import three_balls
 
 ROOT = Path(__file__).parents[3]

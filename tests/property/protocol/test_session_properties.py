@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from cags_common.errors import ProtocolError
 from cags_protocol import Outgoing, ServerSessionSettings
 from cags_protocol import events as ev
-from cags_protocol import messages as m
-from cags_protocol.encoding import decode, encode
+from cags_protocol.wire import messages as m
+from cags_protocol.wire.encoding import decode, encode
 from support.wire_pair import Pair, reference, tile
 
 SIZES = st.lists(st.tuples(st.integers(0, 40_000), st.integers(0, 5), st.integers(0, 60_000)), min_size=1, max_size=12)

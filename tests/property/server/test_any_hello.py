@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import ClientSession
-from cags_protocol.inventory import pack_inventory
-from cags_protocol.messages import Control, Hello
+from cags_protocol.wire.inventory import pack_inventory
+from cags_protocol.wire.messages import Control, Hello
 from cags_server.session.connection import Connection
 from support.server_scene import SETTINGS, hello, library
 
@@ -24,7 +24,7 @@ TURNS = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(c * c for c in q
 NEARS = st.sampled_from([1e-6, 0.2, 1e6]) | st.floats(1e-6, 1e6)
 FRAMES = st.integers(0, 15) | st.integers(0, 2**31 - 1)  # the clip has twelve
 TILES = st.integers(0, 40) | st.integers(0, 2**16 - 1)
-HELD = st.lists(st.builds(HeldTile, FRAMES, TILES, st.integers(1, 64)), max_size=5)
+HELD = st.lists(st.builds(InventoryEntry, FRAMES, TILES, st.integers(1, 64)), max_size=5)
 
 LIBRARY = library()
 

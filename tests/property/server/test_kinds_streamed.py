@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from cags_common.bundle import SourceFrame
 from cags_common.geometry import Camera, Pose
-from cags_common.held_tile import HeldTile
 from cags_common.motion.chunk import DEADZONES, LEVELS, REFINEMENT
 from cags_common.splats import Splats
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.inventory import InventoryEntry
+from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, PoseSample, TileLayers
+from cags_protocol.wire.messages import Control, PoseSample, TileLayers
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.streamer import Streamer
@@ -106,9 +106,9 @@ class Viewer:
         self.poses(self.now_us - OFFSET_US, self.now_us - OFFSET_US + 1000)
 
 
-def inventory_of(client: ShadowClient) -> list[HeldTile]:
+def inventory_of(client: ShadowClient) -> list[InventoryEntry]:
     """What a client says that it holds: LoDs from 0 without a gap."""
-    return [HeldTile(*key, next(n for n in range(65) if n not in layers)) for key, layers in client.held.items()]
+    return [InventoryEntry(*key, next(n for n in range(65) if n not in layers)) for key, layers in client.held.items()]
 
 
 def assert_is_current(library: SceneLibrary, message: TileLayers, frame: int) -> None:
@@ -200,7 +200,7 @@ def test_what_was_given_up_or_lost_comes_again_and_a_jump_sends_nothing_twice(se
         viewer.step()
     for key in [key for key in viewer.client.held if random.random() < 0.5]:
         del viewer.client.held[key]
-        viewer.streamer.on_event(ev.Evicted((HeldTile(*key, 0),)), viewer.now_us)
+        viewer.streamer.on_event(ev.Evicted((InventoryEntry(*key, 0),)), viewer.now_us)
     lost = viewer.step(delivers=lambda each: random.random() < 0.5)
     assert lost is not None
     viewer.play(2, "seek", at_us=viewer.now_us - OFFSET_US + 300_000)
@@ -225,7 +225,7 @@ def test_splats_end_in_time_though_their_motion_never_comes(seed: int) -> None:
     first = {key for key in viewer.client.held if library.entry(key[0]).tiles[key[1]].kind == TileKind.MOTION}
     for key in first:
         del viewer.client.held[key]
-        viewer.streamer.on_event(ev.Evicted((HeldTile(*key, 0),)), viewer.now_us)
+        viewer.streamer.on_event(ev.Evicted((InventoryEntry(*key, 0),)), viewer.now_us)
     lost: list[int] = []
     while (frame := viewer.step(delivers=still)) is not None:
         alive = np.flatnonzero(library.owners(frame) >= 0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,71 +9,17 @@ import pytest
 
 import cags_kernels
 from cags_common.correction import Corrector, CorrectSettings, Reference, compand, create
-from cags_common.geometry import Camera
 from cags_common.raster import RenderedView
 from support.corrections import F, assert_sound, camera, difference, empty_view, flat_view, picture, share_apart, view
+from support.hard_corrections import CLIENT, PLACES, TIES, USUAL_TIES, VIEWS, server
 
 needs_kernels = pytest.mark.skipif(not cags_kernels.native_available(), reason=cags_kernels.why_unavailable())
 BACKENDS = [pytest.param("cpu", marks=needs_kernels), "reference"]
-
-CLIENT = camera((160, 120))
 
 
 @pytest.fixture(params=BACKENDS)
 def corrector(request: pytest.FixtureRequest) -> Corrector:
     return create(request.param)
-
-
-def server(size: tuple[int, int] = (80, 60), **where: object) -> Camera:
-    return camera(size, **{"fov_rad": 1.4, **where})  # type: ignore[arg-type]
-
-
-def specks() -> RenderedView:
-    """Floaters: single pixels and thin lines at any depth, half transparent."""
-    rng = np.random.default_rng(7)
-    drawn = view(CLIENT)
-    depth, alpha = drawn.depth.copy(), drawn.alpha.copy()
-    at = rng.random(depth.shape) < 0.2
-    depth[at] = 10 ** rng.uniform(-3, 4, at.sum())
-    alpha[at] = rng.random(at.sum())
-    depth[::17] = 0.05
-    return replace(drawn, depth=depth, alpha=alpha)
-
-
-def poisoned() -> RenderedView:
-    """What no rasteriser should give."""
-    rng = np.random.default_rng(8)
-    drawn = view(CLIENT)
-    depth = rng.choice(
-        np.array([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-38, 1e-20, 1e20, 3e38, 2.0], F), drawn.depth.shape
-    )
-    return replace(drawn, depth=depth, rgb=drawn.rgb * F(1e30))
-
-
-VIEWS = {
-    "usual": view(CLIENT),
-    "holes": view(CLIENT, holes=0.4),
-    "all but empty": view(CLIENT, holes=0.98),
-    "empty": empty_view(CLIENT),
-    "floaters": specks(),
-    "poisoned": poisoned(),
-    "at the near plane": flat_view(CLIENT, 0.2),
-    "very far": flat_view(CLIENT, 9e5),
-}
-
-PLACES = {
-    "the same": server(),
-    "a step of 1 m": server(at=(1.0, 0.0, 0.0)),
-    "a step of 1 m forward": server(at=(0.0, 0.0, 1.0)),
-    "60 degrees": server(turned_rad=math.radians(60)),
-    "1 m and 60 degrees": server(at=(-0.8, 0.3, 0.5), turned_rad=math.radians(60)),
-    "behind": server(turned_rad=math.pi),
-    "behind the wall": server(at=(0.0, 0.0, 10.0)),
-    "in the wall": server(at=(0.0, 0.0, 3.0)),
-    "far away": server(at=(1e6, 0.0, 0.0)),
-    "narrow": server(fov_rad=0.1),
-    "wide": server(fov_rad=2.9),
-}
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -87,10 +32,7 @@ def test_every_frame_is_sound_and_the_definitions(name: str, place: str) -> None
         return
     ours = create("cpu").correct(drawn, CLIENT, reference)
     assert_sound(ours.rgb, ours.confidence)
-    ties = (
-        0.02 if name in ("floaters", "poisoned") else 2e-3
-    )  # where depths jump at every pixel, z-tests hang on rounding
-    assert share_apart(ours.rgb, right.rgb) <= ties
+    assert share_apart(ours.rgb, right.rgb) <= TIES.get(name, USUAL_TIES)
 
 
 @pytest.mark.parametrize("place", ["the same", "a step of 1 m", "1 m and 60 degrees"])

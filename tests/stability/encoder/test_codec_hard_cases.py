@@ -13,18 +13,18 @@ import faiss
 import numpy as np
 import pytest
 
-from cags_common.attributes import split_attributes
+from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.manifest import Manifest
-from cags_common.codecs import tile_codec
 from cags_common.errors import SceneError
-from cags_common.morton import morton_order, tile_ranges
 from cags_common.splats import Splats
 from cags_common.store.tile_decode import OpenTile, TileOpener
-from cags_common.svq import MAX_STAGE_BITS
+from cags_common.tiles.attributes import split_attributes
+from cags_common.tiles.morton import morton_order, tile_ranges
+from cags_common.tiles.svq import MAX_STAGE_BITS
 from cags_encoder import EncodeSettings
+from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.quantiser.configs import LOGIT_RANGE, QuantiserConfig, layered
 from cags_encoder.quantiser.training import train
-from cags_encoder.svq_codec import SvqCodec
 from support.codec_scenes import cloud, with_changes
 
 RMS_SHARE = {"layered": 0.04, "paper-66": 0.15}

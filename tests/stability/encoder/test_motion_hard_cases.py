@@ -13,7 +13,7 @@ import pytest
 
 from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.splats import Splats
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import Focus
 from support.codec_scenes import cloud, with_changes

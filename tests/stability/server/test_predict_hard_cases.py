@@ -5,7 +5,7 @@ import math
 import pytest
 
 from cags_common.geometry import Pose, angle_between, quaternion_of_rotation_vector
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.predict import PREDICTORS, PoseHistory, create_predictor
 from cags_server.predict.base import PoseDistribution
 from support.motion import history_of, swaying_pose, turning_pose

@@ -31,11 +31,8 @@ SMALL = RasterSettings(
 def test_a_small_run_has_every_line_and_a_summary_with_checks():
     lines = list(measure(SMALL))
     cases = [line.get("case") for line in lines]
-    assert set(cases) == {"view", "shortcut", "upkeep", "limit", None}
+    assert set(cases) == {"view", "upkeep", "limit", None}
     assert [line["level"] for line in lines if line.get("case") == "view"] == ["balanced", "fast", "exact"]
-    shortcuts = {line["shortcut"]: line for line in lines if line.get("case") == "shortcut"}
-    assert shortcuts["none"]["psnr_db"] > shortcuts["half resolution"]["psnr_db"] > 20
-    assert shortcuts["none"]["ratio"] == 1.0
     summary = lines[-1]
     assert summary["summary"]
     assert {check["name"] for check in summary["checks"]} >= {

@@ -7,7 +7,7 @@ import pytest
 from cags_bench.sim.usage import Usage
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
-from cags_protocol.messages import ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import ReferenceFrame, TileLayers
 from support.server_scene import CLIENT
 
 SIZES = (100, 20, 7)

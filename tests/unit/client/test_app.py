@@ -21,12 +21,12 @@ from cags_client.settings import ClientSettings
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, NetworkError
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_common.transport import MemoryTransport, memory_pair
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.encoding import encode
-from cags_protocol.messages import Fragment, TileLayers, Welcome
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.messages import Fragment, TileLayers, Welcome
 from support.small_store import books, manifest
 
 MANIFEST = Manifest("t", 30.0, 3, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())
@@ -93,7 +93,7 @@ async def test_a_fault_while_reading_is_raised_and_not_waited_for(monkeypatch: p
 
 def test_what_was_given_up_for_want_of_memory_is_told_to_the_server(monkeypatch: pytest.MonkeyPatch) -> None:
     client, _ = shell()
-    told = list[HeldTile]()
+    told = list[InventoryEntry]()
     monkeypatch.setattr(client.player._session, "report_evictions", told.extend)
     pipe = ClientPipeline(manifest(), ClientSettings())
     pipe.on_codebooks(books().to_bytes())
@@ -101,7 +101,7 @@ def test_what_was_given_up_for_want_of_memory_is_told_to_the_server(monkeypatch:
     late = [ev.TileReceived(TileLayers(0, n, 1, 2, (60,), (0,)), memoryview(bytes(60))) for n in range(3)]
     decode = Decode(tuple(late), pipe)
     client.player.done(decode, decode.run(), now_us())
-    assert told == [HeldTile(0, 0, 0), HeldTile(0, 1, 0)]
+    assert told == [InventoryEntry(0, 0, 0), InventoryEntry(0, 1, 0)]
 
 
 def tiles(count: int, size: int) -> list[bytes]:
@@ -199,7 +199,7 @@ async def test_a_stalled_link_takes_no_memory_without_end(monkeypatch: pytest.Mo
     lost: list[str] = []
     link = Stalled(memory_pair()[0])
     link.stalls = True
-    made = connection.Line(link, lambda _, reason: lost.append(reason))
+    made = connection.Connection(link, lambda _, reason: lost.append(reason))
     for _ in range(100):
         made.send([bytes(100)])
     assert lost == ["the link takes nothing any more"]
@@ -209,7 +209,7 @@ async def test_a_stalled_link_takes_no_memory_without_end(monkeypatch: pytest.Mo
 
 async def test_what_waits_is_written_before_the_end() -> None:
     ours, theirs = memory_pair()
-    made = connection.Line(ours, lambda _, reason: None)
+    made = connection.Connection(ours, lambda _, reason: None)
     made.send([b"one", b"two"])
     await made.close()
     assert [await theirs.recv(), await theirs.recv()] == [b"one", b"two"]

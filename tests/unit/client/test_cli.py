@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cags_client import cli
 from cags_client.output.truth import BundleTruth
 from cags_client.settings import ClientSettings
-from cags_common.bundle import BundleReader
+from cags_common.bundle import BundleReader, Manifest
+from cags_common.bundle.view import AuthorView
 from cags_common.errors import ConfigError
+from cags_common.geometry import Pose
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
 
@@ -56,3 +59,17 @@ def test_a_truth_of_another_length_is_told_before_the_play(tmp_path: Path) -> No
     longer = replace(info, frames=3)
     with pytest.raises(ConfigError, match=r"has 2 frames and the stream 3: another scene"):
         truth.check(longer)
+
+
+def test_a_walk_begins_at_the_authors_view_where_none_is_named() -> None:
+    info = Manifest("t", 30.0, 30, (0,), (1,), 0, ((0, 0, 0), (1, 1, 1)), (), ())
+    pose = Pose.looking_at((3.0, 1.0, -2.0), (0.0, 0.0, 0.0))
+    authored = replace(info, view=AuthorView(pose=pose))
+    walk = cli._walk(None, ClientSettings(), authored)
+    assert walk.pose_at(0).position == pytest.approx(pose.position)
+    assert walk.pose_at(0).rotation == pytest.approx(pose.rotation)
+    usual = cli._walk(None, ClientSettings(), info)
+    steps = [np.linalg.norm(np.diff(each.positions[:50], axis=0), axis=1) for each in (walk, usual)]
+    np.testing.assert_allclose(*steps, err_msg="and goes on as it would have")
+    named = cli._walk("synthetic:still", ClientSettings(), authored)
+    assert named.pose_at(0).position != pytest.approx(pose.position)

@@ -11,12 +11,11 @@ from cags_common.passes import ALWAYS, Pass, Situation, held_sh_degree, plan_fra
 from cags_common.splats import SH_REST_OF_DEGREE
 
 PAINTING = frozenset({Pass.ALIGNMENT, Pass.EROSION})
-CORRECTING = frozenset({Pass.CORRECTION, Pass.OWN_VIEW, Pass.VETO})
+CORRECTING = frozenset({Pass.CORRECTION, Pass.REFERENCE_RENDER, Pass.VETO})
 RESTORING = frozenset({Pass.RESTORATION, Pass.ALIGNMENT, Pass.OCCLUSION, Pass.EROSION})
 BUSY = Situation(
     sh_degree=2,
     scene_sh_degree=3,
-    changed=True,
     whole=False,
     reference=True,
     picture=True,
@@ -33,7 +32,6 @@ situations = st.builds(
     Situation,
     sh_degree=st.integers(0, 3),
     scene_sh_degree=st.just(3),
-    changed=st.booleans(),
     whole=st.booleans(),
     reference=st.booleans(),
     picture=st.booleans(),
@@ -58,9 +56,8 @@ def test_a_busy_moment_needs_everything_of_its_way() -> None:
     ("change", "gone"),
     [
         ({"sh_degree": 0}, {Pass.VIEW_COLOUR}),
-        ({"changed": False}, {Pass.DELTAS}),
         ({"same_frame": True}, {Pass.FADE}),
-        ({"picture": False}, {Pass.OWN_VIEW}),
+        ({"picture": False}, {Pass.REFERENCE_RENDER}),
         ({"stale": False}, {Pass.VETO}),
         ({"same_place": True}, set()),  # what hides something is looked for within the correction
         ({"whole": True}, set()),  # the server says so, if there is nothing lacking
@@ -103,7 +100,7 @@ def test_plans_are_consistent(situation: Situation) -> None:
     plan = plan_frame(situation)
     assert (Pass.VIEW_COLOUR in plan) == (plan.sh_degree > 0)
     assert Pass.DEPTH in plan or not plan.on & {Pass.ALIGNMENT, Pass.CORRECTION}
-    assert Pass.CORRECTION in plan or not plan.on & {Pass.OWN_VIEW, Pass.VETO}
+    assert Pass.CORRECTION in plan or not plan.on & {Pass.REFERENCE_RENDER, Pass.VETO}
     assert Pass.ALIGNMENT in plan or not plan.on & {Pass.OCCLUSION, Pass.EROSION}
     assert plan.on & {Pass.RESTORATION, Pass.CORRECTION} or Pass.FADE not in plan
     assert not plan.on >= {Pass.RESTORATION, Pass.CORRECTION}
@@ -125,6 +122,6 @@ def test_the_account_counts_shares_and_what_leaving_out_saved() -> None:
     account = tally([(on, {"raster": 10, "align": 4}), (off, {"raster": 9}), (off, {"raster": 9})])
     assert account["alignment"] == {"share": pytest.approx(1 / 3), "saved_ms": 8}
     assert account["depth"]["saved_ms"] == pytest.approx(2)
-    assert account["own-view"] == {"share": 0, "saved_ms": None}
+    assert account["reference-render"] == {"share": 0, "saved_ms": None}
     assert tally([(on, {})])["alignment"] == {"share": 1, "saved_ms": None}
     assert tally([]) == {}

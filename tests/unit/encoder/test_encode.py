@@ -9,7 +9,7 @@ from cags_common.errors import CagsError, ConfigError, SceneError
 from cags_common.splats import Splats
 from cags_encoder import EncodeSettings, content_key, encode
 from cags_encoder.cli import main
-from cags_encoder.frames.effect import visible_effect
+from cags_encoder.tracks.effect import visible_effect
 from support.codec_scenes import cloud, with_changes
 
 FAST = EncodeSettings(train_splats=1000)

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from cags_common.bundle.quality import LodQuality
-from cags_common.lod import LodLayer, check_order
 from cags_common.raster import create
+from cags_common.tiles.lod import LodLayer, check_order
 from cags_encoder import EncodeSettings
+from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.measuring import cheapest_first, measure
 from cags_encoder.scenes import Focus
-from cags_encoder.svq_codec import SvqCodec
 from cags_encoder.views import cameras_around
 from support.codec_scenes import cloud
 

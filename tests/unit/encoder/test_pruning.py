@@ -10,7 +10,7 @@ from cags_common.bundle import BundleReader, Manifest
 from cags_common.errors import BundleError, ConfigError
 from cags_common.raster import create
 from cags_common.splats import Splats
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.pipeline import SplatSequence
 from cags_encoder.pruning import PrunedSource, Ranking, prune, prune_within

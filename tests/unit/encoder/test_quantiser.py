@@ -3,11 +3,11 @@ import itertools
 import numpy as np
 import pytest
 
-from cags_common.attributes import join_attributes, split_attributes
 from cags_common.errors import ConfigError
 from cags_common.geometry import rotation_matrix
 from cags_common.splats import Splats
-from cags_common.svq import CodebookSet
+from cags_common.tiles.attributes import join_attributes, split_attributes
+from cags_common.tiles.svq import CodebookSet
 from cags_encoder.quantiser.canonical import canonical
 from cags_encoder.quantiser.configs import quantiser_config
 from cags_encoder.quantiser.kmeans import NearestCentre, kmeans

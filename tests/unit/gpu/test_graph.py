@@ -129,7 +129,7 @@ def test_shaders_use_nothing_that_some_device_lacks(shader: str) -> None:
     assert "subgroup" not in text.replace("without subgroups", "")
     for x, y in re.findall(r"@workgroup_size\((\d+)(?:, (\d+))?\)", text):
         assert int(x) * int(y or 1) <= 256
-    sizes = {"u32": 4, "atomic<u32>": 4, "atomic<i32>": 4, "vec4<f32>": 16}
+    sizes = {"u32": 4, "f32": 4, "atomic<u32>": 4, "atomic<i32>": 4, "vec4<f32>": 16}
     constants = {name: int(value) for name, value in re.findall(r"const (\w+) = (\d+)u;", text)}
     arrays = re.findall(r"var<workgroup> \w+: array<([\w<>]+), (\w+)>", text)
     total = sum(sizes[kind] * (int(n) if n.isdigit() else constants[n]) for kind, n in arrays)
@@ -139,15 +139,21 @@ def test_shaders_use_nothing_that_some_device_lacks(shader: str) -> None:
 
 def test_buffers_that_passes_name_are_declared() -> None:
     declared = {name for buffers in graph()["buffers"].values() for name in buffers}
-    by_host = {"sh_rest", "staged", "own", "truth", "mirror", "coded_out", "veto"}
+    by_host = {"sh_rest", "staged", "own", "truth", "mirror", "small", "veto"}
     for _, _, bind in passes():
         for name, access in (pair for pair in bind if pair):
             assert access == "uniform" or name.startswith("@") or name in declared | by_host, name
+
+
+def test_a_name_means_one_buffer_whoever_owns_it() -> None:
+    """Hosts look a name up among the view's buffers, then among those that all share: two of one name are one."""
+    names = [name for buffers in graph()["buffers"].values() for name in buffers]
+    assert len(names) == len(set(names))
 
 
 def test_sizes_follow_the_counts() -> None:
     sizes = buffer_bytes("work", {"splats": 5000, "exact_splats": 1, "capacity": 4096, "one": 1})
     assert sizes["records"] == 160_000
     assert sizes["colours"] == 16
-    assert sizes["sums"] == 4 * 3
+    assert sizes["block_sums"] == 4 * 3
     assert sizes["entry_histogram"] == 2 * 1024 + 1024

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cags_client.frame.painting import Canvas, Painter
+from cags_client.stats import Stopwatch
 from cags_common.errors import ConfigError
 from cags_common.raster import Exactness, RenderOptions, create
 from cags_gpu import keeper as keeping
@@ -67,6 +69,32 @@ def test_a_device_lost_in_mid_frame(own: Keeper, monkeypatch: pytest.MonkeyPatch
     assert on_device(scene)
 
 
+def test_a_device_lost_in_a_frame_that_is_made_in_one_go(own: Keeper, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The player draws that very frame step by step; the server's comparison likewise."""
+    truth, held = (GpuRasteriser(own).load(random_splats(300, seed=seed)) for seed in (1, 2))
+    before = truth.frame(camera(), OPTIONS, None)
+    assert before is not None
+    painter, canvas = Painter(1), Canvas(truth, 0, camera(), False, OPTIONS)
+    real = ResidentScene.record_into
+
+    def destroyed(self: ResidentScene, *arguments: Any, **named: Any) -> None:
+        real(self, *arguments, **named)
+        self.gpu.device.destroy()
+
+    monkeypatch.setattr(ResidentScene, "record_into", destroyed)
+    meanwhile = painter.paint(canvas, None, Stopwatch(lambda: 0.0))
+    assert np.abs(meanwhile.rgb - before.rgb).max() <= 0.5 / 255 + 1e-4
+    assert truth.compared(held, camera(), OPTIONS, knee=0.1, looks=()) is None
+    awaited(own)
+    assert truth.compared(held, camera(), OPTIONS, knee=0.1, looks=()) is None, "lost in mid-comparison"
+    monkeypatch.setattr(ResidentScene, "record_into", real)
+    awaited(own)
+    assert truth.compared(held, camera(), OPTIONS, knee=0.1, looks=()) is not None
+    after = truth.frame(camera(), OPTIONS, None)
+    assert after is not None
+    np.testing.assert_array_equal(after.rgb, before.rgb)
+
+
 def test_what_changes_while_there_is_no_device_is_on_the_next_one(own: Keeper) -> None:
     splats, rows = random_splats(300), np.arange(0, 300, 2)
     scene = GpuRasteriser(own).load(splats)
@@ -78,7 +106,6 @@ def test_what_changes_while_there_is_no_device_is_on_the_next_one(own: Keeper) -
     moved = random_splats(300)
     moved.means[rows[:9]] += np.float32(0.1)
     scene.move(rows[:9], moved)
-    scene.recolour(rows[:5], new.sh0[:5] * 2)
     meanwhile = scene.render(camera(), OPTIONS)
     awaited(own)
     after = scene.render(camera(), OPTIONS)

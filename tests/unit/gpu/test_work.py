@@ -11,7 +11,18 @@ from cags_common.raster import Exactness, RenderOptions
 from cags_common.raster.definition import ALPHA_CUT
 from cags_common.raster.oracle import footsteps, project
 from cags_gpu.timing import frame_counts, frame_times_ms
-from cags_gpu.work import DEVICES, PROTOTYPE, STEPS, Design, FrameCounts, estimated_ms, pass_bytes, visits
+from cags_gpu.work import (
+    DEVICES,
+    PROTOTYPE,
+    STEPS,
+    Design,
+    FrameCounts,
+    compared_bytes,
+    estimated_ms,
+    pass_bytes,
+    read_back_bytes,
+    visits,
+)
 from support.gpu import keeper, needs_adapter, rasteriser
 from support.raster_scenes import camera, random_splats, tilted_camera
 
@@ -70,3 +81,10 @@ def test_estimates_follow_work_and_device() -> None:
     assert estimated_ms(COUNTS, slow, PROTOTYPE) > estimated_ms(COUNTS, slow)
     half = replace(COUNTS, splats=75_000)
     assert half.scaled(150_000).entries == 2 * COUNTS.entries
+
+
+def test_a_frame_in_one_go_brings_down_a_fifth_and_a_reference_half_of_its_pictures() -> None:
+    assert read_back_bytes(COUNTS, in_one_go=True) * 5 == read_back_bytes(COUNTS, in_one_go=False)
+    of_splats = 4 * COUNTS.splats
+    one, two = (compared_bytes(COUNTS, in_one_go=way) - of_splats for way in (True, False))
+    assert 2 * one == two > 0

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
 from cags_protocol.cadence import EVERY_FRAME, LEAST_PERMILLE, last_displayed, next_displayed
-from cags_protocol.encoding import decode, encode
-from cags_protocol.messages import PoseBatch
+from cags_protocol.wire.encoding import decode, encode
+from cags_protocol.wire.messages import PoseBatch
 
 SHARES = st.integers(LEAST_PERMILLE, EVERY_FRAME)
 

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from cags_common.attributes import ATTRIBUTE_DIMS
+from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.manifest import VERSION, Manifest
-from cags_common.codecs import tile_codec
-from cags_common.lod import LodLayer
-from cags_common.svq import Codebook, CodebookSet
-from cags_common.tiles import PositionGrid, encode_base, encode_layer
-from cags_common.updates import UpdateState, encode_update
+from cags_common.tiles.attributes import ATTRIBUTE_DIMS
+from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.payloads import PositionGrid, encode_base, encode_layer
+from cags_common.tiles.svq import Codebook, CodebookSet
+from cags_common.tiles.updates import UpdateState, encode_update
 
 SPLATS = 21
 STAGES = {

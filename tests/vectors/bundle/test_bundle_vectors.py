@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import cags_kernels
+from cags_common.bundle.codecs import TileDecoder
 from cags_common.bundle.manifest import VERSION, Manifest
-from cags_common.codecs import TileDecoder
-from cags_common.dequantise import Dequantiser
 from cags_common.errors import BundleError, DecodeError
-from cags_common.svq import CodebookSet
-from cags_common.tile_state import TileState
-from cags_common.tiles import decode_base
-from cags_common.updates import UpdateState
+from cags_common.tiles.dequantise import Dequantiser
+from cags_common.tiles.payloads import decode_base
+from cags_common.tiles.state import TileState
+from cags_common.tiles.svq import CodebookSet
+from cags_common.tiles.updates import UpdateState
 
 FILES = sorted(Path(__file__).parent.glob("v*.json"))
 CONTENTS = [json.loads(path.read_text(encoding="utf-8")) for path in FILES]

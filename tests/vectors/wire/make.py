@@ -14,10 +14,10 @@ from pathlib import Path
 import msgpack
 
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
-from cags_protocol import messages as m
-from cags_protocol.encoding import decode, encode
-from cags_protocol.inventory import pack_inventory
+from cags_common.tiles.inventory import InventoryEntry
+from cags_protocol.wire import messages as m
+from cags_protocol.wire.encoding import decode, encode
+from cags_protocol.wire.inventory import pack_inventory
 
 POSE = Pose((0.25, -1.5, 3.0), (0.5, 0.5, -0.5, 0.5))
 CAMERA = Intrinsics(1600, 1200, 1385.5, 1385.5, 800.0, 600.0)
@@ -35,14 +35,14 @@ MESSAGES: list[tuple[str, m.Message, bytes]] = [
             "token",
             "cags-client 0.1.0",
             "s-1",
-            inventory=pack_inventory([HeldTile(30, 2, 5)]),
+            inventory=pack_inventory([InventoryEntry(30, 2, 5)]),
         ),
         b"",
     ),
     ("hello of a viewer with a plain decoder", m.Hello(3, CAMERA, POSE, references="picture", chroma="yuv420p"), b""),
     ("poses", m.PoseBatch((m.PoseSample(1_000_000, POSE), m.PoseSample(1_027_777, Pose.identity()))), b""),
     ("poses of a client that draws six frames in ten", m.PoseBatch((m.PoseSample(1_000_000, POSE),), 600), b""),
-    ("ack", m.Ack((m.SeqRange(9, 12), m.SeqRange(1, 7)), 2**40, 1200, 4096, (HeldTile(3, 4, 0),)), b""),
+    ("ack", m.Ack((m.SeqRange(9, 12), m.SeqRange(1, 7)), 2**40, 1200, 4096, (InventoryEntry(3, 4, 0),)), b""),
     ("ack, short", m.Ack((m.SeqRange(1, 300),), 5), b""),
     ("control", m.Control("play", 0, 1_500_000), b""),
     ("control, everything", m.Control("rate", 77, 1_500_000, 0.5, True), b""),

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from cags_common.errors import ProtocolError
-from cags_protocol import messages as m
-from cags_protocol.encoding import VersionError, decode
-from cags_protocol.limits import SUPPORTED_VERSIONS
+from cags_protocol.wire import messages as m
+from cags_protocol.wire.encoding import VersionError, decode
+from cags_protocol.wire.limits import SUPPORTED_VERSIONS
 
 FILES = sorted(Path(__file__).parent.glob("v*.json"))
 CONTENTS = [json.loads(path.read_text(encoding="utf-8")) for path in FILES]

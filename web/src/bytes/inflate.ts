@@ -1,6 +1,6 @@
 /**
  * Inflate (RFC 1951) and gzip (RFC 1952) with a bound on what comes out, strict about what follows: as zlib is called by
- * `cags_common.packing`. The browser's DecompressionStream is asynchronous, and says nothing of bytes left over.
+ * `cags_common.coding.packing`. The browser's DecompressionStream is asynchronous, and says nothing of bytes left over.
  */
 import { crc32 } from "./crc32.ts";
 import { DecodeError } from "./errors.ts";

@@ -1,4 +1,4 @@
-/** Codebooks of Scalable Vector Quantisation, as `cags_common.svq`: rows that layered codes stand for. */
+/** Codebooks of Scalable Vector Quantisation, as `cags_common.tiles.svq`: rows that layered codes stand for. */
 import { DecodeError } from "../bytes/errors.ts";
 import { gunzip } from "../bytes/inflate.ts";
 import { ATTRIBUTE_DIMS } from "./splats.ts";

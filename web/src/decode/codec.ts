@@ -1,4 +1,4 @@
-/** Opens the tiles of one bundle: payloads to decoders, as `cags_common.codecs.SvqTileCodec`. */
+/** Opens the tiles of one bundle: payloads to decoders, as `cags_common.bundle.codecs.SvqTileCodec`. */
 import { BundleError } from "../bytes/errors.ts";
 import { MOTION_VERSION, MotionTile } from "../motion/chunk.ts";
 import { readCodebooks } from "./codebooks.ts";

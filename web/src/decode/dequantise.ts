@@ -1,4 +1,4 @@
-/** Packed codes to splats by the codec kernel, as `cags_common.dequantise`: the same bits. */
+/** Packed codes to splats by the codec kernel, as `cags_common.tiles.dequantise`: the same bits. */
 import { DecodeError } from "../bytes/errors.ts";
 import type { Codebook } from "./codebooks.ts";
 import { check, KernelError, type Kernels, type Scope } from "./kernels.ts";

@@ -1,4 +1,4 @@
-/** What a decoder holds of one tile of looks, as `cags_common.tile_state`. */
+/** What a decoder holds of one tile of looks, as `cags_common.tiles.state`. */
 import { DecodeError } from "../bytes/errors.ts";
 import type { Dequantiser } from "./dequantise.ts";
 import type { LodLayer } from "./manifest.ts";

@@ -1,6 +1,7 @@
 /** The public part of a bundle's manifest, checked as `cags_common.bundle.manifest` does. */
 import { BundleError } from "../bytes/errors.ts";
-import type { SceneInfo, Vec3 } from "../seam.ts";
+import { canonical } from "../player/vectors.ts";
+import type { AuthorView, Quat, SceneInfo, Vec3 } from "../seam.ts";
 import { MAX_LODS } from "../wire/limits.ts";
 import { MAX_SPLATS } from "./packing.ts";
 
@@ -9,6 +10,9 @@ export const VERSION = 3;
 const MAX_MANIFEST_BYTES = 16 * 2 ** 20;
 const MAX_FRAMES = 1_000_000;
 const MAX_BASE_BITS = 8;
+const MAX_TITLE = 120;
+const FARTHEST_M = 1e9;
+const ONE_LINE = /^(?:[^\p{C}\p{Z}]| )*$/u;
 
 /** One enhancement layer; `layer` counts from 1. */
 export interface LodLayer {
@@ -24,7 +28,7 @@ export interface FileEntry {
 }
 
 /** What a decoder needs besides what a player knows. */
-export interface Manifest extends SceneInfo {
+export interface Manifest extends Omit<SceneInfo, "waits"> {
   readonly lodOrder: readonly LodLayer[];
   readonly lodGainsDb: readonly number[];
   /** Finest units of motion by the base code of scale: metres, and of a quaternion's imaginary part. */
@@ -72,6 +76,7 @@ function read(fields: Fields, table: Record<string, unknown>): Manifest {
     near: fields.number("near", 1e-9, 1e9),
     motion,
     moves: motion !== undefined,
+    view: fields.has("view") ? readView(fields.inner("view")) : {},
     files: fields.has("gofs") ? fields.many("gofs", (f) => fileEntry(f.inner("tiles")), MAX_FRAMES) : [],
     manifest: table,
   };
@@ -92,7 +97,7 @@ function checked(m: Manifest): Manifest {
 }
 
 /** The group that `frame` belongs to. Raises {@link BundleError} outside the bundle. */
-export function gofOf(info: SceneInfo, frame: number): number {
+export function gofOf(info: Pick<SceneInfo, "gofStarts" | "frames">, frame: number): number {
   if (!(frame >= 0 && frame < info.frames)) {
     throw new BundleError(`frame ${frame} is outside the bundle's frames 0 to ${info.frames - 1}`);
   }
@@ -107,14 +112,14 @@ export function gofOf(info: SceneInfo, frame: number): number {
 }
 
 /** First frame of a group, and the first one after it. */
-export function gofRange(info: SceneInfo, gof: number): readonly [number, number] {
+export function gofRange(info: Pick<SceneInfo, "gofStarts" | "frames">, gof: number): readonly [number, number] {
   return [info.gofStarts[gof]!, info.gofStarts[gof + 1] ?? info.frames];
 }
 
 /** The part that pages may know, which can be posted between threads. */
-export function sceneInfo(m: Manifest): SceneInfo {
+export function sceneInfo(m: Manifest, waits: boolean): SceneInfo {
   const { lodOrder: _order, lodGainsDb: _gains, motion: _motion, files: _files, ...info } = m;
-  return info;
+  return { ...info, waits };
 }
 
 function readMotion(fields: Fields): { moves: number[]; turns: number[] } {
@@ -124,6 +129,38 @@ function readMotion(fields: Fields): { moves: number[]; turns: number[] } {
     throw new BundleError(`manifest: motion has ${moves.length} units of moves and ${turns.length} of turns`);
   }
   return { moves, turns };
+}
+
+/** See `cags_common.bundle.view`: every part is optional, and none is taken as it comes. */
+function readView(fields: Fields): AuthorView {
+  if (!fields.isObject) throw new BundleError("manifest: view must be an object with named fields");
+  const metres = (name: string, count: number): number[] => {
+    const parts = fields.many(name, (f) => f.number("", -FARTHEST_M, FARTHEST_M), count);
+    return need(parts.length === count, name, `${count} numbers`, parts);
+  };
+  const view: { -readonly [name in keyof AuthorView]: AuthorView[name] } = {};
+  if (fields.has("title")) {
+    const title = fields.text("title");
+    view.title = need([...title].length <= MAX_TITLE && ONE_LINE.test(title), "title", `one line of at most ${MAX_TITLE} characters`, title);
+  }
+  if (fields.has("background")) {
+    const colour = fields.text("background");
+    view.background = need(/^#[0-9a-f]{6}$/i.test(colour), "background", "a colour such as #1a2b3c", colour).toLowerCase();
+  }
+  if (fields.has("pose")) {
+    const [x, y, z, ...turn] = metres("pose", 7) as [number, number, number, ...number[]];
+    const norm = Math.hypot(...turn);
+    need(norm > 0.5 && norm < 2, "pose", "x, y, z and a unit quaternion w, x, y, z", turn);
+    view.pose = { position: [x, y, z], rotation: canonical(turn as unknown as Quat) };
+  }
+  if (fields.has("target")) view.target = metres("target", 3) as unknown as Vec3;
+  if (fields.has("radius")) view.radius = fields.number("radius", 1e-6, FARTHEST_M);
+  return view;
+}
+
+function need<T>(holds: boolean, name: string, wanted: string, value: T): T {
+  if (!holds) throw new BundleError(`manifest: view.${name} = ${JSON.stringify(value).slice(0, 40)} must be ${wanted}`);
+  return value;
 }
 
 function lodLayer(field: Fields): LodLayer {

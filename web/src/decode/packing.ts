@@ -1,4 +1,4 @@
-/** Packed codes and ascending id lists, as `cags_common.packing`. */
+/** Packed codes and ascending id lists, as `cags_common.coding.packing`. */
 import { DecodeError } from "../bytes/errors.ts";
 import { gunzip } from "../bytes/inflate.ts";
 

@@ -1,4 +1,4 @@
-/** Base layers and enhancement layers of tiles of looks, as `cags_common.tiles`. */
+/** Base layers and enhancement layers of tiles of looks, as `cags_common.tiles.payloads`. */
 import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
 import { type Codebook, MAX_LAYER_BITS } from "./codebooks.ts";

@@ -1,4 +1,4 @@
-/** Updates: attributes that changed, of splats that are there; as `cags_common.updates`. */
+/** Updates: attributes that changed, of splats that are there; as `cags_common.tiles.updates`. */
 import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
 import type { Codebook } from "./codebooks.ts";

@@ -4,6 +4,8 @@ import type { Camera, Intrinsics } from "../seam.ts";
 import { rotationMatrix } from "./camera.ts";
 
 export const TILE_PX = 16;
+/** Side of the cells of a veto. */
+export const VETO_CELL_PX = 16;
 /** Where colours end that no display shows. */
 const BRIGHTEST = 3e38;
 /** Focal lengths and coordinates up to it have exact centres. */
@@ -141,6 +143,12 @@ export const CORRECTION = new Layout(
     veto_cell: [108, "I", 1],
   },
   112,
+);
+
+export const COMPARE = new Layout({ size: [0, "I", 2], error: [8, "f", 1] }, 16);
+export const CHANGED = new Layout(
+  { size: [0, "I", 2], grid: [8, "I", 2], count: [16, "I", 1], behind: [20, "f", 1], stale: [24, "f", 1] },
+  32,
 );
 
 /** Coefficients beyond the base colour, a channel, of each degree. */

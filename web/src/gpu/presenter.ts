@@ -1,23 +1,30 @@
-/** Puts a picture of 8-bit colours on a canvas, byte for byte. */
+/** Puts a picture of 8-bit colours on a canvas: byte for byte over black, or over another background. */
 
 import type { Gpu } from "./device.ts";
 
 const SHADER = /* wgsl */ `
+struct Job { row: u32, behind_r: f32, behind_g: f32, behind_b: f32 }
 @group(0) @binding(0) var<storage, read> shown: array<u32>;
-@group(0) @binding(1) var<uniform> row: vec4<u32>;
+@group(0) @binding(1) var<storage, read> picture: array<vec4<f32>>;
+@group(0) @binding(2) var<uniform> job: Job;
 @vertex fn corner(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
   return vec4(f32(i & 1u) * 4.0 - 1.0, f32(i >> 1u) * 4.0 - 1.0, 0.0, 1.0);
 }
 @fragment fn pixel(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
-  return vec4(unpack4x8unorm(shown[u32(at.y) * row.x + u32(at.x)]).rgb, 1.0);
+  let i = u32(at.y) * job.row + u32(at.x);
+  let rgb = unpack4x8unorm(shown[i]).rgb;
+  let covered = max(picture[i].a, max(rgb.r, max(rgb.g, rgb.b)));  // what a correction adds covers at least as much
+  return vec4(rgb + (1.0 - covered) * vec3(job.behind_r, job.behind_g, job.behind_b), 1.0);
 }`;
 
 export class Presenter {
+  /** Behind the splats: red, green and blue, 0..1. */
+  background: readonly [number, number, number] = [0, 0, 0];
   readonly #gpu: Gpu;
   readonly #canvas: HTMLCanvasElement;
   readonly #context: GPUCanvasContext;
   readonly #pipeline: GPURenderPipeline;
-  readonly #row: GPUBuffer;
+  readonly #job: GPUBuffer;
 
   constructor(gpu: Gpu, canvas: HTMLCanvasElement) {
     this.#gpu = gpu;
@@ -31,7 +38,7 @@ export class Presenter {
       vertex: { module, entryPoint: "corner" },
       fragment: { module, entryPoint: "pixel", targets: [{ format }] },
     });
-    this.#row = gpu.buffer(16, "uniform");
+    this.#job = gpu.buffer(16, "uniform");
   }
 
   resize(width: number, height: number): void {
@@ -43,11 +50,12 @@ export class Presenter {
     this.#pass(null);
   }
 
-  /** `shown` [H, W]: 8 bits a channel; `width` of its rows. */
-  present(shown: GPUBuffer, width: number): void {
+  /** `shown` [H, W]: 8 bits a channel; `picture` [H, W]: the splats' own, with alpha; `width` of their rows. */
+  present(shown: GPUBuffer, picture: GPUBuffer, width: number): void {
     const { device } = this.#gpu;
-    device.queue.writeBuffer(this.#row, 0, new Uint32Array([width, 0, 0, 0]));
-    const entries = [shown, this.#row].map((buffer, binding) => ({ binding, resource: { buffer } }));
+    device.queue.writeBuffer(this.#job, 0, new Uint32Array([width]));
+    device.queue.writeBuffer(this.#job, 4, new Float32Array(this.background));
+    const entries = [shown, picture, this.#job].map((buffer, binding) => ({ binding, resource: { buffer } }));
     this.#pass(device.createBindGroup({ layout: this.#pipeline.getBindGroupLayout(0), entries }));
   }
 
@@ -56,7 +64,7 @@ export class Presenter {
     const encoder = device.createCommandEncoder();
     const view = this.#context.getCurrentTexture().createView();
     const pass = encoder.beginRenderPass({
-      colorAttachments: [{ view, loadOp: "clear", storeOp: "store", clearValue: [0, 0, 0, 1] }],
+      colorAttachments: [{ view, loadOp: "clear", storeOp: "store", clearValue: [...this.background, 1] }],
     });
     if (group) {
       pass.setPipeline(this.#pipeline);

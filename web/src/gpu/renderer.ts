@@ -3,18 +3,21 @@
  * sampled by depth and added, the picture put on a canvas. `cags_gpu/correct.py` makes the same bytes.
  */
 
-import type { Camera, FrameUpdate } from "../seam.ts";
+import type { Camera, FrameUpdate, Intrinsics } from "../seam.ts";
 import { placementOf } from "./camera.ts";
 import { Gpu } from "./device.ts";
 import { bufferBytes, build, type Counts, encode, prepare } from "./graph.ts";
-import { CORRECTION, type DrawOptions, type Exactness, footprintOf, type Footprint } from "./layout.ts";
+import { CHANGED, COMPARE, CORRECTION, type DrawOptions, type Exactness, footprintOf, type Footprint, VETO_CELL_PX } from "./layout.ts";
 import { Presenter } from "./presenter.ts";
 import { frameFlags, type Named, ResidentScene, type Target } from "./scene.ts";
 import { Workspace } from "./workspace.ts";
 
 const CELL_PX = 8;
-/** Side of the cells of a veto. */
-export const VETO_CELL_PX = 16;
+
+/** Changed splats for which there is room at first. */
+const LEAST_BOXES = 64;
+/** A splat is seen that lies no further behind a cell's farthest depth, a share of it; see `cags_common.correction.changed`. */
+const BEHIND = 0.1;
 
 /** See `cags_common.correction.CorrectSettings`. */
 const CORRECT = { depthTolerance: 0.03, slopeCells: 1, borderPx: 3, holeAlpha: 0.3 } as const;
@@ -24,9 +27,11 @@ export interface CodedReference {
   /** [h, w, 3] in [0, 1]. Not changed afterwards: what was made of it is kept. */
   readonly coded: Float32Array<ArrayBuffer>;
   readonly camera: Camera;
-  /** A picture of the scene, from which the client's own view is subtracted; else a companded difference. */
+  /** A picture of the scene, from which the client's render from the reference camera is subtracted; else a companded difference. */
   readonly picture: boolean;
   readonly knee: number;
+  /** Mean squared error that coding has left in a picture, RGB from 0 to 1: less of what is below it is added. */
+  readonly error: number;
 }
 
 /** How to draw a frame. */
@@ -35,8 +40,13 @@ export interface FrameOptions {
   readonly footprint: Footprint;
   readonly maxShDegree: number;
   readonly reference?: CodedReference | undefined;
-  /** [ceil(H / 16), ceil(W / 16)]: how much of the correction's confidence is taken away, 0 to 1. */
-  readonly veto?: Float32Array<ArrayBuffer> | undefined;
+  /** Of the display: with which footprint the client's own view of a picture is drawn. */
+  readonly display: Intrinsics;
+  /** Boxes of cells of what changed since the reference was made, as `cellBoxes` packs them: where they are seen nothing is
+   * added. */
+  readonly changed?: Uint32Array<ArrayBuffer> | undefined;
+  /** Share of the correction's confidence that is taken away everywhere, 0 to 1. */
+  readonly stale?: number;
 }
 
 export interface FrameTimes {
@@ -49,6 +59,9 @@ export interface FrameTimes {
   /** How often the frame was drawn: more than once where buffers had to grow. */
   readonly attempts: number;
 }
+
+/** Bytes are shown, opaque. */
+const SHOWN = { floats: false, confidence: false } as const;
 
 /** What the buffers of the reference hold, and what it was made under. */
 type Held = { readonly reference: CodedReference; readonly under: string } | null;
@@ -65,8 +78,12 @@ export class Renderer {
   #held: Held = null;
   #shown: { target: Target; width: number; height: number } | null = null;
 
+  /** Settles once the shaders are compiled, which goes on while a scene is fetched: before it frames take longer. */
+  readonly prepared: Promise<unknown>;
+
   private constructor(gpu: Gpu, canvas: HTMLCanvasElement) {
     this.gpu = gpu;
+    this.prepared = prepare(gpu, everyGraph()).catch(() => undefined); // what fails here is told by the first frame
     this.#workspace = new Workspace(gpu);
     this.#presenter = new Presenter(gpu, canvas);
     this.#counted = gpu.device.createBuffer({ size: 16, usage: GPUBufferUsage.MAP_READ | GPUBufferUsage.COPY_DST });
@@ -74,11 +91,7 @@ export class Renderer {
 
   /** Throws {@link UnsupportedError}. `onLost` is told when the device goes away by itself. */
   static async make(canvas: HTMLCanvasElement, onLost: (reason: string) => void): Promise<Renderer> {
-    const gpu = await Gpu.make(onLost);
-    const everything = { motion: true, looks: true, colour: true };
-    const frame = { ...frameFlags({ exactness: "balanced" }), floats: false };
-    await prepare(gpu, [["update", everything], ["update", { motion: true, looks: false, colour: false }], ["hash", {}], ["project", frame], ["draw", frame], ["plain", frame], ["expand", frame], ["correct", frame]]);
-    return new Renderer(gpu, canvas);
+    return new Renderer(await Gpu.make(onLost), canvas);
   }
 
   destroy(): void {
@@ -114,12 +127,22 @@ export class Renderer {
       this.#scene.submitted();
       this.#held = held;
       this.#shown = { target, width: widthPx, height: heightPx };
-      this.#presenter.present(target.get("shown"), widthPx);
+      this.present();
       return { uploadBytes, entries: wanted, gpuMs: performance.now() - begun, attempts };
     }
   }
 
-  /** The picture that was drawn last, as it is shown: [H, W, 4], 8 bits a channel. */
+  /** Behind the splats: red, green and blue, 0..1. */
+  set background(colour: readonly [number, number, number]) {
+    this.#presenter.background = colour;
+  }
+
+  /** Put the picture that was drawn last on the canvas (again): it can be read until the page's next turn. */
+  present(): void {
+    if (this.#shown) this.#presenter.present(this.#shown.target.get("shown"), this.#shown.target.get("picture"), this.#shown.width);
+  }
+
+  /** The picture that was drawn last, over black: [H, W, 4], 8 bits a channel. */
   async pixels(): Promise<{ width: number; height: number; rgba: Uint8ClampedArray<ArrayBuffer> }> {
     if (!this.#shown) throw new Error("nothing was drawn yet");
     const { target, width, height } = this.#shown;
@@ -163,10 +186,11 @@ export class Renderer {
     camera: Camera,
     options: FrameOptions,
   ): Held {
-    const { reference, veto } = options;
-    this.gpu.device.queue.writeBuffer(target.correction, 0, correctionJob(camera, reference, veto !== undefined));
+    const { reference } = options;
+    const vetoed = (options.changed?.length ?? 0) > 0 || (options.stale ?? 0) > 0;
+    this.gpu.device.queue.writeBuffer(target.correction, 0, correctionJob(camera, reference, vetoed));
     const own: Named = { correction: target.correction, shown: target.get("shown") };
-    const flags = { floats: false };
+    const flags = SHOWN;
     const { version } = this.#workspace;
     if (!reference) {
       const steps = target.steps(version, "plain", () =>
@@ -178,8 +202,8 @@ export class Renderer {
     const counts = { ...target.counts, ...referenceCounts(camera, reference.camera) };
     const kept = Object.entries(bufferBytes("reference", counts)).map(([name, size]) => [name, scene.kept(name, size)]);
     const named: Named = { ...own, ...Object.fromEntries(kept), veto: target.get("veto_cells") };
-    if (veto) this.gpu.device.queue.writeBuffer(named.veto, 0, veto);
-    const held = this.#expand(encoder, scene, target, camera, { options, reference, counts, named });
+    if (vetoed) this.#veto(encoder, scene, target, camera, options);
+    const held = this.#expand(encoder, scene, target, { options, reference, counts, named });
     const key = `correct ${reference.camera.intrinsics.widthPx}x${reference.camera.intrinsics.heightPx} ${counts.sampled_x} ${scene.keptVersion}`;
     const steps = target.steps(version, key, () =>
       build(this.gpu, "correct", counts, flags, (name) => named[name] ?? target.get(name)),
@@ -188,28 +212,57 @@ export class Renderer {
     return held;
   }
 
+  /** Where the picture shows what changed, and how much of the rest is not believed any more. */
+  #veto(encoder: GPUCommandEncoder, scene: ResidentScene, target: Target, camera: Camera, options: FrameOptions): void {
+    const { queue } = this.gpu.device;
+    const { widthPx, heightPx } = camera.intrinsics;
+    const boxes = options.changed ?? new Uint32Array(0);
+    const count = boxes.length / 4;
+    const room = Math.max(LEAST_BOXES, 2 ** Math.ceil(Math.log2(count + 1)));
+    const held = scene.kept("boxes", bufferBytes("reference", { boxes: room }).boxes);
+    if (count) queue.writeBuffer(held, 0, boxes);
+    const grid = [Math.ceil(widthPx / VETO_CELL_PX), Math.ceil(heightPx / VETO_CELL_PX)];
+    const job = CHANGED.pack({ size: [widthPx, heightPx], grid, count, behind: BEHIND, stale: options.stale ?? 0 });
+    queue.writeBuffer(target.changed, 0, job);
+    const named: Named = { changed_job: target.changed, boxes: held };
+    const steps = target.steps(this.#workspace.version, `changed ${scene.keptVersion}`, () =>
+      build(this.gpu, "changed", target.counts, {}, (name) => named[name] ?? target.get(name)),
+    );
+    encode(encoder, steps);
+  }
+
   /** What the reference says is lacking, once a reference; of a picture anew when the splats changed. */
   #expand(
     encoder: GPUCommandEncoder,
     scene: ResidentScene,
     target: Target,
-    camera: Camera,
     made: { options: FrameOptions; reference: CodedReference; counts: Counts; named: Named },
   ): Held {
     const { options, reference, counts, named } = made;
-    const seen = reference.picture ? JSON.stringify([scene.changes, camera.intrinsics, options.exactness, options.maxShDegree]) : "";
+    const seen = reference.picture ? JSON.stringify([scene.changes, options.display, options.exactness, options.maxShDegree]) : "";
     const under = `${scene.keptVersion} ${seen}`;
     if (this.#held?.reference === reference && this.#held.under === under) return this.#held;
     this.gpu.device.queue.writeBuffer(named.coded, 0, reference.coded);
-    let own = target;
+    let own = target; // of a difference it is bound and not read
     if (reference.picture) {
-      const footprint = footprintOf(camera.intrinsics, reference.camera.intrinsics);
+      const { intrinsics } = reference.camera;
+      const footprint = footprintOf(options.display, intrinsics);
       own = scene.record(encoder, reference.camera, { ...drawing(options), footprint }, "own");
+      const job = COMPARE.pack({ size: [intrinsics.widthPx, intrinsics.heightPx], error: reference.error });
+      this.gpu.device.queue.writeBuffer(target.compare, 0, job);
     }
-    const bound: Named = { ...named, own: own.get("picture") }; // of a difference it is bound and not read
-    encode(encoder, build(this.gpu, "expand", counts, {}, (name) => bound[name]));
+    const bound: Named = { ...named, own: own.get("picture"), compare_job: target.compare };
+    encode(encoder, build(this.gpu, reference.picture ? "compare" : "expand", counts, {}, (name) => bound[name]));
     return { reference, under };
   }
+}
+
+/** The graphs of a frame, with the flags that they will run with. */
+function everyGraph(): Parameters<typeof prepare>[1] {
+  const frame = { ...frameFlags({ exactness: "balanced" }), ...SHOWN };
+  const drawn = ["project", "draw", "plain", "expand", "compare", "changed", "correct"].map((name) => [name, frame] as const);
+  const moved = { motion: true, looks: false, colour: false };
+  return [["update", { motion: true, looks: true, colour: true }], ["update", moved], ["hash", {}], ...drawn];
 }
 
 function drawing(options: FrameOptions): DrawOptions {

@@ -4,7 +4,7 @@ import type { Camera, FrameUpdate, Patch } from "../seam.ts";
 import type { Gpu } from "./device.ts";
 import { TooLargeError } from "./device.ts";
 import { bufferBytes, build, type Counts, type Dispatch, encode, type Flags } from "./graph.ts";
-import { CHUNK, COUNT, CORRECTION, type DrawOptions, tilesOf, UPDATE, VIEW, viewBytes } from "./layout.ts";
+import { CHANGED, CHUNK, COMPARE, COUNT, CORRECTION, type DrawOptions, tilesOf, UPDATE, VIEW, viewBytes } from "./layout.ts";
 import type { Workspace } from "./workspace.ts";
 
 /** Rows go to the device in pieces of at most this size. */
@@ -25,6 +25,8 @@ export class Target {
   readonly counts: Counts;
   readonly view: GPUBuffer;
   readonly correction: GPUBuffer;
+  readonly changed: GPUBuffer;
+  readonly compare: GPUBuffer;
   readonly #gpu: Gpu;
   readonly #sizes: Record<string, number>;
   readonly #buffers = new Map<string, GPUBuffer>();
@@ -52,6 +54,8 @@ export class Target {
     this.#sizes = bufferBytes("view", this.counts);
     this.view = gpu.buffer(VIEW.size, "uniform");
     this.correction = gpu.buffer(CORRECTION.size, "uniform");
+    this.changed = gpu.buffer(CHANGED.size, "uniform");
+    this.compare = gpu.buffer(COMPARE.size, "uniform");
   }
 
   has(name: string): boolean {
@@ -77,7 +81,7 @@ export class Target {
   }
 
   destroy(): void {
-    for (const buffer of [this.view, this.correction, ...this.#buffers.values()]) buffer.destroy();
+    for (const buffer of [this.view, this.correction, this.changed, this.compare, ...this.#buffers.values()]) buffer.destroy();
   }
 }
 
@@ -244,5 +248,5 @@ export type Named = Readonly<Record<string, GPUBuffer>>;
 
 /** What chooses the steps and constants of a frame. */
 export function frameFlags(options: Pick<DrawOptions, "exactness">): Flags {
-  return { packed: options.exactness !== "exact", slots: false, contribution: false, adjoint: false, median: false };
+  return { packed: options.exactness !== "exact", slots: false, contribution: false };
 }

@@ -3,7 +3,9 @@
 import graphFile from "../../../gpu/cags_gpu/graph.json";
 import bin from "../../../gpu/cags_gpu/wgsl/bin.wgsl";
 import blend from "../../../gpu/cags_gpu/wgsl/blend.wgsl";
+import changed from "../../../gpu/cags_gpu/wgsl/changed.wgsl";
 import common from "../../../gpu/cags_gpu/wgsl/common.wgsl";
+import compare from "../../../gpu/cags_gpu/wgsl/compare.wgsl";
 import correct from "../../../gpu/cags_gpu/wgsl/correct.wgsl";
 import exact from "../../../gpu/cags_gpu/wgsl/exact.wgsl";
 import hash from "../../../gpu/cags_gpu/wgsl/hash.wgsl";
@@ -55,6 +57,8 @@ const WHOLE: Readonly<Record<string, string>> = {
   ranges: common + ranges,
   blend: common + blend,
   correct,
+  compare,
+  changed,
 };
 
 /** The WGSL of a shader, whole. */

@@ -23,6 +23,8 @@ export class MovingTile {
   time = 0;
   readonly chunk: Chunk;
   readonly rows: Int32Array;
+  /** Those of `rows` that are the tile's, ascending. */
+  readonly owned: Int32Array;
   readonly steps: Steps;
   private readonly kernels: Kernels;
   private readonly blocks: number[] = [];
@@ -32,6 +34,7 @@ export class MovingTile {
     this.kernels = kernels;
     this.chunk = chunk;
     this.rows = rows;
+    this.owned = rows.filter((row) => row >= 0).sort();
     this.steps = steps;
     const { blocks, fades } = chunk;
     const [moveUnits, turnUnits] = units(chunk, steps);

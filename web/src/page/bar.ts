@@ -15,6 +15,7 @@ export interface BarWishes {
   home(): void;
   share(): void;
   snapshot(): void;
+  record(): void;
 }
 
 export class Bar {
@@ -32,11 +33,12 @@ export class Bar {
   constructor(wishes: BarWishes) {
     this.#wishes = wishes;
     setIcon(this.#play, "pause");
-    for (const name of ["home", "share", "snapshot", "inspect", "full"] as const) setIcon(the(name), name);
+    for (const name of ["home", "share", "snapshot", "record", "inspect", "full"] as const) setIcon(the(name), name);
     this.#play.addEventListener("click", () => wishes.toggle());
     the("home").addEventListener("click", () => wishes.home());
     the("share").addEventListener("click", () => wishes.share());
     the("snapshot").addEventListener("click", () => wishes.snapshot());
+    the("record").addEventListener("click", () => wishes.record());
     the("full").addEventListener("click", () => fullScreen());
     this.#inspect.addEventListener("click", () => this.inspect(this.#inspector.hidden));
     for (const button of this.#modes()) button.addEventListener("click", () => wishes.mode(button.dataset.mode as Mode));
@@ -62,6 +64,13 @@ export class Bar {
 
   setMode(mode: Mode): void {
     for (const button of this.#modes()) button.setAttribute("aria-checked", String(button.dataset.mode === mode));
+  }
+
+  /** Show whether what is shown is being filmed. */
+  setRecording(on: boolean): void {
+    const button = the("record");
+    button.setAttribute("aria-pressed", String(on));
+    button.setAttribute("aria-label", on ? "Stop recording" : "Record a film");
   }
 
   /** Show the state of play. */
@@ -91,6 +100,7 @@ export class Bar {
       KeyH: () => this.#wishes.home(),
       KeyL: () => this.#wishes.share(),
       KeyP: () => this.#wishes.snapshot(),
+      KeyR: () => this.#wishes.record(),
       Comma: () => player && this.#wishes.seek(player.frame - 1),
       Period: () => player && this.#wishes.seek(player.frame + 1),
       Escape: () => this.inspect(false),

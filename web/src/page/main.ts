@@ -7,16 +7,19 @@ import { Renderer } from "../gpu/renderer.ts";
 import { type Mode, ViewCamera } from "../player/camera.ts";
 import { Gestures } from "../player/gestures.ts";
 import { Player } from "../player/player.ts";
+import { readManifest, sceneInfo } from "../decode/manifest.ts";
 import type { Chroma, Intrinsics, Pose, SceneInfo, SourceError } from "../seam.ts";
 import { connectWorker } from "../source/remote.ts";
 import { finestChroma } from "../video/decoder.ts";
+import { coloursOf, openedAs, savedView, titleOf } from "./author.ts";
 import { Bar } from "./bar.ts";
+import { download, Film, pictureOf } from "./capture.ts";
 import { keep, kept, the } from "./dom.ts";
 import * as embed from "./embed.ts";
 import { Inspector } from "./inspector.ts";
 import { verdictOf } from "./light.ts";
 import { Messages } from "./messages.ts";
-import { hashOf, type Place, placeOf } from "./place.ts";
+import { beside, hashOf, type Place, placeOf, sceneOf } from "./place.ts";
 import { type Angles, anglesOf, intrinsicsOf, pixelsOf } from "./view.ts";
 
 /** The server is asked again after a while when it was not there at all. */
@@ -26,28 +29,15 @@ const SETTLED_MS = 700;
 /** Shapes that differ by more than this factor begin a new session. */
 const OTHER_SHAPE = 1.3;
 const TELL_MS = 250;
-
-/** What the server says about its scene before anything streams. */
-interface Bundle {
-  readonly name: string;
-  readonly up: [number, number, number];
-  readonly focus_centre: [number, number, number];
-  readonly focus_radius: number;
-  readonly bounds: SceneInfo["bounds"];
-  readonly fps: number;
-}
+/** Of a published scene that has yet to say how fast it is. */
+const DEFAULT_FPS = 30;
+/** The view until a published scene says where it is. */
+const NOWHERE: Pose = { position: [0, 0, 0], rotation: [1, 0, 0, 0] };
 
 /** Where the scene lies that this page was published with; undefined: it comes from the page's own server. */
 const PUBLISHED = document.querySelector<HTMLMetaElement>('meta[name="cags-source"]')?.content;
-/** Until a published scene says what it is. */
-const NOWHERE: Bundle = {
-  name: "",
-  up: [0, 1, 0],
-  focus_centre: [0, 0, 0],
-  focus_radius: 1,
-  fps: 30,
-  bounds: [[-1, -1, -1], [1, 1, 1]],
-};
+/** The scene that the address names, of a server with several. */
+const SCENE = sceneOf(location.search);
 
 class Viewer {
   player: Player | null = null;
@@ -64,6 +54,8 @@ class Viewer {
   #place: Place = placeOf(location.hash);
   #angles: Angles = { tanX: 1, tanY: 1 };
   #chroma: Chroma | undefined;
+  #scene: SceneInfo | undefined;
+  #film: Film | null = null;
   #settled = 0;
   #toldMs = 0;
   #retry = 0;
@@ -81,7 +73,10 @@ class Viewer {
       home: () => this.#home(),
       share: () => void this.#share(),
       snapshot: () => void this.#snapshot(),
+      record: () => this.#record(),
     });
+    the("record").hidden = Film.kind === undefined;
+    the("scenes").hidden = SCENE === undefined;
     this.#listen();
     const tick = (now: number): void => {
       this.#step(now);
@@ -97,12 +92,13 @@ class Viewer {
     this.player = null;
     this.#messages.say("Connecting");
     try {
-      const bundle = PUBLISHED ? NOWHERE : await this.#bundle();
-      if (!bundle) return;
-      this.#title(bundle.name);
+      const scene = PUBLISHED ? undefined : await this.#bundle();
+      if (!PUBLISHED && !scene) return;
       this.#chroma ??= await finestChroma();
       this.renderer ??= await Renderer.make(this.#canvas, (reason) => this.#lostDevice(reason));
-      this.#join(bundle);
+      this.#angles = anglesOf(...pixelsOf(innerWidth, innerHeight, devicePixelRatio, this.#place.size));
+      if (scene) this.#stand(scene);
+      this.#join(scene);
     } catch (error) {
       this.#cannot(error);
     }
@@ -122,12 +118,12 @@ class Viewer {
 
   // ---------------------------------------------------------------------------------------------------------- joining
 
-  async #bundle(): Promise<Bundle | undefined> {
+  async #bundle(): Promise<SceneInfo | undefined> {
     const { token } = this.#place;
     const headers = token ? { Authorization: `Bearer ${token}` } : undefined;
     let answer: Response;
     try {
-      answer = await fetch(new URL("bundle", location.href), headers ? { headers } : {});
+      answer = await fetch(beside("bundle"), headers ? { headers } : {});
     } catch {
       this.#messages.say("The server is not there", "This page looks for it and goes on by itself.");
       this.#retry = window.setTimeout(() => void this.begin(), RETRY_MS);
@@ -137,17 +133,16 @@ class Viewer {
       this.#messages.askToken(token !== undefined);
       return undefined;
     }
+    if (answer.status === 404) throw new Error(((await answer.json()) as { error: string }).error);
     if (!answer.ok) throw new Error(`the server answers ${answer.status} ${answer.statusText}`);
-    return (await answer.json()) as Bundle;
+    return sceneInfo(readManifest(new Uint8Array(await answer.arrayBuffer())));
   }
 
-  #join(bundle: Bundle): void {
-    const [width, height] = pixelsOf(innerWidth, innerHeight, devicePixelRatio, this.#place.size);
-    this.#angles = anglesOf(width, height);
-    this.#stand({ up: bundle.up, focusCentre: bundle.focus_centre, focusRadius: bundle.focus_radius, bounds: bundle.bounds });
+  /** A published scene says what it is when it comes; until then the view is nowhere in particular. */
+  #join(scene: SceneInfo | undefined): void {
     const source = connectWorker(new Worker(new URL("worker.js", import.meta.url), { type: "module" }));
-    const startFrame = Math.floor((this.#place.seconds ?? 0) * bundle.fps + 1e-6);
-    const view = (): { pose: Pose; intrinsics: Intrinsics } => ({ pose: this.camera!.pose, intrinsics: this.intrinsics });
+    const startFrame = Math.floor((this.#place.seconds ?? 0) * (scene?.fps ?? DEFAULT_FPS) + 1e-6);
+    const view = (): { pose: Pose; intrinsics: Intrinsics } => ({ pose: this.camera?.pose ?? NOWHERE, intrinsics: this.intrinsics });
     const player = new Player(source, this.renderer!, view, this.#options(startFrame), {
       changed: () => undefined,
       info: (info) => this.#onInfo(info),
@@ -156,7 +151,7 @@ class Viewer {
     });
     this.player = player;
     source.connect(
-      PUBLISHED ? new URL(PUBLISHED, location.href).href : new URL("stream", location.href.replace(/^http/, "ws")).href,
+      PUBLISHED ? new URL(PUBLISHED, location.href).href : beside("stream").href.replace(/^http/, "ws"),
       {
         ...view(),
         startFrame,
@@ -167,7 +162,7 @@ class Viewer {
       },
       (event) => player.handle(event),
     );
-    this.#messages.say("Loading", bundle.name);
+    this.#messages.say("Loading", scene ? titleOf(scene) : "");
   }
 
   #options(startFrame: number): ConstructorParameters<typeof Player>[3] {
@@ -182,7 +177,11 @@ class Viewer {
   }
 
   /** Begin at the first view of a scene, or where the link says. */
-  #stand(scene: Pick<SceneInfo, "up" | "focusCentre" | "focusRadius" | "bounds">): void {
+  #stand(given: SceneInfo): void {
+    const scene = (this.#scene = openedAs(given, this.#place));
+    this.#title(titleOf(scene));
+    this.renderer!.background = coloursOf(scene.view.background);
+    the("stage").style.setProperty("background", scene.view.background ?? "");
     this.camera = new ViewCamera(scene);
     this.#home();
     if (this.#place.pose) this.camera.place(this.#place.pose);
@@ -191,10 +190,7 @@ class Viewer {
   }
 
   #onInfo(info: SceneInfo): void {
-    if (PUBLISHED) {
-      this.#title(info.name);
-      this.#stand(info);
-    }
+    if (PUBLISHED) this.#stand(info);
     embed.tell("ready", { name: info.name, seconds: info.frames / info.fps });
   }
 
@@ -283,15 +279,36 @@ class Viewer {
 
   async #snapshot(): Promise<void> {
     if (!this.renderer || !this.player?.shown) return;
-    const { width, height, rgba } = await this.renderer.pixels();
-    const canvas = new OffscreenCanvas(width, height);
-    canvas.getContext("2d")!.putImageData(new ImageData(rgba, width, height), 0, 0);
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(await canvas.convertToBlob());
-    link.download = `${this.player.info?.name ?? "scene"}-${this.player.seconds.toFixed(2)}s.png`;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    this.renderer.present();
+    download(await pictureOf(this.#canvas), `${this.#fileName()}-${this.player.seconds.toFixed(2)}s.png`);
     this.#messages.toast("Picture saved");
+  }
+
+  /** Begin to film what is shown, or end it. */
+  #record(): void {
+    const kind = Film.kind;
+    if (this.#film) this.#film.stop();
+    else if (kind && this.player?.shown) {
+      this.#film = new Film(this.#canvas, kind, (film, suffix) => {
+        this.#film = null;
+        this.#bar.setRecording(false);
+        download(film, `${this.#fileName()}.${suffix}`);
+        this.#messages.toast("Film saved");
+      });
+      this.#bar.setRecording(true);
+      this.#messages.toast("Recording; press again to end");
+    }
+  }
+
+  #saveView(): void {
+    if (!this.#scene || !this.camera) return;
+    const text = savedView(this.#scene, this.camera, this.#angles.tanX, this.#angles.tanY);
+    download(new Blob([text], { type: "application/json" }), `${this.#fileName()}-view.json`);
+    this.#messages.toast("View saved; cags-encode --view takes it");
+  }
+
+  #fileName(): string {
+    return this.player?.info?.name ?? "scene";
   }
 
   #listen(): void {
@@ -309,6 +326,7 @@ class Viewer {
       void this.begin();
     });
     addEventListener("pagehide", () => this.player?.close());
+    the("save-view").addEventListener("click", () => this.#saveView());
     this.#setting<HTMLInputElement>("correct", (box) => this.player && (this.player.correct = box.checked));
     this.#setting<HTMLInputElement>("adapt", (box) => this.player && (this.player.adaptResolution = box.checked));
     this.#setting<HTMLInputElement>("loop", (box) => this.player?.setLoop(box.checked));
@@ -341,9 +359,9 @@ class Viewer {
     }, SETTLED_MS);
   }
 
-  #title(name: string): void {
-    the("title").textContent = name;
-    document.title = `${name} · cags-stream`;
+  #title(text: string): void {
+    the("title").textContent = text;
+    document.title = `${text} · cags-stream`;
   }
 }
 

@@ -1,6 +1,6 @@
-/** What a link says: time, pose, camera mode and how to begin; kept behind the #, which no server sees. */
+/** What a link says: the scene by name; time, pose, camera mode and how to begin behind the #, which no server sees. */
 
-import type { Pose } from "../seam.ts";
+import type { Pose, Vec3 } from "../seam.ts";
 import { MODES, type Mode } from "../player/camera.ts";
 import { canonical } from "../player/vectors.ts";
 
@@ -14,8 +14,26 @@ export interface Place {
   readonly loop?: boolean;
   /** Of a server that asks for one. */
   readonly token?: string;
+  /** What to turn around. */
+  readonly target?: Vec3;
+  /** Behind the splats, `#rrggbb`. */
+  readonly background?: string;
   /** Pixels to draw at, whatever the window's size. */
   readonly size?: readonly [number, number];
+}
+
+/** The scene that the page's address names, of a server with several. */
+export function sceneOf(search: string): string | undefined {
+  return new URLSearchParams(search).get("scene") ?? undefined;
+}
+
+/** The address of `path` beside the page, for the scene that the page shows. */
+export function beside(path: string): URL {
+  const url = new URL(path, location.href);
+  const scene = sceneOf(location.search);
+  url.hash = "";
+  url.search = scene === undefined ? "" : `?${new URLSearchParams({ scene })}`;
+  return url;
 }
 
 export function placeOf(hash: string): Place {
@@ -26,6 +44,8 @@ export function placeOf(hash: string): Place {
   };
   const [seconds] = numbers("t", 1) ?? [];
   const pose = numbers("pose", 7);
+  const target = numbers("target", 3);
+  const background = given.get("background")?.match(/^#?([0-9a-f]{6})$/i);
   const size = given.get("size")?.match(/^(\d{1,4})x(\d{1,4})$/);
   const mode = MODES.find((known) => known === given.get("camera"));
   const token = given.get("token");
@@ -33,6 +53,8 @@ export function placeOf(hash: string): Place {
     ...(seconds === undefined ? {} : { seconds: Math.max(0, seconds) }),
     ...(pose ? { pose: poseOf(pose) } : {}),
     ...(mode ? { mode } : {}),
+    ...(target ? { target: target as unknown as Vec3 } : {}),
+    ...(background ? { background: `#${background[1]}` } : {}),
     ...(given.has("paused") ? { playing: false } : {}),
     ...(given.has("once") ? { loop: false } : {}),
     ...(token ? { token } : {}),

@@ -50,34 +50,37 @@ export class References<P> {
 
   /**
    * The mark up to which `frame` is shown, with `found` as its reference: call once a picture, right before it is
-   * committed. undefined: all that has come.
+   * committed, of a clip of `frames`. undefined: all that has come.
    *
    * That which the frame's own reference assumes. A picture assumes none: as much is shown as no coming reference falls
    * behind. While an own reference is late, what is shown stays as the one before assumes.
    */
-  basisAt(frame: number, found: Received<P> | undefined, maxAge = 10): number | undefined {
-    const basis = this.chosen(frame, found?.reference, maxAge);
+  basisAt(frame: number, found: Received<P> | undefined, frames: number): number | undefined {
+    const basis = this.chosen(frame, found?.reference, frames);
     const own = found?.reference.frame === frame ? found.reference.order : 0;
     this.used = Math.max(this.used, own);
     return basis;
   }
 
-  private chosen(frame: number, reference: Reference | undefined, maxAge: number): number | undefined {
+  private chosen(frame: number, reference: Reference | undefined, frames: number): number | undefined {
     if (reference && assumes(reference) && frame - reference.frame <= PATIENCE_FRAMES) {
       if (reference.frame === frame) this.committed = reference.basis;
       return this.committed;
     }
-    const coming = this.nextBasis(frame, maxAge);
+    const coming = this.nextBasis(frame, frames);
     this.committed = coming === undefined ? this.mark : Math.min(coming, this.mark);
     return this.committed || undefined;
   }
 
-  /** The mark that the next references assume, of those that have come. */
-  private nextBasis(frame: number, maxAge: number): number | undefined {
+  /**
+   * The mark that the next references assume, of those that have come: of the frames that follow `frame` in a clip of
+   * `frames`. One of a frame before it, which was skipped, must not hold back what came since.
+   */
+  private nextBasis(frame: number, frames: number): number | undefined {
     let least: number | undefined;
     for (const [at, { reference }] of this.received) {
-      const past = at <= frame && frame - at <= maxAge;
-      if (reference.order <= this.used || past || !assumes(reference)) continue;
+      const ahead = (((at - frame) % frames) + frames) % frames;
+      if (reference.order <= this.used || ahead === 0 || ahead > frames / 2 || !assumes(reference)) continue;
       least = Math.min(least ?? Infinity, reference.basis);
     }
     return least;

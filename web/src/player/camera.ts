@@ -6,7 +6,7 @@ import { type Axes, axesOf, clamp, cross, dot, minus, plus, quaternionOf, scaled
 export const MODES = ["orbit", "walk", "fly"] as const;
 export type Mode = (typeof MODES)[number];
 
-/** A scene that just touches the picture's rim has this much room around it. */
+/** A sphere that just touches the picture's rim has this much room around it. */
 const MARGIN = 1.08;
 const MAX_PITCH = 1.5;
 const START_PITCH = -0.12;
@@ -15,8 +15,19 @@ const START_PITCH = -0.12;
 const SURROUNDED = 1.3;
 /** Of the way to the bounds. */
 const WITHIN = 0.85;
+/** Radii from the scene's centre beyond which splats are background, and need not be in the first view. */
+const BULK = 2.2;
 
-type Place = Pick<SceneInfo, "up" | "focusCentre" | "focusRadius" | "bounds">;
+/** Tangent of half the height of the picture, 8:5, that an author's pose is of. */
+const AUTHORS_TAN = Math.tan(Math.PI / 6) * (5 / 8);
+
+/** How much farther than the author's pose a visitor stands whose picture is narrower, so that as much is seen. */
+export function fartherThanAuthor(tanX: number, tanY: number): number {
+  return Math.max(1, AUTHORS_TAN / Math.min(tanX, tanY));
+}
+
+/** Where a scene is, and how its author wants it to be opened. `cags_common.bundle.first_view` chooses the same view. */
+export type Place = Pick<SceneInfo, "up" | "focusCentre" | "focusRadius" | "bounds" | "view">;
 
 export class ViewCamera {
   mode: Mode = "orbit";
@@ -26,6 +37,7 @@ export class ViewCamera {
   readonly #focus: Vec3;
   readonly #radius: number;
   readonly #bounds: SceneInfo["bounds"];
+  readonly #view: SceneInfo["view"];
   #yaw = 0;
   #pitch = START_PITCH;
   #distance = 1;
@@ -36,22 +48,45 @@ export class ViewCamera {
     const seed: Vec3 = Math.abs(this.#up[0]) < 0.9 ? [1, 0, 0] : [0, 0, 1];
     this.#front = unit(cross(seed, this.#up)); // where somebody who looks at the scene stands
     this.#side = cross(this.#front, this.#up);
-    this.#focus = scene.focusCentre;
-    this.#radius = Math.max(scene.focusRadius, 1e-3);
+    this.#view = scene.view;
+    this.#focus = scene.view.target ?? scene.focusCentre;
+    this.#radius = Math.max(scene.view.radius ?? scene.focusRadius, 1e-3);
     this.#bounds = scene.bounds;
     this.#target = this.#focus;
   }
 
-  /** Go where the whole scene is in a view of these tangents of half its angles, or as far back as a room's walls let. */
+  /** Go to the author's first view; else where the whole scene is in a view of these tangents of half its angles, or as
+   * far back as a room's walls let. */
   home(tanX: number, tanY: number): void {
-    const narrow = Math.sin(Math.atan(Math.min(tanX, tanY)));
+    if (this.#view.pose) {
+      this.place(this.#view.pose);
+      this.#distance *= fartherThanAuthor(tanX, tanY);
+      return;
+    }
     this.#yaw = 0;
     this.#pitch = START_PITCH;
     this.#target = this.#focus;
-    const away = scaled(this.#axes()[2], -1);
-    const wall = this.#reach(away);
-    const whole = (this.#radius * MARGIN) / narrow;
-    this.#distance = wall > SURROUNDED * this.#radius ? Math.min(whole, WITHIN * wall) : whole;
+    const wall = this.#reach(scaled(this.#axes()[2], -1));
+    const round = (this.#radius * MARGIN) / Math.sin(Math.atan(Math.min(tanX, tanY)));
+    if (this.#view.target || this.#view.radius) this.#distance = round;
+    else if (wall > SURROUNDED * this.#radius) this.#distance = Math.min(round, WITHIN * wall);
+    else this.#fit(tanX, tanY);
+  }
+
+  /** Bring the corners of the bounds, less what lies far from the scene's centre, into the view. */
+  #fit(tanX: number, tanY: number): void {
+    const reach = BULK * this.#radius;
+    const low = this.#bounds[0].map((part, axis) => Math.max(part, this.#focus[axis] - reach));
+    const high = this.#bounds[1].map((part, axis) => Math.min(part, this.#focus[axis] + reach));
+    const [x, y, z] = this.#axes();
+    this.#target = low.map((part, axis) => (part + high[axis]) / 2) as unknown as Vec3;
+    this.#distance = 0;
+    for (let corner = 0; corner < 8; corner++) {
+      const at = low.map((part, axis) => (corner & (1 << axis) ? high[axis] : part)) as unknown as Vec3;
+      const way = minus(at, this.#target);
+      const needed = Math.max(Math.abs(dot(way, x)) / tanX, Math.abs(dot(way, y)) / tanY) - dot(way, z);
+      this.#distance = Math.max(this.#distance, needed);
+    }
   }
 
   /** How far it is from the scene's centre to its bounds along a direction. */
@@ -68,6 +103,11 @@ export class ViewCamera {
     this.#yaw = Math.atan2(dot(forward, this.#side), -dot(forward, this.#front));
     this.#distance = Math.max(dot(minus(this.#focus, position), forward), 0.2 * this.#radius);
     this.#target = plus(position, this.#axes()[2], this.#distance);
+  }
+
+  /** What the camera turns around, and how much of the scene a first view shows. */
+  get around(): { readonly target: Vec3; readonly radius: number } {
+    return { target: this.#target, radius: this.#radius };
   }
 
   get pose(): Pose {

@@ -13,12 +13,14 @@ import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, 
 import { ReferenceVideo } from "../video/stream.ts";
 import { Cadence } from "./cadence.ts";
 import { Resolution } from "./resolution.ts";
-import { changedCells, fadedVeto } from "./veto.ts";
+import { cellBoxes } from "./veto.ts";
 
 /** From asking to play to the first frame. */
 const START_DELAY_US = 250_000;
 /** How long the old picture stays after a seek when the first frame does not come whole. */
 const SEEK_PATIENCE_US = 15_000_000;
+/** Play that must be there before one goes on that ran out of data. */
+const REFILL_S = 1;
 /** An end of the clip that is later than that was slept through. */
 const JUMP_US = 1_000_000;
 /** Media frames after which a reference is too old; it fades over the last half. */
@@ -64,6 +66,16 @@ export interface PlayerEvents {
 
 type Decoded = References<CodedReference | null>;
 
+/** What is waited for: a frame that is past has come, or it is `untilUs`; jumps are to be flushed before. */
+interface Awaited {
+  /** First and last media frame: of a jump one. */
+  readonly frames: readonly [number, number];
+  readonly untilUs: number;
+  flushes: number;
+  /** When the play ran out of data. */
+  readonly stalledUs?: number;
+}
+
 export class Player {
   info: SceneInfo | null = null;
   status: Status | null = null;
@@ -80,6 +92,9 @@ export class Player {
   pictures = 0;
   /** Media frames whose data was not there in time. */
   missed = 0;
+  /** How often the play waited for data, and for how long together: of a source that is not live. */
+  stalls = 0;
+  stalledMs = 0;
   readonly #source: SceneSource;
   readonly #renderer: Renderer;
   readonly #events: PlayerEvents;
@@ -95,13 +110,16 @@ export class Player {
   #nextFrame: number;
   #dueUs: number | null = null;
   #wanted: number | null = null;
-  #awaited: { frame: number; untilUs: number; flushes: number } | null = null;
+  #awaited: Awaited | null = null;
+  readonly #whole = new Set<number>(); // media frames that are there, since everything was forgotten
   #loopTold = false;
   #busy = false;
   #news = false;
   #takesUs = 0;
   #drawnView = "";
   #rested = false;
+  #ready = false; // the renderer's shaders are compiled
+  #newest = -1; // media frame of which the end came last
   #ended = false;
 
   constructor(source: SceneSource, renderer: Renderer, view: () => { pose: Pose; intrinsics: Intrinsics }, options: PlayerOptions, events: PlayerEvents) {
@@ -118,11 +136,15 @@ export class Player {
     this.#cadence = new Cadence(options.startFrame);
     this.#video = new ReferenceVideo({
       decoded: (reference, coded) => {
-        const { camera, knee, kind } = reference;
-        this.#references.add(reference, coded && { coded, camera, knee, picture: kind === "picture" });
+        const { camera, knee, kind, error } = reference;
+        this.#references.add(reference, coded && { coded, camera, knee, picture: kind === "picture", error });
         this.#news = true;
       },
       broken: (seq) => source.requestKeyframe(seq),
+    });
+    void renderer.prepared.then(() => {
+      this.#ready = true;
+      if (this.#newest >= 0) this.#onWhole(this.#newest);
     });
   }
 
@@ -216,12 +238,15 @@ export class Player {
         break;
       case "whole":
         this.#news = true;
-        this.#onWhole(event.frame);
+        this.#whole.add(event.frame);
+        this.#newest = event.frame;
+        if (this.#ready) this.#onWhole(event.frame);
         break;
       case "reference":
         this.#video.add(event.reference);
         break;
       case "flushed":
+        this.#whole.clear();
         if (this.#awaited) this.#awaited.flushes--;
         this.#video.forget();
         this.#references.reset();
@@ -253,7 +278,7 @@ export class Player {
   step(): void {
     if (this.#ended || !this.info) return;
     this.#samplePose();
-    if (this.#busy || this.#rested) return;
+    if (this.#busy || this.#rested || !this.#ready) return;
     const work = this.#work(nowUs());
     if (!work) return;
     this.#busy = true;
@@ -305,6 +330,7 @@ export class Player {
   async #presentDue(now: number): Promise<void> {
     const end = this.info!.frames;
     const frame = this.#cadence.newestDue(now, this.#nextFrame, end, (f) => this.#frameDueUs(f));
+    if (this.info!.waits && !this.#whole.has(frame)) return this.#stall(frame, now);
     this.#nextFrame = frame + 1;
     const following = this.#cadence.next(frame + 1, end);
     this.#dueUs = following > frame ? this.#frameDueUs(following) : null;
@@ -318,7 +344,7 @@ export class Player {
     const begun = performance.now();
     this.#news = false;
     const reference = this.#references.newest(frame, REFERENCE_AGE);
-    const basis = this.#references.basisAt(frame, reference);
+    const basis = this.#references.basisAt(frame, reference, this.info!.frames);
     const { camera } = this.#camera();
     const speaks = this.correct && reference?.picture ? reference : undefined;
     const update = await this.#source.frame({
@@ -349,13 +375,12 @@ export class Player {
   }
 
   #frameOptions(frame: number, share: number, update: FrameUpdate, camera: Camera, footprint: Footprint, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
-    const plain = { exactness: this.exactness, footprint, maxShDegree: update.shDegree };
+    const plain = { exactness: this.exactness, footprint, maxShDegree: update.shDegree, display: this.#view().intrinsics };
     if (!found?.picture) return plain;
     const { changed } = update;
-    let veto = changed?.radii.length ? changedCells(changed.positions, changed.radii, camera) : undefined;
     const away = frame - found.reference.frame;
-    if (away || share) veto = fadedVeto(veto, Math.min(1, 2 * (1 - away / (REFERENCE_AGE + 1))), camera);
-    return { ...plain, reference: found.picture, veto };
+    const stale = away || share ? Math.max(0, 1 - 2 * (1 - away / (REFERENCE_AGE + 1))) : 0;
+    return { ...plain, reference: found.picture, stale, ...(changed ? { changed: cellBoxes(changed.positions, changed.radii, camera) } : {}) };
   }
 
   /** The camera of the next picture, at the pixels that its time allows. */
@@ -377,7 +402,7 @@ export class Player {
       this.#startedUs = nowUs();
       if (this.playing && !this.#rested) this.#tell("play", this.#startFrame, nowUs() + START_DELAY_US);
       else this.#tell("pause", this.#startFrame, nowUs());
-    } else if (this.#awaited && this.#awaited.flushes <= 0 && frame >= this.#awaited.frame) this.#goOn(nowUs());
+    } else if (this.#awaited && this.#awaited.flushes <= 0 && this.#arrived(this.#awaited, frame)) this.#goOn(nowUs());
   }
 
   #tell(action: PlayState["action"], frame: number, atUs: number): void {
@@ -406,12 +431,30 @@ export class Player {
     const flushes = (this.#awaited?.flushes ?? 0) + (keeps ? 0 : 1);
     this.#tell("seek", frame, now);
     if (this.playing) this.#tell("pause", frame, now);
-    this.#awaited = { frame, untilUs: now + SEEK_PATIENCE_US, flushes };
-    if (keeps) this.#goOn(now);
+    this.#awaited = { frames: [frame, frame], untilUs: now + SEEK_PATIENCE_US, flushes };
+    if (keeps && (!this.info!.waits || this.#whole.has(frame))) this.#goOn(now);
+  }
+
+  /** The play has come to `frame`, which has not: it waits until so much is there that it does not wait again at once. */
+  #stall(frame: number, now: number): void {
+    this.stalls++;
+    this.frame = frame;
+    this.#nextFrame = frame;
+    const last = Math.min(frame + Math.ceil(REFILL_S * this.info!.fps), this.info!.frames - 1);
+    this.#awaited = { frames: [frame, last], untilUs: Infinity, flushes: 0, stalledUs: now };
+    this.#events.changed();
+  }
+
+  /** Whether what is awaited is there, now that `whole` is; frames of a published folder come in any order. */
+  #arrived({ frames: [first, last] }: Awaited, whole: number): boolean {
+    if (!this.info!.waits) return whole >= first;
+    for (let frame = first; frame <= last; frame++) if (!this.#whole.has(frame)) return false;
+    return true;
   }
 
   /** The frame that was sought is there. */
   #goOn(now: number): void {
+    if (this.#awaited?.stalledUs !== undefined) this.stalledMs += (now - this.#awaited.stalledUs) / 1000;
     this.#awaited = null;
     this.#news = true;
     if (this.playing && !this.#rested) this.#tell("play", this.frame, now + START_DELAY_US);

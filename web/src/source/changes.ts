@@ -54,9 +54,11 @@ export class Changes {
       for (const { mark, rows } of this.commits) if (mark > basis) for (const row of rows) flags[row] = 1;
     }
     this.addMoved(flags, since, means);
-    const all = [...flags.keys()].filter((row) => flags[row]);
-    const step = Math.ceil(all.length / MOST_LOOKED_AT) || 1;
-    const rows = all.filter((_, i) => i % step === 0);
+    let count = 0;
+    for (const flag of flags) count += flag;
+    const step = Math.ceil(count / MOST_LOOKED_AT) || 1;
+    const rows: number[] = [];
+    for (let row = 0, i = 0; row < flags.length; row++) if (flags[row] && i++ % step === 0) rows.push(row);
     const positions = new Float32Array(3 * rows.length);
     rows.forEach((row, i) => positions.set(means.subarray(3 * row, 3 * row + 3), 3 * i));
     const radius = (row: number): number => SEEN_SIGMAS * Math.exp(Math.max(...logScales.subarray(3 * row, 3 * row + 3)));

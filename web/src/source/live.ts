@@ -319,7 +319,7 @@ export class LiveSource implements SceneSource {
       const large = tooLarge(manifest, this.options.maxSplats ?? 4_000_000, this.options.maxMemoryMb ?? 2048);
       if (large) throw new BundleError(large);
       this.scene = new SceneStore(manifest, this.decoders, this.options.startFrame ?? 0);
-      this.listen({ type: "info", info: sceneInfo(manifest) });
+      this.listen({ type: "info", info: sceneInfo(manifest, false) });
       return true;
     } catch (error) {
       if (!(error instanceof BundleError)) throw error;

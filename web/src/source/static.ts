@@ -58,6 +58,7 @@ export class StaticSource implements SceneSource {
   private readonly meter = new Meter();
   private bps = FIRST_GUESS_BPS;
   private failures = 0;
+  private begun = false; // the base of a first frame was asked for
   private ended = false;
   private timer: ReturnType<typeof setInterval> | undefined;
 
@@ -132,10 +133,13 @@ export class StaticSource implements SceneSource {
       const published = manifest.manifest["published"] as { codebooks?: unknown } | undefined;
       const name = typeof published?.codebooks === "string" ? published.codebooks : "codebooks.bin";
       const scene = new SceneStore(manifest, this.decoders, this.at);
-      scene.codebooks(await this.whole(name));
+      const books = this.whole(name);
+      const index = this.fetchIndex(manifest, gofOf(manifest, this.at)); // meanwhile
+      void index.then(() => this.next(), (error: unknown) => this.fail(error));
+      scene.codebooks(await books);
       if (this.ended) return scene.dispose();
       this.scene = scene;
-      this.listen({ type: "info", info: sceneInfo(manifest) });
+      this.listen({ type: "info", info: sceneInfo(manifest, true) });
       this.next();
     } catch (error) {
       this.fail(error);
@@ -174,7 +178,9 @@ export class StaticSource implements SceneSource {
   }
 
   private baseOf(gof: number, group: Group): () => Promise<void> {
-    const frames = batch(group.frames.slice(group.asked - group.frames[0]!.frame));
+    const left = group.frames.slice(group.asked - group.frames[0]!.frame);
+    const frames = this.begun ? batch(left) : left.slice(0, 1); // the first picture waits for no other frame
+    this.begun = true;
     group.asked += frames.length;
     for (const frame of frames) for (const entry of frame.tiles) if (entry.kind === "looks") group.levels.set(entry, 1);
     return () => this.fetchFrames(gof, group, frames);

@@ -118,14 +118,14 @@ export class GofStore {
     this.rewound = false;
     for (const [f, { removed }] of ends) for (const row of this.buffer.remove(f, removed)) touched[row] = 1;
     for (const staged of updates) for (const row of this.show(staged)) touched[row] = 1;
-    for (const rows of this.buffer.move(frame)) for (const row of rows) if (row >= 0) touched[row] ||= 2;
+    for (const rows of this.buffer.move(frame)) for (const row of rows) touched[row] ||= 2;
     this.forgetPast(frame, updates.length + ends.length > 0);
     return { rows: where(touched, 1), moved: where(touched, 2), whole: this.whole };
   }
 
   /** Show the splats on display where they are at `time`, after the frame that was committed; the rows that moved. */
   move(time: number): Int32Array {
-    return gathered(this.buffer.move(time));
+    return gathered(this.buffer.move(time), this.buffer.capacity);
   }
 
   /** The rows that change by it; motion changes none before all of it is evaluated. */
@@ -271,19 +271,18 @@ function where(flags: Uint8Array, wanted: number): Int32Array {
   return out;
 }
 
-/** Rows of several tiles, no row of two of them, without those that are -1; ascending. */
-function gathered(parts: readonly Int32Array[]): Int32Array {
+/** Rows of several tiles, no row of two of them, each tile's ascending: all of them, ascending. */
+function gathered(parts: readonly Int32Array[], capacity: number): Int32Array {
+  if (parts.length === 1) return parts[0]!;
   const out = new Int32Array(parts.reduce((sum, rows) => sum + rows.length, 0));
-  let count = 0;
-  let ascending = true;
+  let [count, ascending] = [0, true];
   for (const rows of parts) {
-    for (let i = 0; i < rows.length; i++) {
-      const row = rows[i]!;
-      if (row < 0) continue;
-      if (count && row < out[count - 1]!) ascending = false;
-      out[count++] = row;
-    }
+    if (count && rows.length && rows[0]! < out[count - 1]!) ascending = false;
+    out.set(rows, count);
+    count += rows.length;
   }
-  const rows = out.subarray(0, count);
-  return ascending ? rows : rows.sort();
+  if (ascending) return out;
+  const flags = new Uint8Array(capacity);
+  for (let i = 0; i < count; i++) flags[out[i]!] = 1;
+  return where(flags, 1);
 }

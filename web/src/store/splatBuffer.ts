@@ -1,5 +1,5 @@
 /**
- * The splats of one group of frames, by id, merged from tiles; the rules are those of `cags_common.splat_buffer`, and so
+ * The splats of one group of frames, by id, merged from tiles; the rules are those of `cags_common.tiles.splat_buffer`, and so
  * are the bits. Columns lie in the kernels' memory, where motion is evaluated and rows are packed for the GPU.
  */
 import type { Kernels } from "../decode/kernels.ts";
@@ -338,7 +338,7 @@ export class SplatBuffer {
     return this.motions.get(looks)?.shown?.[0];
   }
 
-  /** Show every splat where it is at `time` (media frames); the rows that changed, tile by tile. */
+  /** Show every splat where it is at `time` (media frames); the rows that changed, tile by tile and ascending in each. */
   move(time: number): Int32Array[] {
     const tiles: MovingTile[] = [];
     for (const [looks, motion] of this.motions) {
@@ -357,7 +357,7 @@ export class SplatBuffer {
     const from = { means: this.still!.means, quats: this.still!.quats, logits: this.still!.logit_opacities };
     const into = { means: columns.means, quats: columns.quats, logits: columns.logit_opacities };
     moveRows(this.kernels, tiles, this.capacity, from, into);
-    return tiles.map((tile) => tile.rows);
+    return tiles.map((tile) => tile.owned);
   }
 }
 

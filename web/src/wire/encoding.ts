@@ -1,4 +1,4 @@
-/** The strict encoding of messages, as `cags_protocol.encoding`: bytes to checked values and back. */
+/** The strict encoding of messages, as `cags_protocol.wire.encoding`: bytes to checked values and back. */
 import { crc32 } from "../bytes/crc32.ts";
 import { ProtocolError } from "../bytes/errors.ts";
 import * as limits from "./limits.ts";

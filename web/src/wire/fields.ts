@@ -1,4 +1,4 @@
-/** Kinds of header fields: how a value is checked, written and read back; as `cags_protocol.fields`. */
+/** Kinds of header fields: how a value is checked, written and read back; as `cags_protocol.wire.fields`. */
 import { ProtocolError } from "../bytes/errors.ts";
 import type { Intrinsics, Pose } from "../seam.ts";
 import { makePose } from "./geometry.ts";

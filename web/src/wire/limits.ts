@@ -1,4 +1,4 @@
-/** Bounds of the wire protocol, as `cags_protocol.limits`: each is checked before anything of that size is allocated. */
+/** Bounds of the wire protocol, as `cags_protocol.wire.limits`: each is checked before anything of that size is allocated. */
 
 export const PROTOCOL_VERSION = 3;
 export const SUPPORTED_VERSIONS: readonly number[] = [3];

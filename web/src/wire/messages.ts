@@ -1,4 +1,4 @@
-/** The messages of the wire protocol, as `cags_protocol.messages`; fields have the names that they travel by. */
+/** The messages of the wire protocol, as `cags_protocol.wire.messages`; fields have the names that they travel by. */
 import type { Chroma, Intrinsics, Pose, ReferenceKind, ReferencesWanted } from "../seam.ts";
 import { choice, flag, integer, intrinsics, type Kind, listOf, pose, real, record, text, wide } from "./fields.ts";
 import * as limits from "./limits.ts";

@@ -1,5 +1,5 @@
 /**
- * The client's side of a session, sans-IO: as `cags_protocol.client`, state by state and byte by byte.
+ * The client's side of a session, sans-IO: as `cags_protocol.sessions.client`, state by state and byte by byte.
  *
  * The owner passes `nowUs`, writes what {@link ClientSession.dataToSend} returns, and calls
  * {@link ClientSession.handleTimer} when {@link ClientSession.nextTimerUs} is reached.

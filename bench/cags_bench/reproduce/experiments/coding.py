@@ -16,20 +16,20 @@ from cags_bench.reproduce.section import Cell, Curve, Plot, Section
 from cags_bench.seeing import see
 from cags_common import correction, raster
 from cags_common.bundle import BundleReader
+from cags_common.bundle.codecs import dequantise_tiles
 from cags_common.bundle.player import BundlePlayer
-from cags_common.codecs import dequantise_tiles
 from cags_common.correction import Reference
-from cags_common.dequantise import Dequantiser
 from cags_common.geometry import F32, Camera, Intrinsics
-from cags_common.lod import LodLayer
 from cags_common.metrics import psnr, ssim
 from cags_common.poses import Focus, open_poses
 from cags_common.raster.base import Footprint, RenderOptions
 from cags_common.splats import Splats
-from cags_common.svq import CodebookSet
-from cags_common.tile_kinds import TileKind
-from cags_common.tile_state import TileState
-from cags_common.tiles import decode_base
+from cags_common.tiles.dequantise import Dequantiser
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.payloads import decode_base
+from cags_common.tiles.state import TileState
+from cags_common.tiles.svq import CodebookSet
 from cags_encoder import EncodeSettings
 
 VIEWS = 4

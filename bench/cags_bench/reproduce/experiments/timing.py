@@ -21,15 +21,15 @@ from cags_client.frame.restore import RestoreInput
 from cags_common import correction
 from cags_common.bundle import BundleReader
 from cags_common.correction import compand
-from cags_common.dequantise import Dequantiser
 from cags_common.poses import Focus, open_poses
 from cags_common.raster.base import RenderOptions
-from cags_common.svq import CodebookSet
-from cags_common.tile_kinds import TileKind
-from cags_common.tile_state import TileState
-from cags_common.tiles import decode_base
+from cags_common.tiles.dequantise import Dequantiser
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.payloads import decode_base
+from cags_common.tiles.state import TileState
+from cags_common.tiles.svq import CodebookSet
 from cags_common.video.h264 import H264Encoder
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.predict import create_predictor
 from cags_server.predict.history import PoseHistory
 

@@ -17,26 +17,26 @@ from numpy.typing import NDArray
 from cags_client.store.picture import ReferencePicture
 from cags_common.correction import Placement
 from cags_common.geometry import F32, F64, Camera
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_settings, parameter
 
 
 @dataclass(frozen=True)
 class AlignSettings:
     """How occlusion is told and how it is repaired."""
 
-    depth_tolerance: float = setting(
+    depth_tolerance: float = parameter(
         0.03, "a pixel is occluded where it lies this share of the depth behind what the reference shows", low=0, high=1
     )
-    slope_cells: float = setting(
+    slope_cells: float = parameter(
         1.0, "depth change over this many reference pixels of the surface's own slope is no occlusion", low=0, high=8
     )
-    border_px: float = setting(
+    border_px: float = parameter(
         3.0, "confidence falls to zero over this many reference pixels before the border", low=0, high=64
     )
-    erosion_radius_px: int = setting(
+    erosion_radius_px: int = parameter(
         2, "occluded pixels take the mean of clean ones within this radius (client pixels)", low=0, high=16
     )
-    erosion_iterations: int = setting(
+    erosion_iterations: int = parameter(
         8, "how many times occluded pixels are filled from their clean neighbours; 0 turns erosion off", low=0, high=64
     )
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from cags_client.frame.restore.base import RestoreInput, Restorer
 from cags_common.errors import ConfigError
 from cags_common.registry import Registry
-from cags_protocol.messages import ANY_REFERENCE, NO_REFERENCES, PICTURES_ONLY
+from cags_protocol.wire.messages import ANY_REFERENCE, NO_REFERENCES, PICTURES_ONLY
 
 __all__ = [
     "CORRECT",

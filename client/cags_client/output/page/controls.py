@@ -5,7 +5,7 @@ The client's shell implements :class:`Controls`; tests and examples do with a fe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -48,9 +48,9 @@ class ShownFrame:
     camera: Camera
     pictures: Mapping[str, F32]
     """``restored`` [H, W, 3] and what else there is: ``distorted``, ``correction``, ``reference`` (any size)."""
-    depth: F32 | None = None  # [H, W] camera-space z; non-finite is void
+    planes: Mapping[str, Callable[[], F32 | None]] = field(default_factory=dict)
+    """What gives ``depth`` and ``confidence`` when somebody looks at them."""
     occluded: NDArray[np.bool_] | None = None  # [H, W] seen here, hidden from the reference
-    confidence: F32 | None = None  # [H, W] in [0, 1]: how much the reference says
     reference_camera: Camera | None = None
     stages_ms: Mapping[str, float] = field(default_factory=dict)
     """Time of each stage of the display path."""
@@ -59,6 +59,20 @@ class ShownFrame:
     missed: bool = False
     resolution: str = FULL
     """What the frame was worked out at, ``full`` or ``half``: with ``auto``, what was chosen."""
+
+    @property
+    def depth(self) -> F32 | None:
+        """[H, W] camera-space z; non-finite is void. None where there is none."""
+        return self._plane("depth")
+
+    @property
+    def confidence(self) -> F32 | None:
+        """[H, W] in [0, 1]: how much the reference says. None where it says nothing."""
+        return self._plane("confidence")
+
+    def _plane(self, name: str) -> F32 | None:
+        make = self.planes.get(name)
+        return None if make is None else make()
 
 
 class Controls(Protocol):

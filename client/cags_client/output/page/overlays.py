@@ -58,9 +58,10 @@ def occlusion_grid(shown: ShownFrame) -> Grid | None:
 
 def confidence_grid(shown: ShownFrame) -> Grid | None:
     """How much the reference says: bytes [H/4, W/4], 0 nothing to 255 everything."""
-    if shown.confidence is None:
+    confidence = shown.confidence
+    if confidence is None:
         return None
-    return Grid("confidence", _shrunk(np.asarray(shown.confidence * 255.0, dtype=np.uint8)))
+    return Grid("confidence", _shrunk(np.asarray(confidence * 255.0, dtype=np.uint8)))
 
 
 def _shrunk(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -84,8 +85,9 @@ def detail_grid(held: SplatDetail, shown: ShownFrame) -> Grid:
     y = ((points[:, 1] / z * i.fy_px + i.cy_px) / DETAIL_PX).astype(np.int64)
     seen = (held.tiles >= 0) & (points[:, 2] > shown.camera.near) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
     solid = np.zeros((height, width), bool)
-    if shown.depth is not None:
-        surface = cv2.resize(shown.depth, (width, height), interpolation=cv2.INTER_NEAREST)
+    depth = shown.depth
+    if depth is not None:
+        surface = cv2.resize(depth, (width, height), interpolation=cv2.INTER_NEAREST)
         seen[seen] = z[seen] <= surface[y[seen], x[seen]] * np.float32(1 + SURFACE_TOLERANCE)
         solid = np.isfinite(surface)
     cells = y[seen] * width + x[seen]

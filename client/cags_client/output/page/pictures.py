@@ -57,7 +57,8 @@ class Gallery:
 
     def _make(self, name: str) -> U8 | None:
         if name == "depth":
-            return None if self.shown.depth is None else _even(coloured_depth(self.shown.depth))
+            depth = self.shown.depth
+            return None if depth is None else _even(coloured_depth(depth))
         if name in NEED_TRUTH:
             truth = self.truth()
             if truth is None:

@@ -41,7 +41,7 @@ from cags_client.playback.viewpoint import PoseSource
 from cags_client.settings import RESOLUTIONS
 from cags_common.errors import CagsError, ConfigError, NetworkError, ProtocolError
 from cags_common.raster.base import Exactness
-from cags_common.tasks import watched
+from cags_common.runtime.tasks import watched
 from cags_common.transport.hosts import host_port, named
 
 EXACTNESSES = tuple(exactness.value for exactness in Exactness)

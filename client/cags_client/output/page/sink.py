@@ -60,7 +60,7 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
         "distorted": lambda: presented.distorted,
     }
     aligned, reference = presented.aligned, presented.reference
-    if presented.confidence is not None:
+    if presented.corrected:
         pictures["correction"] = lambda: _made(presented.correction)  # made when it is looked at, and not before
     if reference is not None and (coded := reference.coded) is not None:
         pictures["reference"] = lambda: coded
@@ -68,14 +68,13 @@ def shown_frame(presented: PresentedFrame, figures: dict[str, float | None]) -> 
         frame=presented.frame,
         camera=presented.camera,
         pictures=_Pictures(pictures),
-        depth=presented.depth,
+        planes={"depth": lambda: presented.depth, "confidence": lambda: presented.confidence},
         occluded=None if aligned is None else aligned.occluded,
-        confidence=presented.confidence,
         reference_camera=None if reference is None else reference.camera,
         stages_ms=presented.stages_ms,
         stats=figures,
         missed=presented.missed,
-        resolution=FULL if presented.drawn.shape == presented.rgb.shape else HALF,
+        resolution=HALF if presented.half else FULL,
     )
 
 

@@ -105,8 +105,7 @@ void dequantise(const CagsCodecTile& tile, const CagsCodecAttribute* attributes,
 }  // namespace
 }  // namespace cags::codec
 
-int32_t cags_codec_dequantise(const CagsCodecTile* tile, const CagsCodecAttribute* attributes,
-                              const CagsCodecTargets* targets) {
+int32_t cags_codec_dequantise(const CagsCodecTile* tile, const CagsCodecAttribute* attributes, const CagsCodecTargets* targets) {
   using namespace cags::codec;
   if (tile->count < 0 || tile->attributes < 1 || tile->strides[CAGS_QUATS] != 4 || !valid(*tile, attributes)) {
     return CAGS_INVALID;

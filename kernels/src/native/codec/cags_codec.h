@@ -1,4 +1,4 @@
-// The C interface of the codec: packed layers of codes to splats; the readable definition is cags_common.dequantise.
+// The C interface of the codec: packed layers of codes to splats; the readable definition is cags_common.tiles.dequantise.
 #pragma once
 #include "cags_kernels.h"
 
@@ -25,8 +25,8 @@ struct CagsCodecTile {
 };
 
 struct CagsCodecTargets {
-  uint32_t* codes;                // [attributes, count]; may be the same memory as before
-  float* columns[CAGS_COLUMNS];   // [count, stride]
+  uint32_t* codes;               // [attributes, count]; may be the same memory as before
+  float* columns[CAGS_COLUMNS];  // [count, stride]
 };
 
 CAGS_API int32_t cags_codec_dequantise(const CagsCodecTile* tile, const CagsCodecAttribute* attributes,

@@ -31,10 +31,28 @@ struct Scratch {
 
 bool side(int value) { return value >= 1 && value <= kMaxSide; }
 
-bool valid(const CagsLackInput& in) { return side(in.width) && side(in.height) && in.threads >= 1 && in.knee >= 1e-3f && in.knee <= 10.0f; }
+int64_t lack_values(int width, int height) { return int64_t{width + 1} * (height + 2) * kTap; }
 
-bool valid(const CagsAddInput& in) {
-  return side(in.width) && side(in.height) && side(in.reference_width) && side(in.reference_height) && in.threads >= 1 && in.stride >= 1;
+bool valid(const CagsLackInput& in, int64_t length) {
+  if (!side(in.width) || !side(in.height) || in.threads < 1 || !(in.knee >= 1e-3f && in.knee <= 10.0f)) return false;
+  const int64_t picture = int64_t{in.width} * in.height * 3;
+  return in.coded && in.coded_length == picture && in.own_length == (in.own ? picture : 0) &&
+         length == lack_values(in.width, in.height);
+}
+
+int64_t veto_values(const CagsAddInput& in) {
+  if (!in.veto) return 0;
+  const int64_t cell = in.coarse_veto ? kVetoCell : 1;
+  return ((in.width + cell - 1) / cell) * ((in.height + cell - 1) / cell);
+}
+
+bool valid(const CagsAddInput& in, int64_t shown_length, int64_t confidence_length) {
+  if (!side(in.width) || !side(in.height) || !side(in.reference_width) || !side(in.reference_height)) return false;
+  if (in.threads < 1 || in.stride < 1) return false;
+  const int64_t pixels = int64_t{in.width} * in.height;
+  return in.rgb_length == 3 * pixels && in.alpha_length == pixels && in.depth_length == pixels &&
+         in.lack_length == lack_values(in.reference_width, in.reference_height) && in.veto_length == veto_values(in) &&
+         shown_length == 3 * pixels && confidence_length == pixels;
 }
 
 void lack_of(const CagsLackInput& in, int16_t* lack) {
@@ -65,8 +83,10 @@ void pull(const Cells& fine, const Cells& coarse) {
 }
 
 float between(const Cells& coarse, float x, float y) {
-  const float fx = std::clamp(x - 0.5f, 0.0f, static_cast<float>(coarse.columns - 1)), fy = std::clamp(y - 0.5f, 0.0f, static_cast<float>(coarse.rows - 1));
-  const int x0 = static_cast<int>(fx), y0 = static_cast<int>(fy), x1 = std::min(x0 + 1, coarse.columns - 1), y1 = std::min(y0 + 1, coarse.rows - 1);
+  const float fx = std::clamp(x - 0.5f, 0.0f, static_cast<float>(coarse.columns - 1)),
+              fy = std::clamp(y - 0.5f, 0.0f, static_cast<float>(coarse.rows - 1));
+  const int x0 = static_cast<int>(fx), y0 = static_cast<int>(fy), x1 = std::min(x0 + 1, coarse.columns - 1),
+            y1 = std::min(y0 + 1, coarse.rows - 1);
   const float ax = fx - static_cast<float>(x0), ay = fy - static_cast<float>(y0);
   const float *top = coarse.inverse + size_t(y0) * coarse.columns, *low = coarse.inverse + size_t(y1) * coarse.columns;
   const float upper = top[x0] + (top[x1] - top[x0]) * ax, lower = low[x0] + (low[x1] - low[x0]) * ax;
@@ -95,7 +115,8 @@ void smooth(const std::vector<Cells>& levels) {
 std::vector<Cells> levels_of(const CagsAddInput& in, AlignedArray<float>& memory) {
   std::vector<Cells> levels;
   size_t floats = 0;
-  for (int rows = (in.height + kCell - 1) / kCell, columns = (in.width + kCell - 1) / kCell;; rows = (rows + 1) / 2, columns = (columns + 1) / 2) {
+  for (int rows = (in.height + kCell - 1) / kCell, columns = (in.width + kCell - 1) / kCell;;
+       rows = (rows + 1) / 2, columns = (columns + 1) / 2) {
     levels.push_back({nullptr, nullptr, rows, columns});
     floats += 2 * size_t(rows) * columns;
     if (rows == 1 && columns == 1) break;
@@ -113,12 +134,14 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
   const int threads = std::min(in.threads, kMaxThreads);
   const std::vector<Cells> levels = levels_of(in, scratch->cells);
   const Cells& cells = levels.front();
-  const size_t pixels = size_t(in.reference_width + 1) * (in.reference_height + 1), each = pixels + 8;  // with one that nobody looks at
+  const size_t pixels = size_t(in.reference_width + 1) * (in.reference_height + 1),
+               each = pixels + 8;  // with one that nobody looks at
   const size_t line = Line::floats(in.width);
   float* lines = scratch->lines.reserve(line * threads);
   uint8_t* marked = scratch->marked.reserve(cells.rows);
   const int runs = static_cast<int>(rounded_up(in.width, kRun) / kRun);
-  const Around around{scratch->sums.reserve(size_t(cells.rows) * cells.columns * kLanes), scratch->hidden.reserve(size_t(in.height) * runs), cells.columns, runs};
+  const Around around{scratch->sums.reserve(size_t(cells.rows) * cells.columns * kLanes),
+                      scratch->hidden.reserve(size_t(in.height) * runs), cells.columns, runs};
   Nearest* nearest = scratch->nearest.reserve(each * threads);
   std::fill_n(nearest, each * threads, kNobody);
   const size_t pitch = Depths::pitch_of(in.width);
@@ -147,7 +170,8 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
   });
   parallel_for(threads, cells.rows, [&](int row, int worker) {
     FlushDenormals flush;
-    marked[row] = stages().finish(in, row, Line(lines + line * worker, in.width), depths, {nearest, limit}, around, shown, confidence);
+    marked[row] =
+        stages().finish(in, row, Line(lines + line * worker, in.width), depths, {nearest, limit}, around, shown, confidence);
   });
   if (std::none_of(marked, marked + cells.rows, [](uint8_t has) { return has != 0; })) return;
   parallel_for(threads, cells.rows, [&](int row, int) {
@@ -159,12 +183,13 @@ void add(const CagsAddInput& in, float* shown, float* confidence) {
 }  // namespace
 }  // namespace cags::correct
 
-int32_t cags_lack(const CagsLackInput* input, int16_t* lack) {
-  if (!cags::correct::valid(*input)) return CAGS_INVALID;
+int32_t cags_lack(const CagsLackInput* input, int16_t* lack, int64_t length) {
+  if (!lack || !cags::correct::valid(*input, length)) return CAGS_INVALID;
   return cags::guarded([&] { cags::correct::lack_of(*input, lack); });
 }
 
-int32_t cags_add_lack(const CagsAddInput* input, float* shown, float* confidence) {
-  if (!cags::correct::valid(*input)) return CAGS_INVALID;
+int32_t cags_add_lack(const CagsAddInput* input, float* shown, int64_t shown_length, float* confidence,
+                      int64_t confidence_length) {
+  if (!shown || !confidence || !cags::correct::valid(*input, shown_length, confidence_length)) return CAGS_INVALID;
   return cags::guarded([&] { cags::correct::add(*input, shown, confidence); });
 }

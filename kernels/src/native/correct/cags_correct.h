@@ -5,10 +5,12 @@
 
 struct CagsLackInput {
   const float* coded;  // [height, width, 3] in [0, 1]
-  const float* own;    // [height, width, 3], the client's own view: `coded` is a picture; null: a companded difference
+  const float* own;  // [height, width, 3], the client's render from the reference camera: `coded` is a picture; null: a companded
+                     // difference
   int32_t width, height;
   float knee;  // of the difference
   int32_t threads;
+  int64_t coded_length, own_length;  // floats; 0 where there is none
 };
 
 struct CagsAddInput {
@@ -20,12 +22,15 @@ struct CagsAddInput {
   float cell_x, cell_y;  // client pixels a reference pixel
   int32_t stride;        // every stride-th pixel of every stride-th row may hide others
   float depth_tolerance, slope_cells, border_px, hole_alpha;
-  int32_t coarse_veto;   // whether the veto's values are of cells of 16 x 16 pixels
+  int32_t coarse_veto;  // whether the veto's values are of cells of 16 x 16 pixels
   int32_t threads;
+  int64_t rgb_length, alpha_length, depth_length, lack_length, veto_length;  // values
 };
 
 // What is lacking, in units of 1 / 32767, with the edge repeated once around it, ready to be sampled: of each pixel but the last
 // of a row the values and those of the pixel to the right, [height + 2, width + 1, 4, 2]; the fourth lane is 32767.
-CAGS_API int32_t cags_lack(const CagsLackInput* input, int16_t* lack);
+// `length` is of `lack`, in values.
+CAGS_API int32_t cags_lack(const CagsLackInput* input, int16_t* lack, int64_t length);
 // The frame [height, width, 3] in [0, 1], and how much of what is lacking was added [height, width].
-CAGS_API int32_t cags_add_lack(const CagsAddInput* input, float* shown, float* confidence);
+CAGS_API int32_t cags_add_lack(const CagsAddInput* input, float* shown, int64_t shown_length, float* confidence,
+                               int64_t confidence_length);

@@ -7,15 +7,15 @@
 
 namespace cags::correct {
 
-constexpr int kCell = 8;         // pixels a side of the cells that fill holes: a vector's lanes
-constexpr int kVetoCell = 16;    // pixels a side of a coarse veto's cells
-constexpr float kLeastAround = 1;  // confident pixels of a cell: what is fewer says less of the hidden pixels around
-constexpr int kRun = 64;         // pixels worked on at a time: what is known of them stays in the nearest cache
-constexpr int kLanes = 4;        // red, green, blue, one
-constexpr int kTap = 2 * kLanes;  // of a pixel and of the one to the right, lane beside lane
-constexpr float kUnit = 32767;   // of what is lacking
-constexpr float kFar = 1e6f;     // depth where nothing is known anywhere, and the largest that counts
-constexpr float kLeastDepth = 1e-6f;  // what is nearer is not known
+constexpr int kCell = 8;                     // pixels a side of the cells that fill holes: a vector's lanes
+constexpr int kVetoCell = 16;                // pixels a side of a coarse veto's cells
+constexpr float kLeastAround = 1;            // confident pixels of a cell: what is fewer says less of the hidden pixels around
+constexpr int kRun = 64;                     // pixels worked on at a time: what is known of them stays in the nearest cache
+constexpr int kLanes = 4;                    // red, green, blue, one
+constexpr int kTap = 2 * kLanes;             // of a pixel and of the one to the right, lane beside lane
+constexpr float kUnit = 32767;               // of what is lacking
+constexpr float kFar = 1e6f;                 // depth where nothing is known anywhere, and the largest that counts
+constexpr float kLeastDepth = 1e-6f;         // what is nearer is not known
 constexpr int64_t kLeastStreamed = 400'000;  // pixels of a view too large for the caches
 
 // Depth (bits of a positive float) and place (row and column) of the nearest client pixel in a reference pixel: the least is
@@ -51,9 +51,9 @@ struct Line {
   float* row(int r) const { return depth + r * part; }
 
   size_t part;
-  float* depth;           // rows of the view, zeros where nothing is known
+  float* depth;  // rows of the view, zeros where nothing is known
   float *sums, *counts;
-  float *around, *keep;   // `around` has one cell more on both sides
+  float *around, *keep;  // `around` has one cell more on both sides
 
  private:
   static size_t part_of(int width) { return rounded_up(width, kRun) + 2 * kCell; }
@@ -79,7 +79,8 @@ struct Stages {
   // One row of cells that has holes: they are filled, and those of their pixels that are nearest.
   void (*patch)(const CagsAddInput&, int row, const Line&, const Cells&, const Depths&, Nearest*);
   // One row of cells: the frame but for hidden pixels, whose weight stands in `confidence`. Returns whether there are any.
-  bool (*finish)(const CagsAddInput&, int row, const Line&, const Depths&, const Occlusion&, const Around&, float* shown, float* confidence);
+  bool (*finish)(const CagsAddInput&, int row, const Line&, const Depths&, const Occlusion&, const Around&, float* shown,
+                 float* confidence);
   // One row of cells: the hidden pixels.
   void (*surround)(const CagsAddInput&, int row, const Around&, float* shown, float* confidence);
 };

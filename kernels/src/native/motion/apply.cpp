@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <vector>
 
 namespace cags::motion {
@@ -14,26 +15,43 @@ constexpr int kPiece = 2048;  // splats a piece of work
 constexpr double kFraction = 64.0, kTurnUnit = 1.0 / 4096;
 constexpr float kAbsentLogit = -30.0f;
 
-struct Quat {
-  double w, x, y, z;
+// Of the splats of a run, one after the other in a tile: every loop over them does one thing, so that compilers make
+// vectors of it, and divisions and roots of neighbours overlap. Each splat's bits are those of one alone.
+constexpr int kRun = 64;
+using Column = double[kRun];
+
+struct Quats {
+  Column w, x, y, z;
 };
 
-Quat unit(const Quat& q) {
-  const double norm = std::sqrt(((q.w * q.w + q.x * q.x) + q.y * q.y) + q.z * q.z);
-  if (!(norm > 1e-12) || !std::isfinite(norm)) return {1.0, 0.0, 0.0, 0.0};
-  return {q.w / norm, q.x / norm, q.y / norm, q.z / norm};
+void make_unit(Quats& q, int count) {
+  for (int k = 0; k < count; k++) {
+    const double norm = std::sqrt(((q.w[k] * q.w[k] + q.x[k] * q.x[k]) + q.y[k] * q.y[k]) + q.z[k] * q.z[k]);
+    const bool sound = (norm > 1e-12) & (norm < std::numeric_limits<double>::infinity());
+    q.w[k] = sound ? q.w[k] / norm : 1.0, q.x[k] = sound ? q.x[k] / norm : 0.0;
+    q.y[k] = sound ? q.y[k] / norm : 0.0, q.z[k] = sound ? q.z[k] / norm : 0.0;
+  }
 }
 
-Quat product(const Quat& a, const Quat& b) {
-  return {((a.w * b.w - a.x * b.x) - a.y * b.y) - a.z * b.z, ((a.w * b.x + a.x * b.w) + a.y * b.z) - a.z * b.y,
-          ((a.w * b.y - a.x * b.z) + a.y * b.w) + a.z * b.x, ((a.w * b.z + a.x * b.y) - a.y * b.x) + a.z * b.w};
+// b becomes a b.
+void multiply(const Quats& a, Quats& b, int count) {
+  for (int k = 0; k < count; k++) {
+    const double w = b.w[k], x = b.x[k], y = b.y[k], z = b.z[k];
+    b.w[k] = ((a.w[k] * w - a.x[k] * x) - a.y[k] * y) - a.z[k] * z,
+    b.x[k] = ((a.w[k] * x + a.x[k] * w) + a.y[k] * z) - a.z[k] * y;
+    b.y[k] = ((a.w[k] * y - a.x[k] * z) + a.y[k] * w) + a.z[k] * x,
+    b.z[k] = ((a.w[k] * z + a.x[k] * y) - a.y[k] * x) + a.z[k] * w;
+  }
 }
 
-void rotate(const Quat& q, double* p) {
-  const double cx = q.y * p[2] - q.z * p[1], cy = q.z * p[0] - q.x * p[2], cz = q.x * p[1] - q.y * p[0];
-  p[0] = p[0] + 2.0 * (q.w * cx + (q.y * cz - q.z * cy));
-  p[1] = p[1] + 2.0 * (q.w * cy + (q.z * cx - q.x * cz));
-  p[2] = p[2] + 2.0 * (q.w * cz + (q.x * cy - q.y * cx));
+void rotate(const Quats& q, Column* p, int count) {
+  for (int k = 0; k < count; k++) {
+    const double w = q.w[k], x = q.x[k], y = q.y[k], z = q.z[k], px = p[0][k], py = p[1][k], pz = p[2][k];
+    const double cx = y * pz - z * py, cy = z * px - x * pz, cz = x * py - y * px;
+    p[0][k] = px + 2.0 * (w * cx + (y * cz - z * cy));
+    p[1][k] = py + 2.0 * (w * cy + (z * cx - x * cz));
+    p[2][k] = pz + 2.0 * (w * cz + (x * cy - y * cx));
+  }
 }
 
 // Samples [span + 1, count] at a time.
@@ -42,9 +60,15 @@ class Between {
   Between() = default;
   Between(const int32_t* samples, int64_t count, const CagsMotionTile& tile)
       : first_(samples + tile.sample * count), after_(first_ + count), share_(tile.share) {}
-  double operator[](int64_t i) const {
-    const double first = first_[i];
-    return share_ == 0.0 ? first : first + (after_[i] - first) * share_;
+
+  // Those from `at` on.
+  void take(int64_t at, int count, double* out) const {
+    const int32_t *first = first_ + at, *after = after_ + at;
+    if (share_ == 0.0) {
+      for (int k = 0; k < count; k++) out[k] = first[k];
+    } else {
+      for (int k = 0; k < count; k++) out[k] = first[k] + (double(after[k]) - first[k]) * share_;
+    }
   }
 
  private:
@@ -63,51 +87,85 @@ class Mover {
   }
 
   void run(int first, int end) {
-    for (int i = first; i < end; i++) {
-      if (tile_.block && (i == first || i % tile_.block == 0)) enter(i / tile_.block);
-      if (tile_.rows[i] >= 0) move(i, tile_.rows[i]);
+    for (first_ = first; first_ < end; first_ += kRun) {
+      count_ = std::min(end - first_, kRun);
+      gather();
+      if (tile_.block) carry();
+      if (tile_.moves) shift();
+      if (tile_.turns) turn();
+      if (tile_.block || tile_.turns) make_unit(turned_, count_);
+      scatter();
     }
   }
 
  private:
-  void enter(int64_t block) {
-    const int64_t at = 3 * block;
-    block_turn_ = unit({1.0, block_turns_[at] * kTurnUnit, block_turns_[at + 1] * kTurnUnit, block_turns_[at + 2] * kTurnUnit});
-    for (int axis = 0; axis < 3; axis++) block_shift_[axis] = block_shifts_[at + axis] * tile_.block_unit;
+  void gather() {
+    for (int k = 0; k < count_; k++) {
+      const int64_t row = tile_.rows[first_ + k];
+      if (row < 0) continue;  // what is left here is worked on, and written nowhere
+      const float *mean = arrays_.means + 3 * row, *quat = arrays_.quats + 4 * row;
+      for (int axis = 0; axis < 3; axis++) means_[axis][k] = mean[axis];
+      turned_.w[k] = quat[0], turned_.x[k] = quat[1], turned_.y[k] = quat[2], turned_.z[k] = quat[3];
+    }
   }
 
-  void move(int i, int64_t row) const {
-    const float *mean = arrays_.means + 3 * row, *quat = arrays_.quats + 4 * row;
-    double p[3] = {mean[0], mean[1], mean[2]};
-    Quat turned{quat[0], quat[1], quat[2], quat[3]};
-    if (tile_.block) {
-      rotate(block_turn_, p);
-      for (int axis = 0; axis < 3; axis++) p[axis] += block_shift_[axis];
-      turned = product(block_turn_, turned);
+  // With the splats' blocks.
+  void carry() {
+    double turns[3], shifts[3];
+    for (int k = 0, at = first_; k < count_; at = (at / tile_.block + 1) * tile_.block) {
+      const int64_t block = at / tile_.block;
+      block_turns_.take(3 * block, 3, turns), block_shifts_.take(3 * block, 3, shifts);
+      for (const int end = std::min<int64_t>(count_, (block + 1) * tile_.block - first_); k < end; k++) {
+        turns_by_.w[k] = 1.0, turns_by_.x[k] = turns[0] * kTurnUnit;
+        turns_by_.y[k] = turns[1] * kTurnUnit, turns_by_.z[k] = turns[2] * kTurnUnit;
+        for (int axis = 0; axis < 3; axis++) moves_by_[axis][k] = shifts[axis] * tile_.block_unit;
+      }
     }
-    if (tile_.moves) {
-      const double step = tile_.move_steps[i] / kFraction;
-      for (int axis = 0; axis < 3; axis++) p[axis] += moves_[3 * int64_t{i} + axis] * step;
+    make_unit(turns_by_, count_);
+    rotate(turns_by_, means_, count_);
+    multiply(turns_by_, turned_, count_);
+    for (int axis = 0; axis < 3; axis++) {
+      for (int k = 0; k < count_; k++) means_[axis][k] += moves_by_[axis][k];
     }
-    if (tile_.turns) {
-      const double step = tile_.turn_steps[i] / kFraction;
-      const int64_t at = 4 * int64_t{i};
-      turned = product(unit({turns_[at] * step + 1.0, turns_[at + 1] * step, turns_[at + 2] * step, turns_[at + 3] * step}), turned);
-    }
-    for (int axis = 0; axis < 3; axis++) arrays_.into_means[3 * row + axis] = static_cast<float>(p[axis]);
-    write_turned(turned, quat, arrays_.into_quats + 4 * row);
-    if (!tile_.fades) arrays_.into_logits[row] = there(i) ? arrays_.logits[row] : kAbsentLogit;
   }
 
-  void write_turned(const Quat& turned, const float* before, float* out) const {
-    if (!tile_.block && !tile_.turns) {
-      std::copy_n(before, 4, out);
-      return;
+  void shift() {
+    moves_.take(3 * int64_t{first_}, 3 * count_, said_);
+    for (int k = 0; k < count_; k++) {
+      const double step = tile_.move_steps[first_ + k] / kFraction;
+      for (int axis = 0; axis < 3; axis++) means_[axis][k] += said_[3 * k + axis] * step;
     }
-    const Quat q = unit(turned);
-    const bool turn = q.w < 0;
-    out[0] = static_cast<float>(turn ? -q.w : q.w), out[1] = static_cast<float>(turn ? -q.x : q.x);
-    out[2] = static_cast<float>(turn ? -q.y : q.y), out[3] = static_cast<float>(turn ? -q.z : q.z);
+  }
+
+  void turn() {
+    turns_.take(4 * int64_t{first_}, 4 * count_, said_);
+    for (int k = 0; k < count_; k++) {
+      const double step = tile_.turn_steps[first_ + k] / kFraction;
+      turns_by_.w[k] = said_[4 * k] * step + 1.0, turns_by_.x[k] = said_[4 * k + 1] * step;
+      turns_by_.y[k] = said_[4 * k + 2] * step, turns_by_.z[k] = said_[4 * k + 3] * step;
+    }
+    make_unit(turns_by_, count_);
+    multiply(turns_by_, turned_, count_);
+  }
+
+  void scatter() const {
+    const bool turns = tile_.block || tile_.turns;
+    for (int k = 0; k < count_; k++) {
+      const int64_t row = tile_.rows[first_ + k];
+      if (row < 0) continue;
+      for (int axis = 0; axis < 3; axis++) arrays_.into_means[3 * row + axis] = static_cast<float>(means_[axis][k]);
+      if (turns)
+        write_turned(k, arrays_.into_quats + 4 * row);
+      else
+        std::copy_n(arrays_.quats + 4 * row, 4, arrays_.into_quats + 4 * row);
+      if (!tile_.fades) arrays_.into_logits[row] = there(first_ + k) ? arrays_.logits[row] : kAbsentLogit;
+    }
+  }
+
+  void write_turned(int k, float* out) const {
+    const double sign = turned_.w[k] < 0 ? -1.0 : 1.0;
+    out[0] = static_cast<float>(sign * turned_.w[k]), out[1] = static_cast<float>(sign * turned_.x[k]);
+    out[2] = static_cast<float>(sign * turned_.y[k]), out[3] = static_cast<float>(sign * turned_.z[k]);
   }
 
   bool there(int i) const { return !tile_.lives || tile_.lives[i] > tile_.time || tile_.lives[i] == tile_.span + 1; }
@@ -115,8 +173,10 @@ class Mover {
   const CagsMotionTile& tile_;
   const CagsMotionArrays& arrays_;
   Between moves_, turns_, block_shifts_, block_turns_;
-  Quat block_turn_{};
-  double block_shift_[3] = {};
+  int first_ = 0, count_ = 0;  // of the run
+  Column means_[3] = {}, moves_by_[3];
+  Quats turned_ = {}, turns_by_;
+  double said_[4 * kRun];
 };
 
 bool valid(const CagsMotionTile& tile, int64_t capacity) {

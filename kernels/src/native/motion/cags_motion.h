@@ -1,5 +1,5 @@
 // The C interface of motion: entropy coding, trees of residuals, and tiles at a time. The readable definitions are
-// cags_common.rans and cags_common.motion; every function gives the same bits.
+// cags_common.coding.rans and cags_common.motion; every function gives the same bits.
 #pragma once
 #include "cags_kernels.h"
 
@@ -21,7 +21,7 @@ struct CagsKnot {
 // How the residuals of one level are laid out, coded and told apart.
 struct CagsMotionTree {
   int32_t span, splats;
-  int32_t parts, turn;   // 3 and 0, or 4 and 1
+  int32_t parts, turn;  // 3 and 0, or 4 and 1
   int32_t knots;
   int32_t first_table, first_real_table;
   const CagsKnot* order;   // [knots]
@@ -35,11 +35,11 @@ struct CagsMotionTile {
   int32_t fades;  // not 0: opacities are left alone
   int32_t reserved;
   double time, share, block_unit;
-  const int32_t* rows;         // [splats] of the arrays by id; -1: left out
-  const int32_t* moves;        // [span + 1, splats, 3]
-  const int32_t* turns;        // [span + 1, splats, 4]
-  const float* move_steps;     // [splats]
-  const float* turn_steps;     // [splats]
+  const int32_t* rows;          // [splats] of the arrays by id; -1: left out
+  const int32_t* moves;         // [span + 1, splats, 3]
+  const int32_t* turns;         // [span + 1, splats, 4]
+  const float* move_steps;      // [splats]
+  const float* turn_steps;      // [splats]
   const int32_t* block_shifts;  // [span + 1, blocks, 3]
   const int32_t* block_turns;   // [span + 1, blocks, 3]
   const uint8_t* lives;         // [splats]
@@ -67,13 +67,11 @@ CAGS_API int32_t cags_symbols_finish(const void* decoder);
 
 // samples [span + 1, splats, parts]; *escape is the next of escapes [escape_count], little-endian and of any alignment;
 // told, of the samples' shape: not 0 where a coarser level had a residual, becomes 1 where this one has
-CAGS_API int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes,
-                                         int64_t escape_count, int64_t* escape, uint8_t* told, int32_t* samples);
+CAGS_API int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes, int64_t escape_count,
+                                         int64_t* escape, uint8_t* told, int32_t* samples);
 // left [span + 1, splats, parts], every value within 2^26: what was said is taken off; told as above; tables and symbols
 // [knots splats parts]; escapes as many at most, *escape_count of them
-CAGS_API int32_t cags_motion_encode_tree(const CagsMotionTree* tree, double* left, uint8_t* told, int32_t unit,
-                                         double deadzone, uint8_t* tables, uint8_t* symbols, int32_t* escapes,
-                                         int64_t* escape_count);
+CAGS_API int32_t cags_motion_encode_tree(const CagsMotionTree* tree, double* left, uint8_t* told, int32_t unit, double deadzone,
+                                         uint8_t* tables, uint8_t* symbols, int32_t* escapes, int64_t* escape_count);
 
-CAGS_API int32_t cags_motion_rows(const CagsMotionTile* tiles, int32_t count, const CagsMotionArrays* arrays,
-                                  int32_t threads);
+CAGS_API int32_t cags_motion_rows(const CagsMotionTile* tiles, int32_t count, const CagsMotionArrays* arrays, int32_t threads);

@@ -31,7 +31,7 @@ class Lattice {
     if (!group.between) {
       std::copy_n(fresh_.data(), group.count, now_.data());
     } else {
-      const Number *__restrict old = now_.data(), *__restrict fresh = fresh_.data();
+      const Number* __restrict old = now_.data(), * __restrict fresh = fresh_.data();
       Number* __restrict to = next_.data();
       const int count = group.count;
       for (int i = 0; i < count; i++) to[2 * i] = old[i], to[2 * i + 1] = fresh[i];

@@ -22,7 +22,8 @@ bool valid(const CagsMotionTree& tree) {
   if (tree.span < 1 || tree.span > kMaxSpan || tree.splats < 0 || tree.splats > kMaxSplats) return false;
   if (int64_t{tree.splats} * (tree.span + 1) > kMaxSamples || tree.knots < 0 || tree.knots > tree.span + 1) return false;
   if (tree.turn < 0 || tree.turn > 1 || tree.parts != 3 + tree.turn) return false;
-  if (std::min(tree.first_table, tree.first_real_table) < 0 || std::max(tree.first_table, tree.first_real_table) > 32) return false;
+  if (std::min(tree.first_table, tree.first_real_table) < 0 || std::max(tree.first_table, tree.first_real_table) > 32)
+    return false;
   if (std::any_of(tree.classes, tree.classes + kKnown * kSums, [](uint8_t c) { return c >= kClasses; })) return false;
   auto within = [&](int32_t sample) { return sample >= 0 && sample <= tree.span; };
   return std::all_of(tree.order, tree.order + tree.knots, [&](const CagsKnot& knot) {

@@ -14,8 +14,8 @@
 namespace cags::raster {
 namespace {
 
-constexpr int kMinChunk = 2048;   // splats: less is not worth a thread's while
-constexpr int kMaxChunks = 64;    // bounds the counters a tile
+constexpr int kMinChunk = 2048;  // splats: less is not worth a thread's while
+constexpr int kMaxChunks = 64;   // bounds the counters a tile
 
 // Largest transmittance at which a block is given up, by level.
 float stop_of(int exactness) {
@@ -53,13 +53,11 @@ View make_view(const CagsCamera& camera, const CagsRasterOptions& options) {
   view.width = camera.width, view.height = camera.height;
   view.tiles_x = (camera.width + kTile - 1) / kTile, view.tiles_y = (camera.height + kTile - 1) / kTile;
   view.sh_degree = options.max_sh_degree, view.exactness = options.exactness, view.depth = options.depth;
-  const float sine = std::sin(options.colour_angle);
-  view.colour_turn = sine * sine;
   view.brightest = options.brightest, view.void_alpha = options.void_alpha, view.stop = stop_of(options.exactness);
   return view;
 }
 
-void Frame::run(const Scene& scene, const View& view, const Targets& targets, const SplatSums& sums, int threads,
+void Frame::run(const Scene& scene, const View& view, const CagsRasterTargets& targets, int threads,
                 CagsRasterStatistics* statistics) {
   const Stages& stages = active_stages();
   const SceneData splats = scene.data();
@@ -72,14 +70,14 @@ void Frame::run(const Scene& scene, const View& view, const Targets& targets, co
   const double project_ms = watch.lap_ms();
   place_entries(view);
   parallel_for(threads, data_.chunks, [&](int chunk, int) { stages.scatter(view, data_, chunk); });
-  prepare_tiles(view, sums, threads, stages.work_bytes);
+  prepare_tiles(view, targets.contribution, threads, stages.work_bytes);
   const double bin_ms = watch.lap_ms();
-  const auto tile_stage = targets.residual ? stages.back_project : stages.composite;
+  const Targets pixels{targets.rgb, targets.alpha, targets.depth};
   parallel_for(threads, view.tiles_x * view.tiles_y, [&](int index, int worker) {
     FlushDenormals mode;
-    tile_stage(view, data_, targets, scratch_[worker], tile_order_[index]);
+    stages.composite(view, data_, pixels, scratch_[worker], tile_order_[index]);
   });
-  if (sums.width) reduce(splats, sums, threads);
+  if (targets.contribution) reduce(splats, targets.contribution, threads);
   if (!statistics) return;
   *statistics = {project_ms, bin_ms, watch.lap_ms(), 0, int64_t(data_.tile_start[view.tiles_x * view.tiles_y]), 0};
   for (int chunk = 0; chunk < data_.chunks; chunk++) statistics->visible += data_.chunk_records[chunk];
@@ -97,16 +95,6 @@ void Frame::prepare(const SceneData& scene, const View& view) {
   data_.chunk_slot = chunk_slot_.reserve(data_.chunks + 1);
   data_.tile_cursor = tile_cursor_.reserve(size_t(data_.chunks) * tiles);
   data_.tile_start = tile_start_.reserve(tiles + 1);
-  prepare_colours(scene, view);
-}
-
-// The cache comes into being with the first view that wants one, and stays with the frame.
-void Frame::prepare_colours(const SceneData& scene, const View& view) {
-  data_.colours = nullptr;
-  if (view.colour_turn <= 0.0f || scene.sh_rest == 0) return;
-  const int blocks = scene.padded / kLanes;
-  data_.colours = colours_.reserve(blocks);
-  for (; cached_blocks_ < blocks; cached_blocks_++) data_.colours[cached_blocks_].revision = 0;
 }
 
 // Turns counts into places: where each tile's list starts, where each chunk writes in it, where each chunk's slots start.
@@ -136,35 +124,28 @@ void Frame::order_tiles(int tiles) {
   std::sort(order, order + tiles, [&](int a, int b) { return size(a) != size(b) ? size(a) > size(b) : a < b; });
 }
 
-void Frame::prepare_tiles(const View& view, const SplatSums& sums, int threads, size_t work_bytes) {
+void Frame::prepare_tiles(const View& view, bool contribution, int threads, size_t work_bytes) {
   const int tiles = view.tiles_x * view.tiles_y;
   order_tiles(tiles);
   const size_t fullest = data_.tile_start[tile_order_[0] + 1] - data_.tile_start[tile_order_[0]];
   while (int(workers_.size()) < threads) workers_.push_back(std::make_unique<Worker>());
   scratch_.assign(threads, {});
-  for (int i = 0; i < threads; i++)
-    scratch_[i] = {workers_[i]->spare.reserve(fullest), workers_[i]->work.reserve(work_bytes), 0};
-  data_.slot_width = sums.width;
-  if (sums.width) data_.slots = slots_.reserve(size_t(data_.tile_start[tiles]) * sums.width);
+  for (int i = 0; i < threads; i++) scratch_[i] = {workers_[i]->spare.reserve(fullest), workers_[i]->work.reserve(work_bytes), 0};
+  data_.slots = contribution ? slots_.reserve(data_.tile_start[tiles]) : nullptr;
 }
 
 // Adds up each splat's slots, always in the same order: the sums do not depend on the number of threads.
-void Frame::reduce(const SceneData& scene, const SplatSums& sums, int threads) {
-  const int width = sums.width, rest = width - sums.split;
-  std::fill_n(sums.first, size_t(scene.count) * sums.split, 0.0f);
-  if (rest) std::fill_n(sums.second, size_t(scene.count) * rest, 0.0f);
+void Frame::reduce(const SceneData& scene, float* contribution, int threads) {
+  std::fill_n(contribution, scene.count, 0.0f);
   parallel_for(threads, data_.chunks, [&](int chunk, int) {
     const int begin = chunk * data_.chunk_size, end = begin + data_.chunk_records[chunk];
-    const float* slot = data_.slots + size_t(data_.chunk_slot[chunk]) * width;
+    const float* slot = data_.slots + data_.chunk_slot[chunk];
     for (int i = begin; i < end; i++) {
       const Record& r = data_.records[i];
       const int count = (r.tile_x1 - r.tile_x0 + 1) * (r.tile_y1 - r.tile_y0 + 1);
-      float total[4] = {};
-      for (int k = 0; k < count; k++)
-        for (int c = 0; c < width; c++) total[c] += *slot++;
-      const size_t splat = size_t(data_.splat[i]);
-      for (int c = 0; c < sums.split; c++) sums.first[splat * sums.split + c] = total[c];
-      for (int c = 0; c < rest; c++) sums.second[splat * rest + c] = total[sums.split + c];
+      float total = 0.0f;
+      for (int k = 0; k < count; k++) total += *slot++;
+      contribution[data_.splat[i]] = total;
     }
   });
 }

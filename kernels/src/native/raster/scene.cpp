@@ -15,10 +15,10 @@ enum Plane { kMean = 0, kAxes = 3, kOpacity = 12, kBase = 13, kPlanes = 16 };
 
 constexpr double kShC0 = 0.28209479177387814;
 constexpr double kLog2E = 1.4426950408889634;
-constexpr float kInvisible = -1e6f;  // log2 of an opacity that draws nothing
+constexpr float kInvisible = -1e6f;   // log2 of an opacity that draws nothing
 constexpr double kLeastNorm = 1e-12;  // a shorter quaternion has no direction
-constexpr int kMoveChunk = 1024;     // splats
-constexpr int kLoadChunk = 4096;     // splats; a multiple of kLanes, so that no two threads write one block
+constexpr int kMoveChunk = 1024;      // splats
+constexpr int kLoadChunk = 4096;      // splats; a multiple of kLanes, so that no two threads write one block
 
 // FNV-1a over the 32-bit words of a splat, then a finaliser: equal for equal splats, whatever their place in the scene.
 class ContentHash {
@@ -57,9 +57,7 @@ void scaled_axes(const float* quat, const float* scale, double out[9]) {
 
 float base_colour(float sh0) { return float(0.5 + kShC0 * sh0); }
 
-float log2_sigmoid(float logit) {
-  return float(std::max(-std::log1p(std::exp(-double(logit))) * kLog2E, double(kInvisible)));
-}
+float log2_sigmoid(float logit) { return float(std::max(-std::log1p(std::exp(-double(logit))) * kLog2E, double(kInvisible))); }
 
 }  // namespace
 
@@ -73,7 +71,6 @@ Scene::Scene(const CagsSplats& splats, int threads)
   std::fill_n(scale_.reserve(size_t(3) * padded_), size_t(3) * padded_, 0.0f);
   std::fill_n(logit_.reserve(padded_), padded_, NAN);  // no logit is equal to it
   std::fill_n(looks_.reserve(padded_), padded_, 0u);
-  std::fill_n(revision_.reserve(padded_ / kLanes), padded_ / kLanes, 0u);
   degree_.reserve(padded_ / kLanes);
   parallel_for(threads, (padded_ + kLoadChunk - 1) / kLoadChunk, [&](int chunk, int) {
     const int begin = chunk * kLoadChunk, end = std::min(begin + kLoadChunk, padded_);
@@ -88,14 +85,6 @@ void Scene::update(const int64_t* rows, const CagsSplats& splats) {
   for (int64_t i = 0, last = -1; i < splats.count; i++) {  // rows mostly rise: a block is looked at once
     const int64_t block = rows[i] / kLanes;
     if (block != std::exchange(last, block)) refresh_degree(int(block));
-  }
-}
-
-void Scene::recolour(const int64_t* rows, int64_t count, const float* sh0) {
-  float* base = geometry_.data() + size_t(kBase) * padded_;
-  for (int64_t i = 0; i < count; i++) {
-    for (int c = 0; c < 3; c++) base[size_t(c) * padded_ + rows[i]] = base_colour(sh0[3 * i + c]);
-    touch(int(rows[i]));
   }
 }
 
@@ -120,7 +109,6 @@ void Scene::move(const int64_t* rows, int64_t count, const CagsSplats& all, int 
     const int64_t begin = int64_t(chunk) * kMoveChunk, end = std::min(count, begin + kMoveChunk);
     for (int64_t i = begin; i < end; i++) place(int(rows[i]), all, rows[i]);
   });
-  for (int64_t i = 0; i < count; i++) touch(int(rows[i]));  // blocks are shared by threads
 }
 
 SceneData Scene::data() const {
@@ -131,7 +119,6 @@ SceneData Scene::data() const {
   for (int i = 0; i < 9; i++) data.axes[i] = plane(kAxes + i);
   data.log2_opacity = plane(kOpacity);
   data.tie = tie_.data(), data.rest = rest_.data(), data.degree = degree_.data();
-  data.revision = revision_.data();
   return data;
 }
 
@@ -147,7 +134,6 @@ void Scene::store(int slot, const CagsSplats& splats, int64_t row) {
   hash.add(log_scale, 3), hash.add(sh0, 3), hash.add(rest, coefficients);
   looks_[slot] = hash.state();
   place(slot, splats, row);
-  touch(slot);
 }
 
 // Where a splat is, which way it points, how opaque it is, and its content's hash; not its colours.
@@ -162,12 +148,6 @@ void Scene::place(int slot, const CagsSplats& splats, int64_t row) {
   ContentHash hash(looks_[slot]);
   hash.add(mean, 3), hash.add(quat, 4), hash.add(logit, 1);
   tie_[slot] = hash.value();
-}
-
-// Colours that frames have kept of this block are no longer those of the scene.
-void Scene::touch(int slot) {
-  uint32_t& revision = revision_[slot / kLanes];
-  if (++revision == 0) revision = 1;
 }
 
 void Scene::refresh_degree(int block) {

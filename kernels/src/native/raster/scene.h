@@ -14,9 +14,6 @@ class Scene {
   // Replaces the splats at `rows`; their number of SH coefficients must be the scene's. Not beside a render.
   void update(const int64_t* rows, const CagsSplats& splats);
 
-  // Replaces the base colours of the splats at `rows`, sh0 [count, 3]. Splats of one depth keep their order. Not beside a
-  // render.
-  void recolour(const int64_t* rows, int64_t count, const float* sh0);
   // Whether the splats of `all`, one for each of the scene, can be drawn where they are to move.
   bool drawable(const int64_t* rows, int64_t count, const CagsSplats& all, int threads) const;
   // Takes position, rotation and opacity of those at rising `rows` from `all`; nothing else is looked at there.
@@ -29,13 +26,12 @@ class Scene {
   void store(int slot, const CagsSplats& splats, int64_t row);
   void place(int slot, const CagsSplats& splats, int64_t row);
   void refresh_degree(int block);
-  void touch(int slot);
 
   int count_, padded_, sh_rest_;
-  AlignedArray<float> geometry_;   // mean, axes, log2_opacity, base: planes of padded_
+  AlignedArray<float> geometry_;  // mean, axes, log2_opacity, base: planes of padded_
   AlignedArray<float> rest_;
   AlignedArray<float> scale_, logit_;  // splat by splat: what need not be worked out again where one only moves
-  AlignedArray<uint32_t> tie_, revision_;
+  AlignedArray<uint32_t> tie_;
   AlignedArray<uint32_t> looks_;  // hash of what stays where a splat only moves
   AlignedArray<uint8_t> degree_;
 };

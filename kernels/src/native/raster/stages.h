@@ -11,11 +11,10 @@ struct Stages {
   void (*project)(const SceneData&, const View&, const FrameData&, int chunk);
   // Writes the chunk's entries into its tiles' lists.
   void (*scatter)(const View&, const FrameData&, int chunk);
-  // Sorts and composites one tile into the targets, or carries the residual back through it.
+  // Sorts and composites one tile into the targets.
   void (*composite)(const View&, const FrameData&, const Targets&, TileScratch&, int tile);
-  void (*back_project)(const View&, const FrameData&, const Targets&, TileScratch&, int tile);
   // Row y of the whole image; `row` has room for (width + 1) / 2 + 4 pixels of three channels.
-  void (*upsample)(const UpsampleJob&, int y, float* row);
+  void (*enlarge)(const EnlargeJob&, int y, float* row);
   double (*multiply_adds)(int64_t rounds);
   size_t work_bytes;
 };

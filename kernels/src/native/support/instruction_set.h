@@ -14,7 +14,9 @@ bool activate(InstructionSet set);  // false, and nothing changes, when it does 
 
 // Of something that is compiled once for each, the one in use: `in_use(CAGS_VARIANTS(stages))`.
 template <typename T>
-const T& in_use(const T& portable) { return portable; }
+const T& in_use(const T& portable) {
+  return portable;
+}
 
 template <typename T>
 const T& in_use(const T& portable, const T& avx2, const T& avx512) {

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from cags_common.geometry import F32
-from cags_common.lod import LodLayer
 from cags_common.splats import Ids
+from cags_common.tiles.lod import LodLayer
 from cags_research.codecs.cloud import encode_head
 from cags_research.codecs.density import KIND, MAX_LOG_GAIN, DensityLevels, encode_density
 from cags_research.codecs.encoding.scalar import ByteSplats, ScalarCodec

@@ -8,11 +8,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from cags_common.attributes import join_attributes, split_attributes
 from cags_common.geometry import F32, F64
-from cags_common.lod import LodLayer
 from cags_common.splats import Ids, Splats
-from cags_common.tiles import PositionGrid
+from cags_common.tiles.attributes import join_attributes, split_attributes
+from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.payloads import PositionGrid
 from cags_encoder.settings import EncodeSettings
 from cags_research.codecs.scalar import U8, ScalarBook
 
@@ -33,7 +33,7 @@ class ByteSplats:
 
 
 class ScalarCodec(ABC):
-    """A :class:`~cags_encoder.codecs.ClipCodec` of bytes between the smallest and largest values of ``samples``."""
+    """Bytes between the extreme values of ``samples``: a :class:`~cags_encoder.codecs.registry.ClipCodec`."""
 
     lod_order: tuple[LodLayer, ...]
     lod_gains_db: tuple[float, ...] = ()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cags_common.lod import LodLayer
 from cags_common.splats import Ids, Splats
+from cags_common.tiles.lod import LodLayer
 from cags_research.codecs.cloud import encode_head
 from cags_research.codecs.encoding.scalar import ByteSplats, ScalarCodec
 from cags_research.codecs.video import KIND, VideoTile, encode_video

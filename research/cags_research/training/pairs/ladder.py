@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.bundle import BundleReader, Manifest
+from cags_common.bundle.codecs import MotionTile
 from cags_common.bundle.reader import MANIFEST_NAME
-from cags_common.codecs import MotionTile
 from cags_common.splats import Splats
-from cags_common.tile_kinds import TileKind
-from cags_common.updates import UpdateState
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.updates import UpdateState
 from cags_encoder.pipeline import encode
 from cags_encoder.scenes import open_scene
 from cags_encoder.settings import EncodeSettings

@@ -17,7 +17,7 @@ from cags_common.geometry import (
     quaternion_of_rotation_vector,
 )
 from cags_common.poses import Focus, PoseTrace, open_poses
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_research.training.pairs.settings import PairSettings
 from cags_server.fov import widened
 from cags_server.predict import PoseHistory, create_predictor

@@ -100,7 +100,7 @@ def _store(weights: Weights, trainer: Trainer, bundle: str) -> None:
 
 
 def _data(arguments: argparse.Namespace, pairs: PairSettings, out: Path) -> tuple[Crops, Crops]:
-    from cags_encoder.progress import progress_bar
+    from cags_encoder.execution.progress import progress_bar
     from cags_research.training.restore.data import crops_of_scenes
 
     folder = Path(arguments.pairs) if arguments.pairs else out / "pairs"
@@ -126,7 +126,7 @@ def _prepare(trainer: Trainer, arguments: argparse.Namespace, out: Path) -> None
 
 
 def _train(trainer: Trainer, settings: TrainSettings, out: Path, *, as_json: bool) -> None:
-    from cags_encoder.progress import progress_bar
+    from cags_encoder.execution.progress import progress_bar
 
     with progress_bar() as tell:
 

@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from collections import deque
 
+from cags_protocol.delivery.round_trips import RoundTrips
 from cags_protocol.events import AckSample
-from cags_protocol.limits import PACKET_BYTES
-from cags_protocol.round_trips import RoundTrips
+from cags_protocol.wire.limits import PACKET_BYTES
 
 INITIAL_BPS = 8e6
 """Planned for until the first acknowledgement."""

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cags_common.splats import Splats
-from cags_encoder.frames.identity import IdentityTracker
-from cags_encoder.frames.linking import Looks, Tracks, link
+from cags_encoder.tracks.identity import IdentityTracker
+from cags_encoder.tracks.linking import Looks, Tracks, link
 from support.codec_scenes import cloud, with_changes
 from support.tracked_clips import TrueFrame, linked
 

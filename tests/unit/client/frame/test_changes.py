@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cags_client.frame.changes import MOVED_PX, Changes
+from cags_common.correction import changed_cells
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_common.splats import Splats
 from support.codec_scenes import cloud, with_changes
@@ -25,12 +26,17 @@ def line(shift: float = 0.0) -> Splats:
     return with_changes(cloud(5), means=means, log_scales=np.full((5, 3), np.log(0.02), np.float32))
 
 
+def veto(changes: Changes, since: tuple[int, int | None], splats: Splats, depth: np.ndarray = FAR) -> np.ndarray:
+    """Where a view of that depth shows what has changed."""
+    return changed_cells(changes.spheres(since, splats, CAMERA, FOCAL_PX), CAMERA, depth)
+
+
 def test_what_a_reference_assumes_has_not_changed_for_it() -> None:
     changes = Changes()
     changes.committed(3, rows(0, 1))
     changes.used(3)
     assert not changes.since(3)
-    assert not changes.veto((10, 3), line(), FAR, CAMERA, FOCAL_PX).any()
+    assert not veto(changes, (10, 3), line()).any()
     changes.committed(4, rows(2))
     assert changes.since(3)
     assert not changes.since(4)
@@ -41,11 +47,10 @@ def test_the_veto_lies_where_a_changed_splat_is_seen() -> None:
     changes.shown(10, line().means)
     changes.used(1)
     changes.committed(2, rows(4))
-    veto = changes.veto((10, 1), line(), FAR, CAMERA, FOCAL_PX)
-    columns = np.flatnonzero(veto.any(axis=0))
+    columns = np.flatnonzero(veto(changes, (10, 1), line()).any(axis=0))
     assert len(columns)
     assert columns.min() >= 4, "on the right, of eight cells"
-    hidden = changes.veto((10, 1), line(), np.full((64, 128), 2.0, np.float32), CAMERA, FOCAL_PX)
+    hidden = veto(changes, (10, 1), line(), np.full((64, 128), 2.0, np.float32))
     assert not hidden.any(), "behind what the view shows"
 
 
@@ -53,8 +58,8 @@ def test_what_has_moved_by_more_than_a_little_counts_as_changed() -> None:
     changes, little = Changes(), 0.5 * MOVED_PX * 4.0 / FOCAL_PX
     changes.shown(10, line().means)
     changes.used(1)
-    assert not changes.veto((10, 1), line(little), FAR, CAMERA, FOCAL_PX).any()
-    assert changes.veto((10, 1), line(4 * little), FAR, CAMERA, FOCAL_PX).any()
+    assert not veto(changes, (10, 1), line(little)).any()
+    assert veto(changes, (10, 1), line(4 * little)).any()
 
 
 def test_of_a_picture_only_what_has_moved_counts() -> None:
@@ -62,8 +67,8 @@ def test_of_a_picture_only_what_has_moved_counts() -> None:
     changes.shown(10, line().means)
     changes.used(1)
     changes.committed(2, rows(4))
-    assert not changes.veto((10, None), line(), FAR, CAMERA, FOCAL_PX).any()
-    assert changes.veto((10, None), line(1.0), FAR, CAMERA, FOCAL_PX).any()
+    assert not veto(changes, (10, None), line()).any()
+    assert veto(changes, (10, None), line(1.0)).any()
 
 
 def test_what_was_shown_before_a_mark_that_is_older_does_not_come_back() -> None:
@@ -80,4 +85,4 @@ def test_another_group_of_frames_begins_anew() -> None:
     changes.committed(2, rows(1))
     changes.clear()
     assert not changes.since(0)
-    assert not changes.veto((10, 0), line(1.0), FAR, CAMERA, FOCAL_PX).any()
+    assert not veto(changes, (10, 0), line(1.0)).any()

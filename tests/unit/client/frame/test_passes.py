@@ -17,7 +17,7 @@ from cags_common.passes import ALWAYS, Pass, PassPlan, Situation, plan_frame
 from cags_common.splats import SH_REST_OF_DEGREE
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
-from cags_protocol.messages import ReferenceKind
+from cags_protocol.wire.messages import ReferenceKind
 from support.client_stage import Stage, walk
 
 PICTURE = ReferenceKind.PICTURE
@@ -117,19 +117,19 @@ def test_leaving_out_what_is_not_needed_changes_nothing(
 
 
 def test_what_is_on_follows_the_moment(reader: BundleReader, degree: int) -> None:
-    usual = {Pass.DELTAS, *([Pass.VIEW_COLOUR] if degree else [])}
+    usual = {Pass.VIEW_COLOUR} if degree else set()
     correcting = usual | {Pass.CORRECTION, Pass.DEPTH}
     first, second = (set(f.effects.on) for f in of_the_moment(Stage(reader)))
     assert first == second == correcting
     first, second = (set(f.effects.on) for f in of_a_picture(Stage(reader)))
-    assert first == correcting | {Pass.OWN_VIEW}
-    assert second == correcting | {Pass.OWN_VIEW, Pass.VETO, Pass.FADE}
+    assert first == correcting | {Pass.REFERENCE_RENDER}
+    assert second == correcting | {Pass.REFERENCE_RENDER, Pass.VETO, Pass.FADE}
     assert set(nothing_to_look_at(Stage(reader))[0].effects.on) == usual
     assert nothing_to_look_at(Stage(reader))[0].depth is None
 
 
 def test_what_is_on_for_restorers_follows_the_moment(reader: BundleReader, degree: int) -> None:
-    usual = {Pass.DELTAS, *([Pass.VIEW_COLOUR] if degree else [])}
+    usual = {Pass.VIEW_COLOUR} if degree else set()
     restoring = usual | {Pass.RESTORATION, Pass.ALIGNMENT, Pass.DEPTH}
     hidden = {Pass.OCCLUSION, Pass.EROSION}
     first, second = (set(f.effects.on) for f in of_a_picture(Stage(reader, restore="reference")))
@@ -139,7 +139,7 @@ def test_what_is_on_for_restorers_follows_the_moment(reader: BundleReader, degre
     pytest.importorskip("torch")
     first, second = all_there(Stage(reader, restore="srresnet"))
     assert set(first.effects.on) == usual, "it puts colours right, and they are"
-    assert set(second.effects.on) == usual - {Pass.DELTAS}
+    assert set(second.effects.on) == usual
     np.testing.assert_array_equal(first.rgb, first.distorted)
 
 

@@ -12,15 +12,15 @@ from cags_client.output.score import averages, score
 from cags_client.playback.jobs import Decode
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
+from cags_common.coding.packing import crc32
 from cags_common.errors import ConfigError, DecodeError
 from cags_common.geometry import Camera, Pose
 from cags_common.metrics import psnr
-from cags_common.packing import crc32
 from cags_common.raster.base import RasterScene, RenderedView, RenderOptions
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 from support.client_stage import VIEW, Stage, walk
 from support.small_motion import looks, motion, moving
 from support.small_store import books
@@ -157,7 +157,7 @@ class CountingScene:
 
 
 @pytest.mark.parametrize(("kind", "counted"), [(PICTURE, [0, 1, 1, 1, 2]), (DIFFERENCE, [0, 0, 0, 0, 0])])
-def test_the_own_view_is_drawn_for_a_picture_when_looks_change_and_never_for_a_difference(
+def test_the_reference_render_is_drawn_for_a_picture_when_looks_change_and_never_for_a_difference(
     reader: BundleReader, kind: ReferenceKind, counted: list[int]
 ) -> None:
     stage, pose = Stage(reader), walk(reader)

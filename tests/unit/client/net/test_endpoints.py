@@ -49,3 +49,10 @@ async def test_if_none_answers_the_last_ones_reason_is_given(asked: list[str]) -
 def test_what_is_no_address_is_refused(url: str) -> None:
     with pytest.raises(NetworkError, match="no stream address"):
         endpoints.addresses(url)
+
+
+def test_a_scene_is_named_to_every_server() -> None:
+    assert endpoints.of_scene(f"{A}, {B}", "") == f"{A}, {B}"
+    assert endpoints.of_scene(f"{A}, {B}", "a b&c") == f"{A}?scene=a+b%26c,{B}?scene=a+b%26c"
+    with pytest.raises(NetworkError, match="is no stream address"):
+        endpoints.of_scene("nonsense", "room")

@@ -8,7 +8,7 @@ import math
 from rich.console import Console
 
 from cags_client.output.console import PlayConsole
-from cags_common.terminal import live_table, watched
+from cags_common.runtime.terminal import live_table, watched
 
 
 def record(frame: int, **more: object) -> dict[str, object]:

@@ -21,7 +21,7 @@ PLAIN: dict[str, Any] = {
     "latency_p95_ms": 169.6,
     "ms_raster": 25.06,
     "ms_stand-in": 2.576,
-    "effects": {"deltas": {"share": 0.5, "saved_ms": 1.0}},
+    "effects": {"veto": {"share": 0.5, "saved_ms": 1.0}},
     "restorers": {"correct": 38},
 }
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from cags_client.playback.decode_queue import DECODE_BATCH, DecodeQueue
 from cags_client.playback.jobs import Restarted, Traffic
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
-from cags_protocol.messages import ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import ReferenceFrame, TileLayers
 
 
 def tile(number: int, from_lod: int = 0, to_lod: int = 1, size: int = 10) -> ev.TileReceived:
@@ -65,10 +65,10 @@ def test_what_waits_and_what_is_being_decoded_counts_as_held() -> None:
     arrivals.take()
     arrivals.add(tile(1, 1, 3, size=20))
     arrivals.add(tile(2, 1, 2))  # its base was lost with the connection: nothing can be made of it
-    stored = [HeldTile(0, 3, 4)]
-    assert set(arrivals.held(stored)) == {HeldTile(0, 1, 3), HeldTile(0, 3, 4)}
+    stored = [InventoryEntry(0, 3, 4)]
+    assert set(arrivals.held(stored)) == {InventoryEntry(0, 1, 3), InventoryEntry(0, 3, 4)}
     arrivals.clear()
-    assert set(arrivals.held(stored)) == {HeldTile(0, 1, 1), HeldTile(0, 3, 4)}
+    assert set(arrivals.held(stored)) == {InventoryEntry(0, 1, 1), InventoryEntry(0, 3, 4)}
 
 
 def test_what_waits_and_what_is_being_decoded_is_undecoded() -> None:

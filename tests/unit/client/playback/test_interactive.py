@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cags_client.frame.painting import StagedPictures
 from cags_client.frame.presented import PresentedFrame
 from cags_client.live_app import patient
 from cags_client.output.page.poses import LivePoses
@@ -18,7 +19,7 @@ from cags_client.settings import ClientSettings
 from cags_common.geometry import Pose
 from cags_common.passes import PassPlan
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, FrameEnd, TileLayers
+from cags_protocol.wire.messages import Control, FrameEnd, TileLayers
 from support.live_page import StillWalk
 
 FRAMES, FPS, DELAY_US = 30, 30.0, 250_000
@@ -106,9 +107,18 @@ class Stage:
         if not isinstance(action, Present):
             return None
         blank = np.zeros((2, 2, 3), np.float32)
+        pictures = StagedPictures(blank, blank, blank)
         shown = PresentedFrame(
-            action.frame, None, blank, blank, None, None, blank, blank, None, 0.0, False, {}, PassPlan(frozenset())
-        )  # type: ignore[arg-type]
+            action.frame,
+            None,
+            pictures,
+            None,
+            None,
+            0.0,
+            False,
+            {},
+            PassPlan(frozenset()),  # type: ignore[arg-type]
+        )
         self.now_us += self.draw_us
         self.player.done(action, shown, self.now_us)
         if action.share:

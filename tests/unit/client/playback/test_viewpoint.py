@@ -2,7 +2,7 @@
 
 from cags_client.playback.viewpoint import Viewpoint
 from cags_common.geometry import Pose
-from cags_protocol.limits import MAX_POSE_SAMPLES
+from cags_protocol.wire.limits import MAX_POSE_SAMPLES
 
 
 class Along:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cags_common.codecs import SvqTileCodec
-from cags_common.held_tile import HeldTile
+from cags_common.bundle.codecs import SvqTileCodec
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import LEVELS
 from cags_common.store.tile_store import TileStore
+from cags_common.tiles.inventory import InventoryEntry
 from support.closed_loop import encoded_clip
 from support.small_motion import looks, motion, moving, recoloured, update
 from support.small_store import base, books, layer, removed, xs
@@ -161,7 +161,7 @@ def test_another_connection_begins_with_contiguous_levels_and_no_ends(store: Til
     gof, _ = store.commit(0)
     assert gof.splats.logit_opacities[0] == 3, "a level of another attribute shows without the one below it"
     held = sorted(store.held(), key=lambda tile: tile.tile)
-    assert held == [HeldTile(0, 0, 1), HeldTile(0, 1, 1)]
+    assert held == [InventoryEntry(0, 0, 1), InventoryEntry(0, 1, 1)]
     store.restarted()
     shown, committed = store.commit(0)
     assert shown is gof and committed.missed, "what is on display stays"
@@ -177,7 +177,7 @@ def test_another_connection_begins_with_contiguous_levels_and_no_ends(store: Til
     store.add(0, 1, 1, chunk[1:])
     gof, _ = store.commit(0)
     assert (gof.splats.sh0[0, 0], gof.splats.logit_opacities[0]) == (3, 3)
-    assert HeldTile(0, 1, LEVELS) in store.held()
+    assert InventoryEntry(0, 1, LEVELS) in store.held()
 
 
 def test_of_what_is_held_an_inventory_may_say_less(store: TileStore) -> None:
@@ -186,8 +186,8 @@ def test_of_what_is_held_an_inventory_may_say_less(store: TileStore) -> None:
     store.add(0, 2, 0, [memoryview(p) for p in motion((0, 1), 1, [0, 1]).payloads])
     store.end(1, removed())
     store.commit(1)
-    store.restarted([HeldTile(0, 0, 2), HeldTile(0, 2, 2)])
-    assert HeldTile(0, 0, 2) in store.held()
+    store.restarted([InventoryEntry(0, 0, 2), InventoryEntry(0, 2, 2)])
+    assert InventoryEntry(0, 0, 2) in store.held()
     store.end(1, removed())
     gof, _ = store.commit(1)
     assert (gof.splats.sh0[0, 0], gof.splats.logit_opacities[0]) == (3, 1)
@@ -205,8 +205,8 @@ def test_layers_of_a_replaced_tile_go_over_where_the_inventory_says_so(
         store.end(frame, removed())
     store.commit(1)
     store.add(0, 0, 1, [layer(1, 1)])
-    assert HeldTile(0, 0, 1) in store.held()
-    store.restarted(None if said is None else [HeldTile(0, 0, said)])
+    assert InventoryEntry(0, 0, 1) in store.held()
+    store.restarted(None if said is None else [InventoryEntry(0, 0, said)])
     store.end(0, removed())
     gof, _ = store.commit(0)
     assert (gof.splats.means[0, 0], gof.splats.sh0[0, 0]) == (5, bits)
@@ -222,7 +222,7 @@ def test_what_was_given_up_may_come_again_over_another_connection(
     store.commit(1)
     assert not store.keeps
     store.restarted()
-    assert store.held() == [HeldTile(1, 0, 1)]
+    assert store.held() == [InventoryEntry(1, 0, 1)]
     store.add(0, 0, 0, [base([0], 5)])
     store.end(0, removed())
     assert xs(store, 1)[0] == 5
@@ -294,7 +294,7 @@ def test_of_whole_tiles_a_better_one_that_came_late_does_not_go_over_to_another_
     store.end(1, ids)
     store.commit(1)
     store.add(0, 0, 1, payload[1:])
-    assert store.held() == [HeldTile(0, 0, 1)]
+    assert store.held() == [InventoryEntry(0, 0, 1)]
     store.restarted()
     store.end(0, removed())
     gof, _ = store.commit(0)

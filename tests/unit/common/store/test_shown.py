@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cags_common.geometry import Camera, Intrinsics, Pose
-from cags_common.store.shown import Held, Shown
+from cags_common.store.shown import Shown, StoredLooks
 from cags_common.store.tile_decode import Sphere
 from cags_common.store.versions import Versions
 
@@ -16,12 +16,12 @@ CAMERA = Camera(Intrinsics.of_fov(40, 30, 0.5, 0.4), Pose.identity())
 AHEAD, BEHIND = (0.0, 0.0, 5.0), (0.0, 0.0, -5.0)
 
 
-def held(index: int, owned: int, lod: int, at: tuple[float, float, float] = AHEAD) -> Held:
+def held(index: int, owned: int, lod: int, at: tuple[float, float, float] = AHEAD) -> StoredLooks:
     sphere, versions = Sphere(np.array(at, np.float32), 0.1), Versions(SimpleNamespace(), 0)  # type: ignore[type-var]
-    return Held(index=index, key=(0, index), sphere=sphere, versions=versions, owned=owned, shown_lod=lod)
+    return StoredLooks(index=index, key=(0, index), sphere=sphere, versions=versions, owned=owned, shown_lod=lod)
 
 
-def shown(*tiles: Held) -> Shown:
+def shown(*tiles: StoredLooks) -> Shown:
     owner = [-1] + [tile.index for tile in tiles for _ in range(tile.owned)]
     return Shown(np.array(owner, np.int32), tiles)
 

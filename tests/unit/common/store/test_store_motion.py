@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import TilePayloads
-from cags_common.codecs import MotionTile, SvqTileCodec
+from cags_common.bundle.codecs import MotionTile, SvqTileCodec
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.motion.chunk import DEADZONES, LEVELS, Chunk
-from cags_common.splat_buffer import Slot, SplatBuffer
-from cags_common.store.motions import HeldMotion, to_stage
+from cags_common.store.motions import StoredMotion, to_stage
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 from cags_common.store.versions import Versions
+from cags_common.tiles.inventory import InventoryEntry
+from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 from support.small_motion import looks, motion, moving, recoloured
 from support.small_store import books, manifest, removed, xs
 
@@ -85,7 +85,7 @@ def test_motion_may_come_before_its_looks_and_its_finer_level_before_the_coarse_
         send(store, 0, 1, chunk, slice(0, 1))
     end_all(store)
     assert [xs(store, frame)[0] for frame in range(3)] == [5, 6, 8]
-    assert HeldTile(0, 1, LEVELS) in store.held()
+    assert InventoryEntry(0, 1, LEVELS) in store.held()
 
 
 def test_a_finer_level_that_comes_late_changes_the_place_at_once() -> None:
@@ -163,7 +163,7 @@ def test_motion_of_another_number_of_splats_is_refused_in_one_line(store: TileSt
     send(store, 0, 6, right)
     end_all(store)
     assert xs(store, 1)[:2] == [6, 6], "what was held stays, and another may come"
-    assert HeldTile(0, 5, LEVELS) not in store.held()
+    assert InventoryEntry(0, 5, LEVELS) not in store.held()
 
 
 def test_motion_of_no_looks_of_later_looks_and_of_another_group_is_refused(store: TileStore) -> None:
@@ -195,7 +195,7 @@ def test_damaged_motion_is_refused_and_the_motion_that_was_held_goes_on(store: T
         store.add(0, 2, 0, [memoryview(good.payloads[0][:-1])])
     end_all(store)
     assert xs(store, 1)[0] == pytest.approx(6, abs=0.1)
-    assert HeldTile(0, 1, 1) in store.held()
+    assert InventoryEntry(0, 1, 1) in store.held()
 
 
 def test_a_damaged_level_that_had_to_wait_is_not_taken_for_held(store: TileStore) -> None:
@@ -205,7 +205,7 @@ def test_a_damaged_level_that_had_to_wait_is_not_taken_for_held(store: TileStore
     store.add(0, 1, 2, [memoryview(chunk.payloads[2] + b"x")])
     with pytest.raises(DecodeError):
         send(store, 0, 1, chunk, slice(1, 2))
-    assert HeldTile(0, 1, 1) in store.held() or HeldTile(0, 1, 2) in store.held()
+    assert InventoryEntry(0, 1, 1) in store.held() or InventoryEntry(0, 1, 2) in store.held()
     send(store, 2, 0, motion((0, 0), 1, [2, 3]))
     end_all(store)
     store.commit(LAST)
@@ -219,7 +219,7 @@ def test_motion_whose_looks_never_come_waits_within_bounds(store: TileStore, mon
     for tile in range(1000):
         send(store, 0, tile, chunk, slice(0, 1))
     dropped = store.take_dropped()
-    assert dropped == [HeldTile(0, tile, 0) for tile in range(990)]
+    assert dropped == [InventoryEntry(0, tile, 0) for tile in range(990)]
     tiles = store.commit(0)[0]._tiles
     assert tiles._waiting.bytes <= 10 * len(chunk.payloads[0])
     assert len(tiles._motions._looks_of) == 10
@@ -256,10 +256,10 @@ def test_a_chunk_that_is_past_is_kept_as_its_payloads_and_decoded_only_where_it_
     walk(store)
     gof = store.commit(LAST)[0]
     first, second = (gof._tiles._tiles[key] for key in ((0, 1), (2, 0)))
-    assert isinstance(first, HeldMotion) and isinstance(second, HeldMotion)
+    assert isinstance(first, StoredMotion) and isinstance(second, StoredMotion)
     assert first.versions is None
     assert second.versions is not None
-    assert HeldTile(0, 1, LEVELS) in store.held()
+    assert InventoryEntry(0, 1, LEVELS) in store.held()
     store.commit(0)
     assert first.versions is not None
 
@@ -350,7 +350,7 @@ def test_nothing_drifts_over_ten_thousand_frames() -> None:
     send(alone, last * span, 1, motion((0, 0), 1, list(where[last])))
     alone.end(last * span, removed())
     assert np.array_equal(alone.commit(frame)[0].splats.means[0], at_the_end)
-    assert sum(isinstance(h, HeldMotion) and h.versions is not None for h in gof._tiles._tiles.values()) <= 2
+    assert sum(isinstance(h, StoredMotion) and h.versions is not None for h in gof._tiles._tiles.values()) <= 2
 
 
 def test_many_at_once_in_any_order_are_opened_together() -> None:
@@ -385,7 +385,7 @@ def test_an_update_of_the_opacity_of_splats_that_are_to_come_waits_for_them() ->
 
 def test_tiles_that_have_ended_or_stand_still_are_not_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:
     counted: list[int] = []
-    import cags_common.splat_buffer as module
+    import cags_common.tiles.splat_buffer as module
 
     move_rows = module.move_rows
 
@@ -408,7 +408,7 @@ def test_tiles_that_have_ended_or_stand_still_are_not_evaluated_again(monkeypatc
 def test_what_is_staged_of_a_chunk_does_not_change_while_a_finer_level_is_added() -> None:
     chunk = motion((0, 0), 1, [0.0, 1 / 32])
     versions = Versions(MotionTile(chunk.payloads[0]), 0)
-    held = HeldMotion((0, 1), (0, 0), versions, {})
+    held = StoredMotion((0, 1), (0, 0), versions, {})
     (make,) = to_stage(held)
     staged = make()
     assert isinstance(staged.value, Chunk) and staged.value.moves is not None

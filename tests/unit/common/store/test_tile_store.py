@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cags_common.codecs import SvqTileCodec
+from cags_common.bundle.codecs import SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.geometry import Camera, Intrinsics, Pose
-from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
 from cags_common.store.tile_store import TileStore
+from cags_common.tiles.inventory import InventoryEntry
 from support.small_store import CAPACITY, base, books, layer, manifest, removed, xs
 
 
@@ -166,7 +166,7 @@ def test_layers_that_wait_for_their_base_are_bounded(store: TileStore, monkeypat
     dropped = store.take_dropped()
     kept = 1000 - len(dropped)
     assert kept > 0, "the newest wait on"
-    assert dropped == [HeldTile(0, tile, 0) for tile in range(1000 - kept)], "the server is told of the others"
+    assert dropped == [InventoryEntry(0, tile, 0) for tile in range(1000 - kept)], "the server is told of the others"
     assert store.take_dropped() == [], "once"
 
 

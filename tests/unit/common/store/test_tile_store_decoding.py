@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from cags_common.codecs import SvqTileCodec, TileDecoder
+from cags_common.bundle.codecs import SvqTileCodec, TileDecoder
 from cags_common.errors import DecodeError
 from cags_common.splats import Splats
 from cags_common.store.tile_decode import Arrival

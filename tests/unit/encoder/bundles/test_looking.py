@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cags_common.bundle import BundlePlayer, BundleReader
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.cli import main
 from cags_encoder.formats import read_splats

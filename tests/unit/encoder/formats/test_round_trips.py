@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from cags_common.geometry import F32
-from cags_common.morton import morton_order
 from cags_common.splats import SH_C0, Splats
+from cags_common.tiles.morton import morton_order
 from cags_encoder.formats import FORMATS, read_splats, write_splats
 from cags_encoder.formats.compressed_ply import CHUNK, compressed_ply_bytes, parse_compressed_ply
 from cags_encoder.formats.ply import parse_ply, ply_bytes

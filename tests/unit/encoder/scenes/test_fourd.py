@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cags_common.errors import ConfigError
-from cags_common.morton import morton_order
+from cags_common.tiles.morton import morton_order
 from cags_encoder.formats.sog import parse_sog_bytes
 from cags_encoder.formats.sog_writer import quantised_as_sog, sog_bytes
 from cags_encoder.formats.spz import parse_spz, quantised_as_spz, spz_bytes

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cags_common.attributes import split_attributes
 from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.errors import DecodeError
 from cags_common.geometry import F32
-from cags_common.morton import morton_order
 from cags_common.splats import Ids, Splats
+from cags_common.tiles.attributes import split_attributes
+from cags_common.tiles.morton import morton_order
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
 from cags_research.codecs.density import DensityTileCodec

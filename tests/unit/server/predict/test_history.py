@@ -3,7 +3,7 @@ import itertools
 import pytest
 
 from cags_common.geometry import Pose, angle_between
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.predict import PoseHistory
 from cags_server.predict.history import CLOCK_RESTART_SAMPLES, HISTORY_US, MAX_SAMPLES
 from support.motion import PERIOD_US, history_of, swaying_pose, turning_pose

@@ -4,7 +4,7 @@ import pytest
 
 from cags_common.errors import ConfigError
 from cags_common.geometry import Pose, angle_between
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.predict import PREDICTORS, PoseHistory, create_predictor
 from support.motion import history_of, swaying_pose, turning_pose
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cags_common.geometry import Intrinsics, Pose
 from cags_protocol.events import AckSample, Outgoing
-from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, TileLayers
 from cags_server.ratecontrol.byte_budget import (
     MAX_BUDGET_TICKS,
     MAX_SAVED_S,

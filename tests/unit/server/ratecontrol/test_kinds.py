@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_server.ratecontrol import Decision, Observation, TileView, create_rate_policy
 from cags_server.ratecontrol.base import UNBOUNDED_BYTES
 

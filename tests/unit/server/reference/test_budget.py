@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, ReferenceFrame
+from cags_protocol.wire.messages import FrameEnd, ReferenceFrame
 from cags_server.reference.budget import BURST_S, ReferenceBudget
 from support.server_scene import SETTINGS
 from support.streamer_rig import Rig, of

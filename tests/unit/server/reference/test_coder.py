@@ -12,8 +12,8 @@ import pytest
 from cags_common.correction.compander import expand
 from cags_common.geometry import F32, Intrinsics, Pose
 from cags_common.video.h264 import H264Decoder, is_idr
-from cags_protocol.limits import PROTOCOL_VERSION
-from cags_protocol.messages import Hello, ReferenceKind
+from cags_protocol.wire.limits import PROTOCOL_VERSION
+from cags_protocol.wire.messages import Hello, ReferenceKind
 from cags_server.reference.coder import FIRST_WINDOW, INVISIBLE, KEY_SHARE, RATE_WINDOW, ReferenceCoder
 from cags_server.settings import ServerSettings
 

@@ -12,9 +12,9 @@ import pytest
 
 from cags_common.bundle import BundlePlayer
 from cags_common.errors import DecodeError
-from cags_common.held_tile import HeldTile
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_common.tiles.inventory import InventoryEntry
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.reference.mirror import Mirror
 from cags_server.scene.decoded_tiles import DecodedTiles
 from cags_server.scene.library import SceneLibrary
@@ -90,8 +90,16 @@ def test_a_restart_forgets_what_was_sent_and_what_was_shown(library: SceneLibrar
 def test_a_client_that_resumes_is_taken_at_its_word_as_far_as_the_bundle_goes(library: SceneLibrary) -> None:
     whole, mirror = Mirror(library, threads=1), Mirror(library, threads=1)
     send(whole, library, 0, slice(0, 2))
-    tiles = [HeldTile(0, entry.tile, min(2, len(entry.lod_bytes))) for entry in library.entry(0).tiles]
-    mirror.resume([*tiles, HeldTile(999, 0, 1), HeldTile(0, 999, 1), HeldTile(0, 0, 60), HeldTile(0, 0, 0)])
+    tiles = [InventoryEntry(0, entry.tile, min(2, len(entry.lod_bytes))) for entry in library.entry(0).tiles]
+    mirror.resume(
+        [
+            *tiles,
+            InventoryEntry(999, 0, 1),
+            InventoryEntry(0, 999, 1),
+            InventoryEntry(0, 0, 60),
+            InventoryEntry(0, 0, 0),
+        ]
+    )
     assert mirror.scene_at(0, mirror.mark()) is None, "no frame has ended over this connection"
     for each in (whole, mirror):
         end(each, library, 0)

@@ -7,7 +7,7 @@ from collections import Counter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cags_protocol.messages import FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, TileLayers
 from cags_server.reference.render_slots import PATIENCE_US, RENDERS_PER_WORKER, RenderSlots
 from support.streamer_rig import Rig, of
 

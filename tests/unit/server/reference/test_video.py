@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from cags_common.geometry import Intrinsics, Pose
-from cags_protocol.messages import ReferenceFrame, ReferenceKind
+from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 from cags_server.reference.coder import Coded
 from cags_server.reference.video import ReferenceVideo
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from support.server_scene import library
 
@@ -25,3 +26,19 @@ def test_a_loop_is_traced_once_however_many_frames_it_has(monkeypatch) -> None:
     monkeypatch.setattr(scene, "_trace_owners", lambda gof, frame, known: traced.append(frame))
     assert [scene.visible_tiles(frame, every, 0.5) for frame in range(150)] == first
     assert traced == []
+
+
+def test_frames_are_made_ready_ahead_up_to_the_last() -> None:
+    scene = library(splats=3)
+    last = scene.manifest.frames - 1
+    assert not scene.at_hand(last)
+    assert all(scene.read_ahead(frame) for frame in range(last + 1))
+    assert all(scene.at_hand(frame) for frame in range(last + 1))
+    assert not scene.read_ahead(last + 1)
+
+
+def test_nothing_is_made_ready_ahead_beyond_half_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = library(splats=3)
+    assert scene.read_ahead(0) and scene.read_ahead(1)
+    monkeypatch.setattr("cags_server.scene.source_scenes.CACHED_DELTA_BYTES", 8)
+    assert not scene.read_ahead(2)

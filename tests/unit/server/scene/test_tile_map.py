@@ -7,7 +7,7 @@ import pytest
 
 from cags_common.bundle import FrameEntry, TileEntry
 from cags_common.errors import BundleError
-from cags_common.tile_kinds import TileKind
+from cags_common.tiles.kinds import TileKind
 from cags_server.scene.tile_map import TileMap
 
 BOX = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)

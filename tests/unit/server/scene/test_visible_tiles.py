@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cags_common.codecs import MotionTile
-from cags_common.tile_kinds import TileKind
-from cags_common.updates import UpdateState
+from cags_common.bundle.codecs import MotionTile
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.updates import UpdateState
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import CHUNK_AHEAD
 from support.moving_bundle import FRAMES, GROUP, moving_library

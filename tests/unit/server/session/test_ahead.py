@@ -10,7 +10,7 @@ import pytest
 from cags_common.geometry import Pose
 from cags_common.raster.base import Footprint
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
 from cags_server.reference.job import FrameJob
 from cags_server.settings import PLAIN
 from support.server_scene import BIRTH, SETTINGS, FakeReader, FakeScene, hello, library
@@ -211,5 +211,5 @@ def test_references_and_mirrors_are_drawn_with_the_footprint_that_is_set(
     wanted = Footprint.classic() if footprint == PLAIN else Footprint.of(job.client, job.camera.intrinsics)
     assert used[0] == used[-1] == wanted
     assert wanted != (Footprint.classic() if footprint != PLAIN else None)
-    assert len(used) == 3, "the truth, what is new ahead, and the client's own view"
+    assert len(used) == 3, "the truth, what is new ahead, and the client's render from the reference camera"
     assert (rendered.render_ns, rendered.mirror_ns, rendered.encode_ns) == (1, 1, 1)

@@ -6,7 +6,7 @@ import pytest
 
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
-from cags_protocol.messages import PoseSample
+from cags_protocol.wire.messages import PoseSample
 from cags_server.records import Ahead, FrameRecord
 from cags_server.session.clock import ClientClock
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig

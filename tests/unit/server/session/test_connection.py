@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 
 from cags_common.geometry import Intrinsics, Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import ClientSession
 from cags_protocol import events as ev
-from cags_protocol.encoding import encode
-from cags_protocol.inventory import pack_inventory
-from cags_protocol.messages import Control, FrameEnd, PoseSample, ReferenceFrame, RefusalCode, TileLayers
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.inventory import pack_inventory
+from cags_protocol.wire.messages import Control, FrameEnd, PoseSample, ReferenceFrame, RefusalCode, TileLayers
 from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.reference.render_slots import RenderSlots
 from cags_server.session.connection import Connection
@@ -210,7 +210,7 @@ def test_a_client_that_comes_back_is_not_sent_what_it_holds() -> None:
     pair = Pair()
     pair.run(100)
     name = pair.of(ev.Welcomed)[0].welcome.session
-    again = Pair(resume=name, inventory=pack_inventory([HeldTile(0, tile, 2) for tile in range(3)]))
+    again = Pair(resume=name, inventory=pack_inventory([InventoryEntry(0, tile, 2) for tile in range(3)]))
     again.run(100)
     assert again.of(ev.Welcomed)[0].welcome.resumed
     assert {t.message.tile for t in again.of(ev.TileReceived)} == {3}

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
-from cags_protocol.messages import Control, ReferenceFrame
+from cags_protocol.wire.messages import Control, ReferenceFrame
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_server.session.streamer import Streamer
 from support.server_scene import SETTINGS, FakeReader, hello, library
@@ -43,7 +43,7 @@ def test_it_is_of_a_kind_that_both_sides_want(references: str) -> None:
 
 
 def test_who_comes_back_is_not_greeted() -> None:
-    rig = Rig(resumes=(HeldTile(0, 1, 2),))
+    rig = Rig(resumes=(InventoryEntry(0, 1, 2),))
     assert rig.greeting == []
     assert rig.streamer.next_due_us() is None
 

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import pytest
 
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
-from cags_protocol.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, TileLayers
 from cags_server.session.streamer import MARK_EVERY_US
 from support.server_scene import SETTINGS, FakeReader, hello, library
 from support.streamer_rig import Rig, of
@@ -148,7 +148,7 @@ def test_a_client_that_holds_the_truth_is_told_so_in_a_few_bytes() -> None:
 
 
 def test_what_a_client_brings_back_is_mirrored() -> None:
-    held = tuple(HeldTile(0, tile, 4) for tile in range(4))
+    held = tuple(InventoryEntry(0, tile, 4) for tile in range(4))
     rig = Rig(DIFFERENCES, resumes=held)
     assert of(TileLayers, rig.opening) == [], "nothing that it holds is sent"
     fresh = Rig(DIFFERENCES)

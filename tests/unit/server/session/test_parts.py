@@ -2,7 +2,7 @@
 
 import pytest
 
-from cags_protocol.messages import Control, TileLayers
+from cags_protocol.wire.messages import Control, TileLayers
 from cags_server.session.clock import ClientClock
 from cags_server.session.timeline import Timeline
 from cags_server.visibility.inventory import ClientInventory

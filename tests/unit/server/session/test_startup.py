@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cags_common.geometry import Camera, Pose
-from cags_common.tile_kinds import TileKind
-from cags_protocol.messages import FrameEnd, TileLayers
+from cags_common.tiles.kinds import TileKind
+from cags_protocol.wire.messages import FrameEnd, TileLayers
 from cags_server.session.startup import PATIENCE_US, FirstFrame
 from cags_server.visibility.bounds import guessed_contribution, opening_tiles
 from support.moving_bundle import FRAMES, moving_library

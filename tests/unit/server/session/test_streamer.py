@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from cags_common.geometry import Pose
-from cags_common.held_tile import HeldTile
+from cags_common.tiles.inventory import InventoryEntry
 from cags_common.video.h264 import H264Decoder
 from cags_protocol import events as ev
-from cags_protocol.messages import Blob, FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import Blob, FrameEnd, ReferenceFrame, TileLayers
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator
 from cags_server.ratecontrol.byte_budget import MESSAGE_OVERHEAD_BYTES
 from cags_server.session.streamer import Streamer
@@ -113,7 +113,7 @@ def test_dropped_and_evicted_layers_are_sent_again() -> None:
     again = rig.step()
     lost = {(m.frame, m.tile) for m in of(TileLayers, first)}
     assert lost <= {(m.frame, m.tile) for m in of(TileLayers, again)}
-    rig.streamer.on_event(ev.Evicted((HeldTile(0, 1, 1),)), 0)
+    rig.streamer.on_event(ev.Evicted((InventoryEntry(0, 1, 1),)), 0)
     assert (0, 1, 1) in {(m.frame, m.tile, m.from_lod) for m in of(TileLayers, rig.step())}
 
 

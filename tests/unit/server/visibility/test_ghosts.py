@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cags_common.geometry import Camera, Pose
-from cags_common.tile_kinds import TileKind
-from cags_protocol.messages import TileLayers
+from cags_common.tiles.kinds import TileKind
+from cags_protocol.wire.messages import TileLayers
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
 from cags_server.visibility.ghosts import GHOST_SHARE, ghosts, merged, shown_bounds

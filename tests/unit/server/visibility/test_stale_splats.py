@@ -6,7 +6,7 @@ import uuid
 
 import numpy as np
 
-from cags_protocol.messages import TileLayers
+from cags_protocol.wire.messages import TileLayers
 from cags_server.visibility.ghosts import StaleSplats
 from cags_server.visibility.inventory import ClientInventory
 from support.moving_bundle import moving_library

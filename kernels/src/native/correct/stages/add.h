@@ -13,9 +13,9 @@ namespace {
 // Of a run of pixels: where their taps begin, what they are weighed by, and what they are tested by.
 struct Taps {
   int32_t first[kRun], cell[kRun];
-  int32_t beside[kRun];            // two 16-bit weights of the left and the right pixel, in units of 1 / kUnit
-  float down[kRun];                // share of the lower ones
-  float top[kRun], low[kRun];      // weights of the two rows, with the confidence and the units
+  int32_t beside[kRun];        // two 16-bit weights of the left and the right pixel, in units of 1 / kUnit
+  float down[kRun];            // share of the lower ones
+  float top[kRun], low[kRun];  // weights of the two rows, with the confidence and the units
   float z[kRun], confidence[kRun];
 };
 
@@ -37,7 +37,8 @@ inline float slope(const CagsAddInput& in, const Depths& depths, int row, int co
 // within one reference pixel of the nearest in the client's view too, where the reference sees both.
 inline bool hidden(const CagsAddInput& in, const Depths& depths, int row, int column, float behind, Nearest nearest) {
   const uint32_t place = static_cast<uint32_t>(nearest);
-  const int rows_away = std::abs(row - static_cast<int>(place >> 16)), columns_away = std::abs(column - static_cast<int>(place & 0xffff));
+  const int rows_away = std::abs(row - static_cast<int>(place >> 16)),
+            columns_away = std::abs(column - static_cast<int>(place & 0xffff));
   if (static_cast<float>(columns_away) <= in.cell_x && static_cast<float>(rows_away) <= in.cell_y) return false;
   const float across = in.slope_cells * in.cell_x * slope(in, depths, row, column, 0, 1);
   return behind > across && behind > across + in.slope_cells * in.cell_y * slope(in, depths, row, column, 1, 0);
@@ -45,14 +46,15 @@ inline bool hidden(const CagsAddInput& in, const Depths& depths, int row, int co
 
 // Returns whether anything is added to any pixel of the run. `alpha` is looked at with kHoles only.
 template <bool kHoles>
-inline bool place(const CagsAddInput& in, const Projection& project, int first, int count, const float* depth, [[maybe_unused]] const float* alpha,
-                  Taps& taps) {
+inline bool place(const CagsAddInput& in, const Projection& project, int first, int count, const float* depth,
+                  [[maybe_unused]] const float* alpha, Taps& taps) {
   const float fade = 1.0f / std::max(in.border_px, 1e-6f);
   [[maybe_unused]] const float opaque = 1.0f / std::max(in.hole_alpha, 1e-6f);
   const int across = in.reference_width + 1, wide = in.reference_width + 1;
   uint32_t any = 0;
   for (int i = 0; i < count; i += kCell) {
-    const Placed p = project.operator()<kHoles>(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
+    const Placed p =
+        project.operator()<kHoles>(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
     const Eight distance = lesser(lesser(p.x, project.right - p.x), lesser(p.y, project.bottom - p.y));
     Eight certain = keep(p.inside, clamped(distance * fade, 0, 1));
     any |= bits(p.inside);
@@ -77,7 +79,8 @@ inline bool place(const CagsAddInput& in, const Projection& project, int first, 
 }
 
 // The run's hidden pixels, one bit each.
-inline uint64_t hide(const CagsAddInput& in, const Depths& depths, const Occlusion& occlusion, int row, int first, int count, const Taps& taps) {
+inline uint64_t hide(const CagsAddInput& in, const Depths& depths, const Occlusion& occlusion, int row, int first, int count,
+                     const Taps& taps) {
   float limit[kRun];
   for (int i = 0; i < count; i++) limit[i] = occlusion.limit[taps.cell[i]];
   uint64_t doubtful = 0, out = 0;
@@ -104,7 +107,8 @@ inline void weigh(int count, Taps& taps) {
 inline Eight sampled(const int16_t* upper, int pitch, const Taps& taps, int i) {
   const int16_t *from = upper + taps.first[i], *lower = from + pitch;
 #if defined(__AVX2__)
-  const __m128i top = _mm_loadu_si128(reinterpret_cast<const __m128i*>(from)), low = _mm_loadu_si128(reinterpret_cast<const __m128i*>(lower));
+  const __m128i top = _mm_loadu_si128(reinterpret_cast<const __m128i*>(from)),
+                low = _mm_loadu_si128(reinterpret_cast<const __m128i*>(lower));
   const __m256i both = _mm256_inserti128_si256(_mm256_castsi128_si256(top), low, 1);
   const Eight sums = Eight(_mm256_cvtepi32_ps(_mm256_madd_epi16(both, _mm256_set1_epi32(taps.beside[i]))));
 #elif defined(__SSE2__)
@@ -132,7 +136,8 @@ inline void add_run(const CagsAddInput& in, Taps& taps, int count, const float* 
     Eight total = {};
     for (int i = first; i < first + kCell; i += 2) {
       const Eight a = sampled(lack, pitch, taps, i), b = sampled(lack, pitch, taps, i + 1);
-      const Eight added = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) + __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+      const Eight added =
+          __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) + __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
       total += added;
       const Eight shown = clamped(both(rgb + 3 * i, rgb + 3 * i + 3) + added, 0, 1);
       store(out + 3 * i, half<0>(shown));
@@ -158,7 +163,8 @@ inline void set_aside(uint64_t hidden, int count, Taps& taps, float* aside) {
 }
 
 inline void put_back(uint64_t hidden, int count, const float* aside, Taps& taps) {
-  for (int i = 0; i < count; i += kCell) store(taps.confidence + i, select(lanes_of(hidden, i), load(aside + i), load(taps.confidence + i)));
+  for (int i = 0; i < count; i += kCell)
+    store(taps.confidence + i, select(lanes_of(hidden, i), load(aside + i), load(taps.confidence + i)));
 }
 
 inline void clip_run(const float* rgb, int values, float* out) {
@@ -194,8 +200,8 @@ inline void keep_of(const CagsAddInput& in, int row, const Line& line) {
   }
 }
 
-bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths& depths, const Occlusion& occlusion, const Around& around,
-            float* shown, float* confidence) {
+bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths& depths, const Occlusion& occlusion,
+            const Around& around, float* shown, float* confidence) {
   const bool streams = int64_t{in.width} * in.height >= kLeastStreamed;
   Taps taps;
   float colours[3 * kRun + 8], rest[3 * kRun + 8] = {}, rest_depth[kRun] = {}, rest_alpha[kRun] = {}, aside[kRun] = {};
@@ -225,7 +231,8 @@ bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths
         if (holes) std::copy_n(alpha, count, rest_alpha);
         alpha = rest_alpha;
       }
-      const bool any = holes ? place<true>(in, project, first, count, depth, alpha, taps) : place<false>(in, project, first, count, depth, alpha, taps);
+      const bool any = holes ? place<true>(in, project, first, count, depth, alpha, taps)
+                             : place<false>(in, project, first, count, depth, alpha, taps);
       if (any) {
         hidden = hide(in, depths, occlusion, row, first, count, taps);
         if (in.veto) {
@@ -252,7 +259,8 @@ bool finish(const CagsAddInput& in, int cell_row, const Line& line, const Depths
 struct Surroundings {
   Surroundings(const Around& around, int row, int rows) : columns(around.columns) {
     const Between at(row, kCell, rows);
-    top = around.sums + int64_t{at.above} * columns * kLanes, low = around.sums + int64_t{at.below} * columns * kLanes, share = at.share;
+    top = around.sums + int64_t{at.above} * columns * kLanes, low = around.sums + int64_t{at.below} * columns * kLanes,
+    share = at.share;
   }
 
   Four operator()(int column) const {
@@ -267,7 +275,8 @@ struct Surroundings {
 };
 
 // The eight pixels of a cell's row.
-inline void surround_some(uint32_t hidden, const Surroundings& sums, int cell, const float* rgb, float* shown, float* confidence) {
+inline void surround_some(uint32_t hidden, const Surroundings& sums, int cell, const float* rgb, float* shown,
+                          float* confidence) {
   const Four sides[3] = {sums(cell - 1), sums(cell), sums(cell + 1)};
   for (; hidden; hidden &= hidden - 1) {
     const int i = std::countr_zero(hidden), left = i / (kCell / 2);
@@ -301,7 +310,8 @@ void surround(const CagsAddInput& in, int cell_row, const Around& around, float*
       const int64_t start = int64_t{row} * in.width + int64_t{run} * kRun;
       for (int i = 0; hidden; i += kCell, hidden >>= kCell) {
         const int64_t at = start + i;
-        if (hidden & 0xff) surround_some(hidden & 0xff, sums, run * (kRun / kCell) + i / kCell, in.rgb + 3 * at, shown + 3 * at, confidence + at);
+        if (hidden & 0xff)
+          surround_some(hidden & 0xff, sums, run * (kRun / kCell) + i / kCell, in.rgb + 3 * at, shown + 3 * at, confidence + at);
       }
     }
   }

@@ -73,9 +73,8 @@ void expand(const CagsLackInput& in, int row, int16_t* to) {
   const float* coded = in.coded + 3 * int64_t{row} * in.width;
   if (in.own) {
     const float* own = in.own + 3 * int64_t{row} * in.width;
-    pack(in.width, to, [=](int i, int count) {
-      return clamped(some(coded + i, count), 0, 1) - clamped(some(own + i, count), 0, 1);
-    });
+    pack(in.width, to,
+         [=](int i, int count) { return clamped(some(coded + i, count), 0, 1) - clamped(some(own + i, count), 0, 1); });
   } else {
     const Compander by = compander_of(in.knee);
     pack(in.width, to, [=](int i, int count) { return expanded(by, some(coded + i, count)); });

@@ -11,7 +11,8 @@ namespace {
 template <int kStride>
 inline Eight every(const float* line, int first, int stride, int count) {
   if constexpr (kStride == 1) return load(line + first);
-  if constexpr (kStride == 2) return __builtin_shufflevector(load(line + 2 * first), load(line + 2 * first + kCell), 0, 2, 4, 6, 8, 10, 12, 14);
+  if constexpr (kStride == 2)
+    return __builtin_shufflevector(load(line + 2 * first), load(line + 2 * first + kCell), 0, 2, 4, 6, 8, 10, 12, 14);
   Eight depth = {};
   for (int i = 0; i < std::min(kCell, count - first); i++) depth[i] = line[(first + i) * stride];
   return depth;
@@ -70,7 +71,8 @@ inline bool average(const CagsAddInput& in, int cell_row, const Line& line, cons
   bool holes = false;
   float *inverse = cells.inverse + int64_t{cell_row} * cells.columns, *weight = cells.weight + int64_t{cell_row} * cells.columns;
   for (int i = 0; i < cells.columns; i++) {
-    const float known = sum(load(line.counts + i * kCell)), most = static_cast<float>(rows * std::min(kCell, in.width - i * kCell));
+    const float known = sum(load(line.counts + i * kCell)),
+                most = static_cast<float>(rows * std::min(kCell, in.width - i * kCell));
     inverse[i] = sum(load(line.sums + i * kCell)) / std::max(known, 1e-6f);
     weight[i] = known / most;
     holes |= known < most;

@@ -92,7 +92,8 @@ struct Projection {
     // Comparisons with NaN are false, so that overflowing pixels fall out here.
     const EightInts ahead = (depth > 0.0f) & (z > 0.0f) & (z <= all(std::numeric_limits<float>::max()));
     const EightInts inside = ahead & (x >= 0.0f) & (y >= 0.0f) & (x <= all(right)) & (y <= all(bottom));
-    if constexpr (kBeyond) return {keep(ahead, clamped(x, 0, right)), keep(ahead, clamped(y, 0, bottom)), keep(inside, z), inside, ahead};
+    if constexpr (kBeyond)
+      return {keep(ahead, clamped(x, 0, right)), keep(ahead, clamped(y, 0, bottom)), keep(inside, z), inside, ahead};
     return {keep(inside, x), keep(inside, y), keep(inside, z), inside, ahead};
   }
 

@@ -26,10 +26,14 @@ inline V load(const T* from) {
   return v;
 }
 template <typename V, typename T>
-inline void store(T* to, const V& v) { std::memcpy(to, &v, sizeof v); }
+inline void store(T* to, const V& v) {
+  std::memcpy(to, &v, sizeof v);
+}
 
 // Lanes of `a` where the mask is set (all bits of a lane), of `b` elsewhere.
-inline Eight select(const EightInts& mask, const Eight& a, const Eight& b) { return Eight((mask & EightInts(a)) | (~mask & EightInts(b))); }
+inline Eight select(const EightInts& mask, const Eight& a, const Eight& b) {
+  return Eight((mask & EightInts(a)) | (~mask & EightInts(b)));
+}
 inline Eight keep(const EightInts& mask, const Eight& a) { return Eight(mask & EightInts(a)); }
 
 // Where either is NaN, the second operand.

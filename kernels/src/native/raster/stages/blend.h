@@ -1,4 +1,4 @@
-// Stage 5: front-to-back compositing of one row of blocks of 4x4 pixels, and its adjoint.
+// Stage 5: front-to-back compositing of one row of blocks of 4x4 pixels.
 //
 // A row's splats are taken in words of up to 64, in two passes: the alphas of all its blocks, and, block by block, the sums that
 // hang together through the transmittance. One loop over both would chain some fifty cycles behind each other, more than a
@@ -24,8 +24,7 @@ struct Local {
   float l11, l12, s0, l22, t0, log2_opacity, r, g, b, z;
 };
 
-// A block's pixels. `depth` is the sum of weight x z, or the median's z (0 while transmittance is above one half).
-// In the adjoint `rgb` holds the residual.
+// A block's pixels. `depth` is the sum of weight x z.
 struct alignas(64) BlockState {
   float transmittance[kBlockPixels], rgb[3][kBlockPixels], depth[kBlockPixels];
 };
@@ -49,7 +48,7 @@ struct alignas(64) Run {
 struct BlendInput {
   const Local* splats;
   float stop;
-  float* sums;    // a splat's contribution, or its (weight x residual, weight)
+  float* sums;  // a splat's contribution
 };
 
 // The places of a byte's bits, the lowest first.
@@ -136,7 +135,8 @@ template <int kDegree>
 // Second pass: front to back, sums colours and depth into the block, and each splat's weight into input.sums when
 // kContribution. Returns whether the block is finished.
 template <int kDepth, bool kContribution>
-[[gnu::noinline]] bool accumulate(const BlendInput& input, uint64_t members, const float (*alpha)[kBlockPixels], BlockState& state) {
+[[gnu::noinline]] bool accumulate(const BlendInput& input, uint64_t members, const float (*alpha)[kBlockPixels],
+                                  BlockState& state) {
   Floats transmittance[kVectors], r[kVectors], g[kVectors], b[kVectors], depth[kVectors];
   for (int j = 0; j < kVectors; j++) {
     transmittance[j] = load(state.transmittance + j * kWidth);
@@ -148,12 +148,10 @@ template <int kDepth, bool kContribution>
     const Local& splat = input.splats[i];
     Floats total{};
     for (int j = 0; j < kVectors; j++) {
-      const Floats w = transmittance[j] * load(*alpha + j * kWidth), after = transmittance[j] - w;
+      const Floats w = transmittance[j] * load(*alpha + j * kWidth);
       r[j] += w * splat.r, g[j] += w * splat.g, b[j] += w * splat.b;
       if constexpr (kDepth == CAGS_DEPTH_EXPECTED) depth[j] += w * splat.z;
-      if constexpr (kDepth == CAGS_DEPTH_MEDIAN)
-        depth[j] = select((transmittance[j] >= 0.5f) & (after < 0.5f), all(splat.z), depth[j]);
-      transmittance[j] = after;
+      transmittance[j] -= w;
       if constexpr (kContribution) total += w;
     }
     if constexpr (kContribution) input.sums[i] += sum(total);
@@ -168,31 +166,6 @@ template <int kDepth, bool kContribution>
   return !bits(most > input.stop);
 }
 
-// The adjoint's second pass: adds (weight x residual, weight) of each splat to input.sums.
-[[gnu::noinline]] inline bool accumulate_back(const BlendInput& input, uint64_t members, const float (*alpha)[kBlockPixels], BlockState& state) {
-  Floats transmittance[kVectors];
-  for (int j = 0; j < kVectors; j++) transmittance[j] = load(state.transmittance + j * kWidth);
-  Floats residual[3][kVectors];
-  for (int c = 0; c < 3; c++)
-    for (int j = 0; j < kVectors; j++) residual[c][j] = load(state.rgb[c] + j * kWidth);
-  for (; members; members &= members - 1, alpha++) {
-    Floats total[4] = {};
-    for (int j = 0; j < kVectors; j++) {
-      const Floats w = transmittance[j] * load(*alpha + j * kWidth);
-      transmittance[j] -= w;
-      for (int c = 0; c < 3; c++) total[c] += w * residual[c][j];
-      total[3] += w;
-    }
-    add_sums(total, input.sums + 4 * __builtin_ctzll(members));
-  }
-  Floats most = transmittance[0];
-  for (int j = 0; j < kVectors; j++) {
-    most = greater(most, transmittance[j]);
-    store(state.transmittance + j * kWidth, transmittance[j]);
-  }
-  return !bits(most > input.stop);
-}
-
 using Accumulate = bool (*)(const BlendInput&, uint64_t members, const float (*alpha)[kBlockPixels], BlockState&);
 
 // Blends a word's splats into a row of blocks, of which those in `alive` are not finished; `reached` says which a splat reaches.
@@ -202,7 +175,7 @@ uint8_t blend(const BlendInput& input, const uint8_t* reached, int row, uint8_t 
               int64_t& visits) {
   const int count = alphas<kDegree>(input.splats, reached, row, alive, run);
   visits += count;
-  const float(*alpha)[kBlockPixels] = run.pixel;
+  const float (*alpha)[kBlockPixels] = run.pixel;
   uint8_t done = 0;
   for (int column = 0; column < kBlocksPerSide; column++) {
     const uint64_t members = run.members[column];

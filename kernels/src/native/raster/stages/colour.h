@@ -38,39 +38,10 @@ inline void evaluate_colours(const SceneData& scene, int degree, int i, const fl
   }
 }
 
-// Whether the direction to a visible splat of the block has turned by more than the view allows since `old` was evaluated.
-inline bool turned(const CachedColours& old, const View& view, const float (*toward)[kLanes], uint32_t visible) {
-  Floats moved[3];
-  for (int k = 0; k < 3; k++) moved[k] = all(float(view.position[k] - old.position[k]));
-  for (int lane = 0; lane < kLanes; lane += kWidth) {
-    Floats x = load(toward[0] + lane), y = load(toward[1] + lane), z = load(toward[2] + lane);
-    const Floats inverse = 1.0f / square_root(greater(x * x + y * y + z * z, all(1e-30f)));
-    x *= inverse, y *= inverse, z *= inverse;
-    const Floats ox = x + moved[0] * inverse, oy = y + moved[1] * inverse, oz = z + moved[2] * inverse;
-    const Floats cx = y * oz - z * oy, cy = z * ox - x * oz, cz = x * oy - y * ox;
-    const Floats limit = view.colour_turn * (ox * ox + oy * oy + oz * oz);
-    const Ints kept = (cx * cx + cy * cy + cz * cz <= limit) & (x * ox + y * oy + z * oz > 0.0f);
-    if (~bits(kept) & visible >> lane & ((1u << kWidth) - 1)) return true;
-  }
-  return false;
-}
-
-// The colours of a block of splats of which `visible` are drawn: `scratch`, or the frame's cache.
-inline const Colours& colours_of(const SceneData& scene, const View& view, const FrameData& frame, int i,
-                                 const float (*toward)[kLanes], uint32_t visible, Colours& scratch) {
-  const int block = i / kLanes, present = scene.degree[block];
-  const int degree = present < view.sh_degree ? present : view.sh_degree;
-  if (!frame.colours || degree == 0) {
-    evaluate_colours(scene, degree, i, toward, scratch.rgb);
-    return scratch;
-  }
-  CachedColours& cached = frame.colours[block];
-  if (cached.revision != scene.revision[block] || cached.degree != degree || turned(cached, view, toward, visible)) {
-    evaluate_colours(scene, degree, i, toward, cached.colours.rgb);
-    for (int k = 0; k < 3; k++) cached.position[k] = view.position[k];
-    cached.revision = scene.revision[block], cached.degree = degree;
-  }
-  return cached.colours;
+// The colours of a block of splats as the view sees them.
+inline void colours_of(const SceneData& scene, const View& view, int i, const float (*toward)[kLanes], Colours& out) {
+  const int present = scene.degree[i / kLanes];
+  evaluate_colours(scene, present < view.sh_degree ? present : view.sh_degree, i, toward, out.rgb);
 }
 
 }  // namespace

@@ -25,11 +25,11 @@ inline TileArea area_of(const View& view, int tile) {
 
 inline Quad load_quad(const float* p) { return load<Quad>(p); }
 
-// Depth of four pixels: expected or median, infinite where void.
+// Depth of four pixels, infinite where void.
 inline Quad finished_depth(const View& view, Quad depth, Quad alpha) {
   typedef int32_t QuadMask __attribute__((vector_size(16)));
   const QuadMask known = (alpha >= view.void_alpha) & (alpha > 0.0f) & (depth > 0.0f);
-  const Quad value = view.depth == CAGS_DEPTH_MEDIAN ? depth : depth / alpha;
+  const Quad value = depth / alpha;
   return Quad((known & QuadMask(value)) | (~known & QuadMask(Quad{} + kVoidDepth)));
 }
 
@@ -40,10 +40,10 @@ struct Interleaved {
 inline Interleaved interleaved(Quad r, Quad g, Quad b) {
 #if defined(__x86_64__)
   const __m128 rg = _mm_unpacklo_ps(__m128(r), __m128(g)), rg2 = _mm_unpackhi_ps(__m128(r), __m128(g));  // r0 g0 r1 g1, ...
-  const __m128 br = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(1, 1, 0, 0));                          // b0 b0 r1 r1
-  const __m128 gb = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(1, 1, 1, 1));                          // g1 g1 b1 b1
-  const __m128 br2 = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(3, 3, 2, 2));                         // b2 b2 r3 r3
-  const __m128 gb2 = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(3, 3, 3, 3));                         // g3 g3 b3 b3
+  const __m128 br = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(1, 1, 0, 0));                       // b0 b0 r1 r1
+  const __m128 gb = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(1, 1, 1, 1));                       // g1 g1 b1 b1
+  const __m128 br2 = _mm_shuffle_ps(__m128(b), __m128(r), _MM_SHUFFLE(3, 3, 2, 2));                      // b2 b2 r3 r3
+  const __m128 gb2 = _mm_shuffle_ps(__m128(g), __m128(b), _MM_SHUFFLE(3, 3, 3, 3));                      // g3 g3 b3 b3
   return {{Quad(_mm_shuffle_ps(rg, br, _MM_SHUFFLE(2, 0, 1, 0))), Quad(_mm_shuffle_ps(gb, rg2, _MM_SHUFFLE(1, 0, 2, 0))),
            Quad(_mm_shuffle_ps(br2, gb2, _MM_SHUFFLE(2, 0, 2, 0)))}};
 #else
@@ -84,7 +84,7 @@ inline void write_run(const View& view, const BlockState& state, int at, const T
 
 inline Targets moved(const Targets& targets, size_t pixels) {
   const auto from = [pixels](float* p, int channels) { return p ? p + channels * pixels : nullptr; };
-  return {from(targets.rgb, 3), from(targets.alpha, 1), from(targets.depth, 1), nullptr};
+  return {from(targets.rgb, 3), from(targets.alpha, 1), from(targets.depth, 1)};
 }
 
 inline void write_rows(const View& view, const TileArea& area, const BlockState* blocks, const Targets& targets) {
@@ -98,7 +98,7 @@ inline void write_rows(const View& view, const TileArea& area, const BlockState*
         continue;
       }
       PixelRun run;
-      write_run(view, state, at, {run.rgb, run.alpha, run.depth, nullptr});
+      write_run(view, state, at, {run.rgb, run.alpha, run.depth});
       if (to.rgb) std::memcpy(to.rgb, run.rgb, 3 * n * sizeof(float));
       if (to.alpha) std::memcpy(to.alpha, run.alpha, n * sizeof(float));
       if (to.depth) std::memcpy(to.depth, run.depth, n * sizeof(float));
@@ -140,15 +140,6 @@ inline void write_void(const View& view, const TileArea& area, const Targets& ta
     if (targets.alpha) std::memset(targets.alpha + at, 0, area.width * sizeof(float));
     for (int x = 0; targets.depth && x < area.width; x++) targets.depth[at + x] = kVoidDepth;
   }
-}
-
-inline void load_residual(const View& view, const TileArea& area, const float* residual, BlockState* blocks) {
-  for (int y = 0; y < area.height; y++)
-    for (int x = 0; x < area.width; x++) {
-      const float* from = residual + 3 * (size_t(area.y + y) * view.width + area.x + x);
-      BlockState& state = blocks[y / kBlock * kBlocksPerSide + x / kBlock];
-      for (int c = 0; c < 3; c++) state.rgb[c][y % kBlock * kBlock + x % kBlock] = from[c];
-    }
 }
 
 }  // namespace

@@ -51,9 +51,9 @@ inline CameraPoint to_camera(const SceneData& scene, const View& view, int i, in
 }
 
 struct Covariance {
-  Floats xx, xy, yy;       // squared pixels, before dilation
-  Floats minors_over_yy;   // det / (yy + variance), by the factor's 2x2 minors: no cancellation on needles
-  Floats inverse_yy;       // 1 / (yy + variance)
+  Floats xx, xy, yy;      // squared pixels, before dilation
+  Floats minors_over_yy;  // det / (yy + variance), by the factor's 2x2 minors: no cancellation on needles
+  Floats inverse_yy;      // 1 / (yy + variance)
 };
 
 inline Covariance covariance(const SceneData& scene, const View& view, int i, const CameraPoint& p) {
@@ -145,12 +145,12 @@ void project(const SceneData& scene, const View& view, const FrameData& frame, i
   int record = begin;
   uint32_t slot = 0;
   Projected p;
-  Colours scratch;
+  Colours colours;
   for (int i = begin; i < end; i += kLanes) {
     p.visible = 0;
     for (int lane = 0; lane < kLanes; lane += kWidth) p.visible |= project_lanes(scene, view, i + lane, lane, p);
     if (!p.visible) continue;
-    const Colours& colours = colours_of(scene, view, frame, i, p.toward, p.visible, scratch);
+    colours_of(scene, view, i, p.toward, colours);
     for (uint32_t left = p.visible; left; left &= left - 1) {
       const int lane = __builtin_ctz(left);
       Record& out = frame.records[record];

@@ -3,10 +3,10 @@
 #include "raster/stages/peak.h"
 #include "raster/stages/project.h"
 #include "raster/stages/tile.h"
-#include "raster/stages/upsample.h"
+#include "raster/stages/enlarge.h"
 
 namespace cags::raster {
 
-extern const Stages CAGS_STAGES{project, scatter, composite, back_project, upsample, multiply_adds, sizeof(TileWork)};
+extern const Stages CAGS_STAGES{project, scatter, composite, enlarge, multiply_adds, sizeof(TileWork)};
 
 }  // namespace cags::raster

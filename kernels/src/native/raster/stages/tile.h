@@ -16,11 +16,12 @@ struct TileWork {
   Membership membership;
   BlockState blocks[kBlocks];
   Run run;
-  float sums[4 * kBatch];
+  float sums[kBatch];
 };
 
 // Brings records of the sorted entries [first, first + n) into the tile's frame.
-inline void gather(const FrameData& frame, const uint64_t* sorted, int first, int n, int total, const TileArea& area, TileWork& work) {
+inline void gather(const FrameData& frame, const uint64_t* sorted, int first, int n, int total, const TileArea& area,
+                   TileWork& work) {
   for (int i = 0; i < n; i++) {
     if (first + i + kPrefetchAhead < total) __builtin_prefetch(frame.records + uint32_t(sorted[first + i + kPrefetchAhead]));
     const Record& r = frame.records[uint32_t(sorted[first + i])];
@@ -57,25 +58,21 @@ inline uint64_t begin_blocks(const TileArea& area, TileWork& work) {
 inline float* slot_of(const FrameData& frame, const View& view, uint32_t record, int tile) {
   const Record& r = frame.records[record];
   const uint32_t column = uint32_t(tile % view.tiles_x - r.tile_x0), row = uint32_t(tile / view.tiles_x - r.tile_y0);
-  const size_t slot = size_t(frame.chunk_slot[record / uint32_t(frame.chunk_size)]) + r.slot +
-                      row * uint32_t(r.tile_x1 - r.tile_x0 + 1) + column;
-  return frame.slots + slot * frame.slot_width;
+  const size_t slot =
+      size_t(frame.chunk_slot[record / uint32_t(frame.chunk_size)]) + r.slot + row * uint32_t(r.tile_x1 - r.tile_x0 + 1) + column;
+  return frame.slots + slot;
 }
 
 inline void write_slots(const FrameData& frame, const View& view, const uint64_t* sorted, int n, int tile, const float* sums) {
-  const int width = frame.slot_width;
-  for (int i = 0; i < n; i++) {
-    float* slot = slot_of(frame, view, uint32_t(sorted[i]), tile);
-    for (int c = 0; c < width; c++) slot[c] = sums ? sums[i * width + c] : 0.0f;
-  }
+  for (int i = 0; i < n; i++) *slot_of(frame, view, uint32_t(sorted[i]), tile) = sums ? sums[i] : 0.0f;
 }
 
 using Blend = uint8_t (*)(const BlendInput&, const uint8_t* reached, int row, uint8_t alive, BlockState*, Run&, int64_t& visits);
 
 // Blends a batch of `n` splats into the blocks in `alive`, word by word and row by row. Returns those that are not finished.
-inline uint64_t blend_batch(const View& view, int n, uint64_t alive, Blend blend, int sums, TileWork& work, int64_t& visits) {
+inline uint64_t blend_batch(const View& view, int n, uint64_t alive, Blend blend, TileWork& work, int64_t& visits) {
   for (int first = 0; first < n && alive; first += kWordBits) {
-    const BlendInput input{work.local + first, view.stop, work.sums + first * sums};
+    const BlendInput input{work.local + first, view.stop, work.sums + first};
     for (int row = 0; row < kBlocksPerSide; row++) {
       const int shift = row * kBlocksPerSide;
       const uint8_t left = uint8_t(alive >> shift);
@@ -98,19 +95,18 @@ inline void blend_tile(const View& view, const FrameData& frame, TileScratch& sc
     const int batch = n - first < kBatch ? n - first : kBatch;
     gather(frame, sorted, first, batch, n, area, work);
     cover(work.ellipses, batch, work.membership);
-    if (frame.slot_width) std::memset(work.sums, 0, sizeof work.sums);
-    alive = blend_batch(view, batch, alive, blend, frame.slot_width, work, scratch.block_visits);
-    if (frame.slot_width) write_slots(frame, view, sorted + first, batch, tile, work.sums);
+    if (frame.slots) std::memset(work.sums, 0, sizeof work.sums);
+    alive = blend_batch(view, batch, alive, blend, work, scratch.block_visits);
+    if (frame.slots) write_slots(frame, view, sorted + first, batch, tile, work.sums);
   }
-  if (frame.slot_width && first < n) write_slots(frame, view, sorted + first, n - first, tile, nullptr);
+  if (frame.slots && first < n) write_slots(frame, view, sorted + first, n - first, tile, nullptr);
 }
 
 template <int kDegree>
 Blend choose_blend(int depth, bool contribution) {
-  constexpr Blend table[3][2] = {
+  constexpr Blend table[2][2] = {
       {blend<kDegree, accumulate<CAGS_DEPTH_NONE, false>>, blend<kDegree, accumulate<CAGS_DEPTH_NONE, true>>},
       {blend<kDegree, accumulate<CAGS_DEPTH_EXPECTED, false>>, blend<kDegree, accumulate<CAGS_DEPTH_EXPECTED, true>>},
-      {blend<kDegree, accumulate<CAGS_DEPTH_MEDIAN, false>>, blend<kDegree, accumulate<CAGS_DEPTH_MEDIAN, true>>},
   };
   return table[depth][contribution];
 }
@@ -120,18 +116,11 @@ void composite(const View& view, const FrameData& frame, const Targets& targets,
   const TileArea area = area_of(view, tile);
   if (frame.tile_start[tile] == frame.tile_start[tile + 1]) return write_void(view, area, targets);
   const uint64_t alive = begin_blocks(area, work);
-  const bool contribution = frame.slot_width > 0;
-  const Blend blend = view.exactness == CAGS_EXACT ? choose_blend<5>(view.depth, contribution) : choose_blend<3>(view.depth, contribution);
+  const bool contribution = frame.slots != nullptr;
+  const Blend blend =
+      view.exactness == CAGS_EXACT ? choose_blend<5>(view.depth, contribution) : choose_blend<3>(view.depth, contribution);
   blend_tile(view, frame, scratch, tile, alive, blend);
   write_tile(view, area, work.blocks, targets);
-}
-
-void back_project(const View& view, const FrameData& frame, const Targets& targets, TileScratch& scratch, int tile) {
-  TileWork& work = *static_cast<TileWork*>(scratch.work);
-  const TileArea area = area_of(view, tile);
-  const uint64_t alive = begin_blocks(area, work);
-  load_residual(view, area, targets.residual, work.blocks);
-  blend_tile(view, frame, scratch, tile, alive, view.exactness == CAGS_EXACT ? blend<5, accumulate_back> : blend<3, accumulate_back>);
 }
 
 }  // namespace

@@ -135,16 +135,5 @@ inline float sum(Floats v) {
   return (q[0] + q[1]) + (q[2] + q[3]);
 }
 
-// out[c] += sum of the lanes of v[c].
-inline void add_sums(const Floats (&v)[4], float* out) {
-#if defined(__x86_64__)
-  __m128 a = __m128(folded(v[0])), b = __m128(folded(v[1])), c = __m128(folded(v[2])), d = __m128(folded(v[3]));
-  _MM_TRANSPOSE4_PS(a, b, c, d);
-  _mm_storeu_ps(out, _mm_add_ps(_mm_loadu_ps(out), _mm_add_ps(_mm_add_ps(a, b), _mm_add_ps(c, d))));
-#else
-  for (int c = 0; c < 4; c++) out[c] += sum(v[c]);
-#endif
-}
-
 }  // namespace
 }  // namespace cags::raster

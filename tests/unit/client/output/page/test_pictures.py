@@ -108,7 +108,7 @@ def test_occluded_pixels_make_a_grid_a_quarter_of_the_size() -> None:
 
 def test_detail_counts_what_is_seen_and_not_what_lies_behind() -> None:
     pose = Pose.identity()
-    shown = ShownFrame(0, Camera(INTRINSICS, pose), {}, depth=np.full((480, 640), 2.0, np.float32))
+    shown = ShownFrame(0, Camera(INTRINSICS, pose), {}, {"depth": lambda: np.full((480, 640), 2.0, np.float32)})
     means = np.array([[0, 0, 2], [0, 0, 5], [0, 0, -1], [0.5, 0, 2]], np.float32)
     held = SplatDetail(means, np.array([0, 0, 0, -1], np.int32), np.array([1.0, 0.0, 0.0, 0.5], np.float32))
     grid = detail_grid(held, shown).values
@@ -120,7 +120,7 @@ def test_detail_counts_what_is_seen_and_not_what_lies_behind() -> None:
 def test_detail_fills_the_surface_between_centres_and_nothing_beside_it() -> None:
     depth = np.full((480, 640), np.inf, np.float32)
     depth[120:360, 160:480] = 2.0
-    shown = ShownFrame(0, Camera(INTRINSICS, Pose.identity()), {}, depth=depth)
+    shown = ShownFrame(0, Camera(INTRINSICS, Pose.identity()), {}, {"depth": lambda: depth})
     means = np.array([[-0.3, 0, 2], [0.3, 0, 2]], np.float32)
     held = SplatDetail(means, np.zeros(2, np.int32), np.array([0.0, 1.0], np.float32))
     grid = detail_grid(held, shown).values

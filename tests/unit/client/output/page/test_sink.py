@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cags_client.frame.painting import StagedPictures
 from cags_client.frame.presented import PresentedFrame
 from cags_client.output.page import LiveView, ShownFrame, ViewSettings
 from cags_client.output.page.sink import ViewSink
@@ -33,7 +34,15 @@ def presented(frame: int) -> PresentedFrame:
     depth = np.full((480, 640), np.inf, np.float32)
     camera = Camera(INTRINSICS, StillWalk().pose_at(0))
     return PresentedFrame(
-        frame, camera, picture, picture, None, None, depth, depth, None, 2.5, False, {"raster": 9.0}, NOTHING
+        frame,
+        camera,
+        StagedPictures(picture, picture, depth, depth),
+        None,
+        None,
+        2.5,
+        False,
+        {"raster": 9.0},
+        NOTHING,
     )
 
 
@@ -52,8 +61,8 @@ def test_a_frame_without_a_reference_still_shows(view: Watched) -> None:
 
 
 def test_a_frame_that_was_brought_up_says_so(view: Watched) -> None:
-    small = np.zeros((240, 320, 3), np.float32)
-    for frame in (presented(1), replace(presented(2), drawn=small)):
+    small, large = np.zeros((240, 320, 3), np.float32), np.zeros((480, 640, 3), np.float32)
+    for frame in (presented(1), replace(presented(2), pictures=StagedPictures(large, small, small[..., 0]))):
         ViewSink(view).show(frame, {})
     assert [shown.resolution for shown in view.frames] == ["full", "half"]
 

@@ -1,7 +1,7 @@
 import pytest
 
 from cags_protocol.events import AckSample
-from cags_protocol.limits import PACKET_BYTES
+from cags_protocol.wire.limits import PACKET_BYTES
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator, OracleEstimator
 
 RTT_US = 40_000

@@ -1,0 +1,49 @@
+"""Settings of the experiment on the page in a browser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cags_common.errors import ConfigError
+from cags_common.settings import check_settings, setting
+from cags_shaper.trace import open_trace
+
+PUBLISHED, SERVER = "published", "server"
+SOURCES = (PUBLISHED, SERVER)
+LINKS = ("generated:steady-2", "generated:steady-8", "generated:steady-10", "generated:steady-20")
+LTE = "generated:lte-driving"
+
+
+@dataclass(frozen=True)
+class WebBenchSettings:
+    """What is played, from where, over which links."""
+
+    scene: str = setting("procedural:size=2000,frames=60,fps=10,degree=1", "scene to encode and play")
+    links: str = setting(";".join((*LINKS, LTE)), "traces of the link as cags-shaper reads them, separated by ';'")
+    sources: str = setting(",".join(SOURCES), f"who hands the scene out, of {', '.join(SOURCES)}")
+    seconds: float = setting(20.0, "how long a play is watched from its first picture on, seconds", low=1, high=3600)
+    patience: float = setting(120.0, "how long a first picture is waited for, seconds", low=1, high=3600)
+    width: int = setting(160, "picture width in pixels", low=16, high=4096)
+    height: int = setting(120, "picture height in pixels", low=16, high=4096)
+    pictures: str = setting("", "folder for some of the pictures that were shown, beside the truth; empty: none")
+    cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        self.source_list  # noqa: B018 - refuse what does not parse
+        for link in self.link_list:
+            open_trace(link)
+
+    @property
+    def link_list(self) -> list[str]:
+        """Traces."""
+        return [link for link in self.links.split(";") if link]
+
+    @property
+    def source_list(self) -> list[str]:
+        """Of :data:`SOURCES`."""
+        names = [name.strip() for name in self.sources.split(",")]
+        for name in names:
+            if name not in SOURCES:
+                raise ConfigError(f"sources: {name!r} is unknown; known: {', '.join(SOURCES)}")
+        return names

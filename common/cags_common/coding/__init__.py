@@ -1,0 +1,1 @@
+"""Bytes in and out: bit packing, entropy coding, Draco."""

@@ -1,0 +1,1 @@
+"""Tiles: what their payloads hold, and how they become splats again."""

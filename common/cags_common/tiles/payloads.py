@@ -1,0 +1,246 @@
+"""Tile payloads, both ways.
+
+LoD 0 of a tile (``encode_base``) is a fixed header, the ids (absent in key frames, whose tiles are id ranges), a Draco
+point cloud of the positions on a grid, in the tile's order, and every attribute's base codes. Each further LoD
+(``encode_layer``) is one enhancement layer's bits. Codes are packed, and deflated where that is shorter. CRCs travel
+beside payloads: one flipped byte makes Draco decode wrong values without an error. Layout: ``docs/bundle.md``.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import DracoPy
+import numpy as np
+
+from cags_common.coding.draco import decode_points
+from cags_common.coding.packing import (
+    U32,
+    PackedCodes,
+    decode_ids,
+    encode_ids,
+    pack_bits,
+    packed_bytes,
+    squeeze,
+    unsqueeze,
+)
+from cags_common.errors import DecodeError
+from cags_common.geometry import F32, axis_bounds
+from cags_common.splats import MAX_SPLATS, Ids
+from cags_common.tiles import dequantise
+from cags_common.tiles.svq import MAX_LAYER_BITS, CodebookSet
+
+KEY_TILE_SPLATS = 8_000
+DELTA_TILE_SPLATS = 4_000
+"""Largest tiles of key frames and of the frames after them (paper, supplement, "Tiling")."""
+
+MAX_TILE_SPLATS = 65_536
+"""Bound on what a payload may claim."""
+
+MAX_POSITION_BITS = 22
+"""Grid coordinates travel through Draco as float32, which holds integers exactly up to 2**24."""
+
+MAX_POSITION = 1e30
+"""Bound on coordinates: sums and products of grids stay inside float32."""
+
+DRACO_LEVEL = 7
+BASE_VERSION = 2
+"""Version 1 carried base codes as generic attributes inside Draco, which took as long to decode as the positions."""
+
+_BASE_HEADER = struct.Struct("<BBBBIII4f")
+"""Version, flags, position bits, attributes, splats, first id or bytes of the id list, bytes of the Draco data, grid
+origin and step.
+"""
+
+_ID_RANGE = 1
+"""Flag: the ids are a range (key frames), and only its first id is there."""
+
+
+@dataclass(frozen=True, eq=False)
+class PositionGrid:
+    """The grid that a tile's positions are rounded to: ``origin + step * integer``."""
+
+    origin: F32  # [3] world, metres
+    step: float
+    """Metres between neighbouring values, the same on all axes; a rounded position is off by at most half of it an
+    axis.
+    """
+    bits: int
+
+    @staticmethod
+    def over(means: F32, bits: int) -> PositionGrid:
+        """The finest grid of ``bits`` bits an axis over the cube that holds ``means`` [n, 3]."""
+        low, extent = _low_and_extent(means)
+        step = np.nextafter(np.float32(extent / (2**bits - 1)), np.float32(np.inf)) if extent > 0 else 0.0
+        return PositionGrid(low, float(step), bits)
+
+    def quantise(self, means: F32) -> U32:
+        """Integer coordinates [n, 3] of ``means``."""
+        if self.step == 0.0:
+            return np.zeros(means.shape, np.uint32)
+        cells = np.rint((means.astype(np.float64) - self.origin) / self.step)
+        return np.clip(cells, 0, 2**self.bits - 1).astype(np.uint32)
+
+    def dequantise(self, cells: Any) -> F32:
+        """Means [n, 3] of integer coordinates."""
+        return dequantise.positions(cells, self.origin, self.step)
+
+
+@dataclass(frozen=True, eq=False)
+class BaseTile:
+    """What LoD 0 of a tile holds."""
+
+    ids: Ids  # [n] ascending
+    means: F32  # [n, 3] world, metres
+    layers: dict[str, PackedCodes]  # attribute -> n base codes
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def codes(self) -> dict[str, U32]:
+        """Attribute -> base codes [n]."""
+        return {name: layer.unpack(len(self)) for name, layer in self.layers.items()}
+
+
+def encode_base(
+    ids: Ids, means: F32, codes: Mapping[str, U32], grid: PositionGrid, codebooks: CodebookSet, *, id_range: bool
+) -> bytes:
+    """LoD 0 of a tile: ``ids`` [n] ascending, ``means`` [n, 3], ``codes`` attribute -> [n] base codes.
+
+    With ``id_range`` (key frames) the ids are consecutive and only the first is written. The same input gives the same
+    bytes.
+    """
+    id_bytes = b"" if id_range else encode_ids(ids)
+    id_field = (int(ids[0]) if len(ids) else 0) if id_range else len(id_bytes)
+    ox, oy, oz = (float(c) for c in grid.origin)
+    draco = _draco_encode(grid.quantise(means), grid.bits) if len(ids) else b""
+    packed = b"".join(pack_bits(codes[book.attribute], book.layer_bits[0]) for book in codebooks)
+    header = _BASE_HEADER.pack(
+        *(BASE_VERSION, _ID_RANGE * id_range, grid.bits, len(codebooks), len(ids), id_field, len(draco)),
+        *(ox, oy, oz, grid.step),
+    )
+    return header + id_bytes + draco + squeeze(packed)
+
+
+def decode_base(payload: bytes | memoryview, codebooks: CodebookSet) -> BaseTile:
+    """Inverse of :func:`encode_base`. Raises :class:`DecodeError` for damaged payloads."""
+    head = _read_header(payload, len(codebooks))
+    ids, (draco, codes) = _read_ids(payload, head), head.sections(payload)
+    layers = _base_layers(codes, head.splats, codebooks)
+    if head.splats == 0:
+        return BaseTile(ids, np.zeros((0, 3), np.float32), layers)
+    means = head.grid.dequantise(_draco_decode(bytes(draco), head.splats))
+    if not np.isfinite(means).all():
+        raise DecodeError("tile: a position is not finite")
+    return BaseTile(ids, means, layers)
+
+
+def position_bytes(payload: bytes | memoryview) -> int:
+    """How many bytes of a LoD 0 payload are not base codes. Raises :class:`DecodeError`."""
+    return len(payload) - len(_read_header(payload, None).sections(payload)[1])
+
+
+def _base_layers(data: memoryview, count: int, codebooks: CodebookSet) -> dict[str, PackedCodes]:
+    sizes = {book.attribute: packed_bytes(count, book.layer_bits[0]) for book in codebooks}
+    packed, at, layers = unsqueeze(data, sum(sizes.values()), "tile: base codes"), 0, {}
+    for book in codebooks:
+        end = at + sizes[book.attribute]
+        layers[book.attribute] = PackedCodes(packed[at:end], book.layer_bits[0])
+        at = end
+    return layers
+
+
+def decode_base_ids(payload: bytes | memoryview) -> Ids:
+    """Only the ids [n] of a LoD 0 payload, without unpacking the rest."""
+    return _read_ids(payload, _read_header(payload, None))
+
+
+def encode_layer(codes: U32, bits: int) -> bytes:
+    """One enhancement layer: ``codes`` [n] < 2**bits."""
+    return squeeze(pack_bits(codes, bits))
+
+
+def decode_layer(payload: bytes | memoryview, count: int, bits: int) -> PackedCodes:
+    """Inverse of :func:`encode_layer`: the ``count`` codes. Raises :class:`DecodeError`."""
+    if not 1 <= bits <= MAX_LAYER_BITS or not 0 <= count <= MAX_TILE_SPLATS:
+        raise DecodeError(f"layer: {count} codes of {bits} bits are outside the allowed range")
+    return PackedCodes(unsqueeze(payload, packed_bytes(count, bits), "layer"), bits)
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    splats: int
+    first_id: int | None
+    id_bytes: int
+    draco_bytes: int
+    grid: PositionGrid
+
+    def sections(self, payload: bytes | memoryview) -> tuple[memoryview, memoryview]:
+        """Draco data and base codes."""
+        first = _BASE_HEADER.size + self.id_bytes
+        end = first + self.draco_bytes
+        return memoryview(payload)[first:end], memoryview(payload)[end:]
+
+
+def _read_header(payload: bytes | memoryview, attributes: int | None) -> _Header:
+    if len(payload) < _BASE_HEADER.size:
+        raise DecodeError(f"tile: {len(payload)} bytes are too few for a base layer")
+    version, flags, bits, columns, splats, id_field, draco, ox, oy, oz, step = _BASE_HEADER.unpack_from(payload)
+    if version != BASE_VERSION or flags & ~_ID_RANGE:
+        raise DecodeError(f"tile: base layer of version {version}, flags {flags}; this program reads {BASE_VERSION}")
+    first_id, id_bytes = (id_field, 0) if flags & _ID_RANGE else (None, id_field)
+    if splats > MAX_TILE_SPLATS or bits > MAX_POSITION_BITS or id_bytes + draco > len(payload) - _BASE_HEADER.size:
+        claims = f"{splats} splats, {bits} position bits, {id_bytes} bytes of ids and {draco} of positions"
+        raise DecodeError(f"tile: claims {claims}; beyond bounds")
+    if first_id is not None and first_id > MAX_SPLATS - splats:
+        raise DecodeError(f"tile: first id {first_id} is beyond {MAX_SPLATS} splats")
+    if attributes is not None and columns != attributes:
+        raise DecodeError(f"tile: has {columns} attributes, the codebooks {attributes}")
+    reach = max(abs(ox), abs(oy), abs(oz)) + step * 2**bits
+    if not all(map(math.isfinite, (ox, oy, oz, step))) or step < 0 or reach > MAX_POSITION:
+        raise DecodeError(f"tile: its position grid is not finite or reaches beyond {MAX_POSITION:g}")
+    return _Header(splats, first_id, id_bytes, draco, PositionGrid(np.array([ox, oy, oz], np.float32), step, bits))
+
+
+def _read_ids(payload: bytes | memoryview, head: _Header) -> Ids:
+    if head.first_id is not None:
+        return np.arange(head.first_id, head.first_id + head.splats, dtype=np.int32)
+    ids = decode_ids(memoryview(payload)[_BASE_HEADER.size : _BASE_HEADER.size + head.id_bytes], what="tile ids")
+    if len(ids) != head.splats:
+        raise DecodeError(f"tile: has {len(ids)} ids for {head.splats} splats")
+    return ids
+
+
+def _draco_encode(cells: U32, bits: int) -> bytes:
+    # Draco rounds to a grid of its own: spanned over [0, 2**bits - 1] with that many bits, its grid is the integers.
+    encoded: bytes = DracoPy.encode(
+        cells.astype(np.float32),
+        quantization_bits=max(bits, 1),
+        quantization_range=float(2 ** max(bits, 1) - 1),
+        quantization_origin=np.zeros(3),
+        compression_level=DRACO_LEVEL,
+        preserve_order=True,
+    )
+    return encoded
+
+
+def _draco_decode(data: bytes, count: int) -> F32:
+    """Grid coordinates [count, 3] as float32."""
+    points = decode_points(data, count)[0].points
+    # Damaged data may give a cloud without points, whose ``points`` is None.
+    if getattr(points, "shape", None) != (count, 3):
+        raise DecodeError("tile: Draco data holds no positions, or some of another shape")
+    cells: F32 = np.asarray(points, np.float32)
+    return cells
+
+
+def _low_and_extent(means: F32) -> tuple[F32, float]:
+    if len(means) == 0:
+        return np.zeros(3, np.float32), 0.0
+    low, high = axis_bounds(means)
+    return low, float((high.astype(np.float64) - low).max())

@@ -1,0 +1,364 @@
+"""The splats of one group of frames, by id, merged from tiles: what a decoder shows at a time.
+
+The rules, whatever the order in which tiles are written:
+
+- the newest looks win, splat by splat (a tile of looks of a later frame holds whole splats); of two tiles of one frame
+  that hold the same splat, the one of the lower number;
+- an enhancement layer changes only the splats that its own tile still owns;
+- an update changes single attributes; the newest update of an attribute wins, until looks of a later frame come (two
+  updates of one frame never change the same attribute of a splat);
+- motion says where the splats that a tile of looks owns are, how they turn and fade, and when they end: by the newest
+  chunk that begins at or before the time shown, held at its end until another is there;
+- a removal at frame f ends splats of looks before f, and keeps late tiles of those from bringing them back.
+
+Client, server and encoder use this class, so that each knows what another shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.ma
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32
+from cags_common.motion.apply import ABSENT_LOGIT, Looks, MovingTile, Steps, move_rows
+from cags_common.motion.chunk import Chunk
+from cags_common.motion.knots import I32
+from cags_common.splats import SH_REST_OF_DEGREE, Ids, Splats
+from cags_common.tiles.updates import UPDATE_COLUMNS
+
+Key = tuple[int, int]
+"""Media frame and tile."""
+
+Rows = NDArray[np.intp]
+
+MOVING_COLUMNS = ("means", "quats", "logit_opacities")
+"""Columns of splats that motion changes."""
+
+
+@dataclass(eq=False)
+class Slot:
+    """One tile of looks in a buffer: which rows it brought, and how many of them it still owns."""
+
+    index: int
+    key: Key
+    owned: int = 0
+    shown_lod: int = -1
+    replaced: bool = False
+    ended: bool = False
+    """Whether the lives of all its splats are over at the time shown."""
+    ids: Ids = field(default_factory=lambda: np.zeros(0, np.int32))
+    """[n] in the tile's order."""
+    steps: Steps | None = None
+    """Units of the tile's motion; None where it never moves."""
+    rows: I32 | None = None
+    """[n] ids of the splats that are the tile's still, -1 for the others; None: to be told anew."""
+
+    @property
+    def frame(self) -> int:
+        """Media frame that the tile is of."""
+        return self.key[0]
+
+
+@dataclass(eq=False)
+class _Motion:
+    """What is known of the motion of one tile of looks."""
+
+    chunks: dict[int, Chunk] = field(default_factory=dict)
+    """First media frame -> motion from it on."""
+    ends: dict[int, float] = field(default_factory=dict)
+    """First media frame -> the time from which on nothing of that chunk changes any more."""
+    shown: tuple[int, float] | None = None
+    """First frame of the chunk that is shown, and the time; None: splats are as their looks say."""
+    dirty: bool = True
+    """Whether looks, an update or motion came since :attr:`shown`."""
+    _tile: MovingTile | None = None
+
+    def start(self, time: float) -> int | None:
+        """First frame of the chunk to show at ``time``."""
+        return max((first for first in self.chunks if first <= time), default=None)
+
+    def tile_at(self, start: int, time: float, rows: I32, steps: Steps) -> MovingTile:
+        """The splats of ``rows`` at ``time``; made anew only where something else than the time has changed."""
+        chunk, tile = self.chunks[start], self._tile
+        if tile is None or tile.chunk is not chunk or tile.rows is not rows or tile.steps is not steps:
+            tile = self._tile = MovingTile(chunk, time - start, rows, steps)
+        tile.time = time - start
+        return tile
+
+    def settled(self, start: int, time: float) -> bool:
+        """Whether the chunk from ``start`` is shown as it is at ``time`` already."""
+        if self.dirty or self.shown is None or self.shown[0] != start:
+            return False
+        return self.shown[1] == time or min(self.shown[1], time) >= self.ends[start]
+
+
+class SplatBuffer:
+    """Rows are splat ids. One thread writes; memory for ``capacity`` rows is taken when something is written."""
+
+    def __init__(
+        self,
+        capacity: int,
+        sh_degree: int,
+        *,
+        on_replaced: Callable[[Slot], None] = lambda slot: None,
+        threads: int = 1,
+    ) -> None:
+        """``on_replaced`` hears of each tile of which nothing is shown any more. Motion is evaluated on ``threads``."""
+        self._capacity, self._sh_degree, self._threads = capacity, sh_degree, threads
+        self._on_replaced = on_replaced
+        self.slots: list[Slot] = []
+        """Every tile of looks that was added, by :attr:`Slot.index`."""
+        self._by_key: dict[Key, Slot] = {}
+        self._motions: dict[Key, _Motion] = {}
+
+    @cached_property
+    def splats(self) -> Splats:
+        """Those on display; rows without a splat are absent (``ABSENT_LOGIT``)."""
+        return _blank(self._capacity, self._sh_degree)
+
+    @cached_property
+    def _still(self) -> dict[str, F32]:
+        """Moving columns as looks and updates say them, before motion."""
+        return {name: getattr(self.splats, name).copy() for name in MOVING_COLUMNS}
+
+    def _unset(self) -> NDArray[np.int32]:
+        return np.full(self._capacity, -1, np.int32)
+
+    @cached_property
+    def owner(self) -> NDArray[np.int32]:
+        """[capacity] index of the tile of looks that a row is from; -1 where there is no splat."""
+        return self._unset()
+
+    @cached_property
+    def _source(self) -> NDArray[np.int32]:
+        """Media frame of the looks that a row is from."""
+        return self._unset()
+
+    @cached_property
+    def _removed_at(self) -> NDArray[np.int32]:
+        """The newest media frame that removed the row."""
+        return self._unset()
+
+    @cached_property
+    def _updated(self) -> dict[str, NDArray[np.int32]]:
+        """Column -> [capacity] media frame of the newest update of a row; -1 where looks are all there is."""
+        return {column: self._unset() for column in UPDATE_COLUMNS}
+
+    @property
+    def nbytes(self) -> int:
+        """What the rows take that were written so far."""
+        made = vars(self)
+        arrays = [made[name] for name in ("owner", "_source", "_removed_at") if name in made]
+        arrays += [array for name in ("_still", "_updated") for array in made.get(name, {}).values()]
+        arrays += [array for _, array in made["splats"].arrays()] if "splats" in made else []
+        return sum(array.nbytes for array in arrays)
+
+    def add(self, slot: Slot) -> None:
+        """Take a tile of looks in, before anything of it is written; its index is ``len(self.slots)``."""
+        self.slots.append(slot)
+        self._by_key[slot.key] = slot
+
+    def clear(self) -> None:
+        """Back to no splats; the tiles stay, and their motion."""
+        self.splats.logit_opacities[:] = self._still["logit_opacities"][:] = ABSENT_LOGIT
+        for rows in (self.owner, self._source, self._removed_at, *self._updated.values()):
+            rows[:] = -1
+        for motion in self._motions.values():
+            motion.shown, motion.dirty = None, True
+        for slot in self.slots:
+            slot.rows, slot.ended = None, False
+
+    # ------------------------------------------------------------------------------------------------------------ looks
+
+    def remove(self, frame: int, ids: Ids) -> Ids:
+        """End ``ids`` at media frame ``frame``; those that were shown until now."""
+        self._removed_at[ids] = np.maximum(self._removed_at[ids], frame)
+        gone: Ids = ids[self._source[ids] < frame]
+        self._release(gone)
+        self.owner[gone] = -1
+        self.splats.logit_opacities[gone] = ABSENT_LOGIT  # what an update says of splats that are to come stays
+        return gone
+
+    def write(self, slot: Slot, lod: int, ids: Ids, splats: Splats) -> Ids:
+        """Show a tile of looks at ``lod``: ``splats`` [n] by ``ids`` [n]. The ids of those that are its to show."""
+        slot.ids, slot.rows = ids, None
+        mine = self.owner[ids] == slot.index
+        newer = (self._source[ids] < slot.frame) & (self._removed_at[ids] <= slot.frame)
+        newer |= self._of_later_tiles(slot, ids)
+        claimed = ids[newer & ~mine]
+        self._release(claimed)
+        self.owner[claimed], self._source[claimed] = slot.index, slot.frame
+        slot.owned += len(claimed)
+        write = np.nonzero(mine | newer)[0]
+        rows: Ids = ids.take(write)
+        self._put(slot, rows, splats if len(write) == len(ids) else splats.take(write))
+        slot.shown_lod = lod
+        if not slot.owned:
+            self._on_replaced(slot)
+        return rows
+
+    def _of_later_tiles(self, slot: Slot, ids: Ids) -> NDArray[np.bool_]:
+        """Which of ``ids`` are shown from tiles of the frame of ``slot`` with a higher number."""
+        contested: NDArray[np.bool_] = (
+            (self._source[ids] == slot.frame) & (self.owner[ids] >= 0) & (self.owner[ids] != slot.index)
+        )
+        if contested.any():
+            tiles = np.array([self.slots[owner].key[1] for owner in self.owner[ids[contested]]])
+            contested[contested] = tiles > slot.key[1]
+        return contested
+
+    def _put(self, slot: Slot, rows: Ids, splats: Splats) -> None:
+        """Looks of ``slot``; what updates of its frame and of later ones changed stays."""
+        moving, targets = self._touch(slot), dict(self.splats.arrays())
+        for name, values in splats.arrays():
+            base = self._still.get(name, targets[name])
+            keep = self._updated[name][rows] >= slot.frame if name in self._updated else None
+            if keep is not None and keep.any():
+                base[rows[~keep]] = values[~keep]
+                self._updated[name][rows[~keep]] = -1
+            else:
+                base[rows] = values
+                if keep is not None:
+                    self._updated[name][rows] = -1
+            if base is not targets[name] and not moving:
+                targets[name][rows] = base[rows]
+
+    def _touch(self, slot: Slot) -> bool:
+        """Something of ``slot`` changed; whether it is for :meth:`move` to show its moving columns."""
+        motion = self._motions.get(slot.key)
+        if motion is None:
+            return False
+        motion.dirty = True
+        return motion.shown is not None
+
+    def _release(self, rows: Ids) -> None:
+        """These rows leave the tiles that own them."""
+        owners = self.owner[rows]
+        counts = np.bincount(owners[owners >= 0], minlength=0)
+        for index in np.nonzero(counts)[0]:
+            slot = self.slots[index]
+            slot.rows = None
+            slot.owned -= int(counts[index])
+            if not slot.owned:
+                self._on_replaced(slot)
+
+    # ---------------------------------------------------------------------------------------------------------- updates
+
+    def update(self, frame: int, values: Mapping[str, tuple[Rows, F32]]) -> Rows:
+        """Take an update of media frame ``frame``: column -> (ids [m], values [m, ...]); the rows that changed."""
+        taken = {column: self._takes(frame, column, ids) for column, (ids, _) in values.items()}
+        ids_of = {column: values[column][0][takes] for column, takes in taken.items()}
+        out = self._shown(_union(list(ids_of.values())))
+        moving = np.array([i for i in np.unique(self.owner[out]) if self._touch(self.slots[i])], np.intp)
+        for column, ids in ids_of.items():
+            self._updated[column][ids] = frame
+            target, new = getattr(self.splats, column), values[column][1][taken[column]]
+            if column in self._still:
+                self._still[column][ids] = new
+                here = (self.owner[ids] >= 0) & ~np.isin(self.owner[ids], moving)
+                target[ids[here]] = new[here]
+            else:
+                target[ids] = new
+        return out
+
+    def _takes(self, frame: int, column: str, ids: Rows) -> NDArray[np.bool_]:
+        newest = (self._updated[column][ids] <= frame) & (self._source[ids] <= frame)
+        return newest & (self._removed_at[ids] <= frame)
+
+    def _shown(self, ids: Rows) -> Rows:
+        return ids[self.owner[ids] >= 0]
+
+    def uses(self, frame: int, ids_of: Mapping[str, Rows], *, shown: bool = False) -> bool:
+        """Whether the update of ``frame`` of columns' ``ids_of`` is the newest for any splat that is there or may come;
+        with ``shown``: for any that is there at the time shown.
+        """
+        for column, ids in ids_of.items():
+            used = (self._updated[column][ids] == frame) & (self._removed_at[ids] <= frame)
+            if shown:
+                used &= (self.owner[ids] >= 0) & (self.splats.logit_opacities[ids] > ABSENT_LOGIT)
+            if used.any():
+                return True
+        return False
+
+    # ----------------------------------------------------------------------------------------------------------- motion
+
+    def set_motion(self, looks: Key, start: int, chunk: Chunk) -> None:
+        """Take the motion of the splats of tile ``looks`` from media frame ``start`` on, or more of its levels."""
+        motion = self._motions.setdefault(looks, _Motion())
+        motion.chunks[start], motion.ends[start], motion.dirty = chunk, start + _ends(chunk), True
+
+    def drop_motion(self, looks: Key) -> None:
+        """Nothing of tile ``looks`` moves any more."""
+        self._motions.pop(looks, None)
+
+    def drop_past(self, time: float) -> list[tuple[Key, int]]:
+        """Forget chunks that later ones have followed by ``time``, each by its looks and first frame. Times before that
+        cannot be shown any more without them.
+        """
+        gone = []
+        for looks, motion in self._motions.items():
+            if len(motion.chunks) < 2 or (start := motion.start(time)) is None:
+                continue
+            for first in [f for f in motion.chunks if f < start]:
+                del motion.chunks[first], motion.ends[first]
+                gone.append((looks, first))
+        return gone
+
+    def moves(self, looks: Key) -> int | None:
+        """First media frame of the chunk that moves the splats of tile ``looks`` at the time shown; None: none does."""
+        motion = self._motions.get(looks)
+        return None if motion is None or motion.shown is None else motion.shown[0]
+
+    def move(self, time: float) -> Rows:
+        """Show every splat where it is at ``time`` (media frames); the rows that changed."""
+        tiles: list[MovingTile] = []
+        for looks, motion in self._motions.items():
+            slot = self._by_key.get(looks)
+            if slot is None or not slot.owned or slot.steps is None:
+                continue
+            start = motion.start(time)
+            if start is None or motion.settled(start, time):
+                continue
+            if slot.rows is None:
+                slot.rows = np.where(self.owner[slot.ids] == slot.index, slot.ids, -1).astype(np.int32)
+            tiles.append(motion.tile_at(start, time, slot.rows, slot.steps))
+            slot.ended = time >= motion.ends[start] and _ends_all(motion.chunks[start])
+            motion.shown, motion.dirty = (start, time), False
+        if not tiles:
+            return np.zeros(0, np.intp)
+        listed = np.concatenate([tile.rows for tile in tiles])
+        rows: Rows = listed[listed >= 0].astype(np.intp)
+        shown = Looks(*(getattr(self.splats, name) for name in MOVING_COLUMNS))
+        move_rows(tiles, Looks(*self._still.values()), shown, self._threads)
+        return rows
+
+
+def _ends_all(chunk: Chunk) -> bool:
+    """Whether no splat of a chunk outlives its span."""
+    return chunk.lives is not None and int(chunk.lives.max(initial=0)) <= chunk.span
+
+
+def _ends(chunk: Chunk) -> float:
+    """Frames after a chunk's first from which on nothing changes: the span's, or the end of the last life."""
+    if _ends_all(chunk):
+        assert chunk.lives is not None
+        return float(chunk.lives.max(initial=0))
+    return float(chunk.span)
+
+
+def _union(parts: list[Rows]) -> Rows:
+    rows: Rows = np.unique(np.concatenate([np.zeros(0, np.intp), *parts]))
+    return rows
+
+
+def _blank(capacity: int, sh_degree: int) -> Splats:
+    quats = np.zeros((capacity, 4), np.float32)
+    quats[:, 0] = 1.0
+    zeros = np.zeros((capacity, 3), np.float32)
+    rest = np.zeros((capacity, SH_REST_OF_DEGREE[sh_degree], 3), np.float32)
+    return Splats(zeros, quats, zeros - 10, np.full(capacity, ABSENT_LOGIT), zeros.copy(), rest)

@@ -1,0 +1,131 @@
+"""What a decoder holds of one tile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+
+from cags_common.coding.packing import U32, PackedCodes
+from cags_common.errors import DecodeError
+from cags_common.geometry import F32
+from cags_common.motion.apply import Steps
+from cags_common.splats import Ids, Splats
+from cags_common.tiles.dequantise import Dequantiser, FreshLayers
+from cags_common.tiles.kinds import TileKind
+from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.payloads import BaseTile, decode_layer
+
+
+class TileState:
+    """One tile: its base, and enhancement layers that may come in any order.
+
+    An attribute is decoded to its *depth*: the number of layers there without a gap. Layers are unpacked when
+    :meth:`dequantise` needs them. Not thread-safe; different tiles may be decoded in different threads.
+    """
+
+    kind = TileKind.LOOKS
+
+    def __init__(
+        self,
+        base: BaseTile,
+        dequantiser: Dequantiser,
+        lod_order: Sequence[LodLayer],
+        step_tables: Steps | None = None,
+    ) -> None:
+        """``step_tables`` are units of motion by the base code of scale."""
+        self.steps = None if step_tables is None else _steps(base, step_tables)
+        """Units of the splats' motion; None in bundles without any."""
+        self.base = base
+        self._dequantise, self._order = dequantiser, tuple(lod_order)
+        self._books = dequantiser.books
+        self._codes: U32 | None = None
+        self._fresh: dict[str, list[PackedCodes]] = {name: [layer] for name, layer in base.layers.items()}
+        self._depth = dict.fromkeys(self._books.attributes, 0)
+        self._waiting: dict[tuple[str, int], PackedCodes] = {}
+
+    def __len__(self) -> int:
+        return len(self.base)
+
+    @property
+    def ids(self) -> Ids:
+        """Ids [n], ascending."""
+        return self.base.ids
+
+    @property
+    def means(self) -> F32:
+        """Positions [n, 3], world, metres."""
+        return self.base.means
+
+    @property
+    def lod(self) -> int:
+        """Highest LoD up to which everything has come."""
+        for level, item in enumerate(self._order):
+            if self._depth[item.attribute] < item.layer:
+                return level
+        return len(self._order)
+
+    def depth(self, attribute: str) -> int:
+        """Enhancement layers of ``attribute`` that are decoded, from the base on without a gap."""
+        return self._depth[attribute]
+
+    def add_layer(self, lod: int, payload: bytes | memoryview) -> bool:
+        """Take LoD ``lod`` >= 1.
+
+        Returns whether a depth rose (a layer below may be missing still). Raises :class:`DecodeError`.
+        """
+        if not 1 <= lod <= len(self._order):
+            raise DecodeError(f"tile: LoD {lod} is outside 1 to {len(self._order)}")
+        item = self._order[lod - 1]
+        if item.layer <= self._depth[item.attribute]:
+            return False
+        bits = self._books[item.attribute].layer_bits[item.layer]
+        self._waiting[item.attribute, item.layer] = decode_layer(payload, len(self), bits)
+        return self._absorb(item.attribute)
+
+    @property
+    def grows(self) -> bool:
+        """Whether a further level may bring more splats: never, all come with the base."""
+        return False
+
+    def fork(self) -> TileState:
+        """Another state of what has come; what is added to one of the two does not change the other."""
+        other = copy(self)
+        other._fresh = {name: list(parts) for name, parts in self._fresh.items()}
+        other._depth, other._waiting = dict(self._depth), dict(self._waiting)
+        return other
+
+    def reduced(self, lods: int) -> TileState:
+        """Another state, of LoDs 0 .. ``lods`` - 1 alone, all of which have come."""
+        other = self.fork()
+        other._waiting.clear()
+        codes = None if self._codes is None else self._codes.copy()
+        for row, name in enumerate(self._depth):
+            depth = max((item.layer for item in self._order[: lods - 1] if item.attribute == name), default=0)
+            merged = self._depth[name] + 1 - len(self._fresh[name])  # layers that the codes hold
+            other._fresh[name] = self._fresh[name][: max(depth + 1 - merged, 0)]
+            other._depth[name] = depth
+            if codes is not None:
+                codes[row] >>= np.uint32(sum(self._books[name].layer_bits[depth + 1 : merged]))
+        other._codes = codes
+        return other
+
+    def dequantise(self, into: Splats | None = None) -> Splats:
+        """The tile's splats [n] at the depths there are, in the order of ``base.ids``; in ``into`` if given."""
+        fresh = [FreshLayers(self._depth[name] + 1 - len(parts), tuple(parts)) for name, parts in self._fresh.items()]
+        splats, self._codes = self._dequantise(self.base.means, self._codes, fresh, into)
+        self._fresh = {name: [] for name in self._fresh}
+        return splats
+
+    def _absorb(self, attribute: str) -> bool:
+        before = self._depth[attribute]
+        while (part := self._waiting.pop((attribute, self._depth[attribute] + 1), None)) is not None:
+            self._depth[attribute] += 1
+            self._fresh[attribute].append(part)
+        return self._depth[attribute] > before
+
+
+def _steps(base: BaseTile, tables: Steps) -> Steps:
+    codes = base.layers["scale"].unpack(len(base))
+    return Steps(tables.moves[codes], tables.turns[codes])

@@ -1,0 +1,1 @@
+"""Codecs of clips: the registry, Scalable Vector Quantisation, and the linear LoD orders."""

@@ -1,0 +1,60 @@
+"""Linear LoD orders: the fixed one, and orders from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cags_common.errors import BundleError, ConfigError
+from cags_common.tiles.lod import LodLayer, check_order
+from cags_common.tiles.svq import CodebookSet
+
+# How many layers later than scale's first an attribute's first layer comes. Coarse scales tear surfaces apart, then
+# rotations show, then colours, then opacity (paper, supplement, "LoD Assignment").
+_LATENESS = {
+    "scale": 0.0,
+    "rotation_imag": 1.0,
+    "rotation_real": 1.1,
+    "rotation": 1.0,
+    "sh0": 1.2,
+    "sh1": 1.9,
+    "opacity": 2.0,
+    "alpha": 2.0,
+    "sh2": 2.9,
+    "sh3": 3.9,
+}
+
+
+def paper_order(books: CodebookSet) -> tuple[LodLayer, ...]:
+    """Layers interleaved by the impact that the paper reports: scale, rotation, SH, opacity."""
+    layers = [LodLayer(book.attribute, layer) for book in books for layer in range(1, book.enhancement_layers + 1)]
+    return tuple(sorted(layers, key=lambda item: item.layer + _LATENESS[item.attribute]))
+
+
+def order_of(name: str, books: CodebookSet) -> tuple[LodLayer, ...]:
+    """The order that a setting names: ``paper`` or a file of lines ``attribute layer``. Raises :class:`ConfigError`.
+
+    For ``measured`` it is the one to begin with.
+    """
+    return paper_order(books) if name in ("paper", "measured") else _read_order(Path(name), books)
+
+
+def _read_order(path: Path, books: CodebookSet) -> tuple[LodLayer, ...]:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"lod_order = {str(path)!r} is not 'measured' or 'paper' and cannot be read as a file ({error})"
+        ) from error
+    order = []
+    for number, line in enumerate(lines, start=1):
+        words = line.split("#")[0].split()
+        if not words:
+            continue
+        if len(words) != 2 or not words[1].isdecimal():
+            raise ConfigError(f"{path}:{number}: {line!r} must be 'attribute layer', such as 'scale 1'")
+        order.append(LodLayer(words[0], int(words[1])))
+    try:
+        check_order(order, {book.attribute: book.enhancement_layers for book in books})
+    except BundleError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    return tuple(order)

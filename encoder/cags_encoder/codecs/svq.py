@@ -1,0 +1,113 @@
+"""Scalable Vector Quantisation as a codec of clips."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.coding.packing import U32
+from cags_common.geometry import F32, F64
+from cags_common.splats import Ids, Splats
+from cags_common.tiles.attributes import join_attributes
+from cags_common.tiles.lod import LodLayer
+from cags_common.tiles.payloads import MAX_POSITION_BITS, PositionGrid, encode_base, encode_layer
+from cags_encoder.codecs.lod_order import order_of
+from cags_encoder.quantiser.configs import QuantiserConfig, quantiser_config
+from cags_encoder.settings import EncodeSettings
+
+if TYPE_CHECKING:
+    from cags_encoder.quantiser.training import Quantiser
+
+SMALL_SPLATS = 0.25
+"""Quantile of a tile's radii that its position step is measured by."""
+
+MIN_POSITION_BITS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class SvqSplats:
+    """Quantised splats."""
+
+    means: F32  # [n, 3] true
+    radii: F32  # [n] standard deviation along the middle axis, metres
+    codes: dict[str, U32]  # attribute -> [n] codes of full length
+
+    def take(self, rows: NDArray[Any] | slice) -> SvqSplats:
+        """The splats at ``rows``."""
+        return SvqSplats(self.means[rows], self.radii[rows], {name: codes[rows] for name, codes in self.codes.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class SvqCodec:
+    """A :class:`~cags_encoder.codecs.registry.ClipCodec`."""
+
+    quantiser: Quantiser
+    lod_order: tuple[LodLayer, ...]
+    lod_gains_db: tuple[float, ...]
+    position_bits: int | None
+    position_step: float
+
+    @staticmethod
+    def train(
+        samples: Splats,
+        settings: EncodeSettings,
+        weights: F64 | None = None,
+        config: QuantiserConfig | None = None,
+    ) -> SvqCodec:
+        """Train codebooks on ``samples`` [n], which count by ``weights`` [n], and choose the LoD order.
+
+        ``config`` stands in for that which the settings name. Raises :class:`ConfigError`.
+        """
+        from cags_encoder.quantiser.training import train
+
+        config = config or quantiser_config(settings.quantiser)
+        quantiser = train(samples, config, settings.seed, weights)
+        order = order_of(settings.lod_order, quantiser.books)
+        step = config.position_step if settings.position_step is None else settings.position_step
+        return SvqCodec(quantiser, order, (), settings.position_bits, step)
+
+    def codebooks(self) -> bytes:
+        """Serialised :class:`~cags_common.tiles.svq.CodebookSet`."""
+        return self.quantiser.books.to_bytes()
+
+    def prepare(self, splats: Splats) -> Splats:
+        """Canonical axes, where the configuration has them."""
+        return self.quantiser.prepare(splats)
+
+    def quantise(self, prepared: Splats) -> SvqSplats:
+        """Codes of full length."""
+        radii = np.exp(np.clip(np.median(prepared.log_scales, axis=1), -30, 30))
+        return SvqSplats(prepared.means, radii, self.quantiser.encode(prepared))
+
+    def decode(self, coded: SvqSplats) -> Splats:
+        """All layers looked up."""
+        return join_attributes(coded.means, self.quantiser.decode(coded.codes))
+
+    def shown(self, coded: SvqSplats) -> Splats:
+        """One tile with all layers looked up and its positions rounded."""
+        grid = self.grid(coded)
+        return self.decode(replace(coded, means=grid.dequantise(grid.quantise(coded.means))))
+
+    def encode_tile(self, ids: Ids, coded: SvqSplats, *, id_range: bool) -> tuple[bytes, ...]:
+        """Positions and base layers by Draco, then one packed layer a LoD."""
+        books = self.quantiser.books
+        base = {name: books[name].layer(codes, 0) for name, codes in coded.codes.items()}
+        payloads = [encode_base(ids, coded.means, base, self.grid(coded), books, id_range=id_range)]
+        for item in self.lod_order:
+            book = books[item.attribute]
+            layer = book.layer(coded.codes[item.attribute], item.layer)
+            payloads.append(encode_layer(layer, book.layer_bits[item.layer]))
+        return tuple(payloads)
+
+    def grid(self, coded: SvqSplats) -> PositionGrid:
+        """A tile's grid, fine enough for the smaller ones of its splats: an error shows against a splat's own size."""
+        if self.position_bits is not None:
+            return PositionGrid.over(coded.means, self.position_bits)
+        step = self.position_step * float(np.quantile(coded.radii, SMALL_SPLATS)) if len(coded.radii) else 1.0
+        extent = float(np.ptp(coded.means.astype(np.float64), axis=0).max(initial=0.0)) if len(coded.means) else 0.0
+        bits = math.ceil(math.log2(extent / max(step, 1e-30) + 1))
+        return PositionGrid.over(coded.means, min(max(bits, MIN_POSITION_BITS), MAX_POSITION_BITS))

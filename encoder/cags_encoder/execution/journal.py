@@ -1,0 +1,149 @@
+"""What a run has finished, kept beside the bundle: a killed run that is started again goes on from there.
+
+One file a frame, written whole or not at all, holds what the frame sends, packed; the rest of the encoder's state
+follows from reading and quantising the frames again. The journal belongs to one input, one set of settings and
+one set of codebooks; whatever differs starts it afresh. Plain arrays and JSON: nothing in it is evaluated.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import shutil
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from cags_common.bundle import TilePayloads
+from cags_common.errors import BundleError
+from cags_common.files import whole_file, write_whole
+from cags_common.tiles.kinds import TileKind
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """One finished frame."""
+
+    tiles: tuple[TilePayloads, ...]
+    source: bytes
+    """Its unquantised changes, packed."""
+
+
+class Journal:
+    """Records of finished frames in ``folder``; use as a context manager. One process at a time may have it open.
+
+    ``key`` stands for the input and the settings. Raises :class:`BundleError` where another process has it open or the
+    folder cannot be written.
+    """
+
+    def __init__(self, folder: Path, key: str) -> None:
+        self._folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock = (folder / "lock").open("w")
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            self._lock.close()
+            raise BundleError(f"{folder}: another process encodes this bundle; wait for it or stop it") from error
+        except OSError as error:
+            raise BundleError(
+                f"{folder}: cannot be written ({error.strerror or error}); --no-resume keeps no records"
+            ) from error
+        self._belongs_to("input", key)
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._folder.is_dir() and not any(self._folder.glob("*.npz")):
+            shutil.rmtree(self._folder, ignore_errors=True)  # nothing to go on with
+        self._lock.close()
+
+    def codebooks(self, data: bytes) -> None:
+        """Keep the records only if they were made with codebooks ``data``."""
+        self._belongs_to("codebooks", hashlib.sha256(data).hexdigest())
+
+    def note(self, name: str) -> Any:
+        """A JSON value kept by :meth:`write_note`, or None."""
+        try:
+            return json.loads((self._folder / f"{name}.json").read_bytes())
+        except (OSError, ValueError):
+            return None
+
+    def write_note(self, name: str, value: Any) -> None:
+        """Keep a JSON value."""
+        write_whole(self._folder / f"{name}.json", json.dumps(value).encode())
+
+    def has(self, index: int) -> bool:
+        """Whether there is a record of frame ``index``; it may be damaged."""
+        return (self._folder / _name(index)).is_file()
+
+    def frame(self, index: int) -> FrameRecord | None:
+        """The record of frame ``index``, or None where it is not finished (or its file is damaged)."""
+        try:
+            with (self._folder / _name(index)).open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+                return _record(dict(arrays))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def add(self, index: int, record: FrameRecord) -> None:
+        """Keep the record of frame ``index``. Raises :class:`OutputError` where the disk is full."""
+        with whole_file(self._folder / _name(index)) as writing, writing.open("wb") as file:
+            np.savez(file, **_arrays(record))
+
+    def discard(self) -> None:
+        """Delete everything: the bundle is complete, or the run is not worth going on with."""
+        self._lock.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _belongs_to(self, what: str, key: str) -> None:
+        """Drop all records and notes unless they were made for ``key``."""
+        path = self._folder / f"{what}.key"
+        if path.is_file() and path.read_text() == key:
+            return
+        for old in self._folder.iterdir():
+            if old.suffix in (".npz", ".json"):
+                old.unlink()
+        write_whole(path, key.encode())
+
+
+def _name(index: int) -> str:
+    return f"frame_{index:06d}.npz"
+
+
+def _arrays(record: FrameRecord) -> dict[str, Any]:
+    tiles = record.tiles
+    sizes = [[len(payload) for payload in tile.payloads] for tile in tiles]
+    arrays: dict[str, Any] = {
+        "source": np.frombuffer(record.source, np.uint8),
+        "splats": np.array([tile.splats for tile in tiles], np.int64),
+        "first_ids": np.array([-1 if tile.first_id is None else tile.first_id for tile in tiles], np.int64),
+        "bounds": np.array([tile.bounds for tile in tiles], np.float64).reshape(-1, 2, 3),
+        "kinds": np.array([(int(t.kind), *(t.looks or (0, 0)), t.span) for t in tiles], np.int64).reshape(-1, 4),
+        "sizes": np.array([size for each in sizes for size in each], np.int64),
+        "levels": np.array([len(each) for each in sizes], np.int64),
+        "payloads": np.frombuffer(b"".join(p for tile in tiles for p in tile.payloads), np.uint8),
+    }
+    return arrays
+
+
+def _record(arrays: dict[str, Any]) -> FrameRecord:
+    blob, tiles = arrays["payloads"].tobytes(), []
+    ends = np.cumsum(arrays["sizes"]).tolist()
+    payloads = [blob[end - size : end] for size, end in zip(arrays["sizes"].tolist(), ends, strict=True)]
+    for row, levels in enumerate(arrays["levels"].tolist()):
+        low, high = arrays["bounds"][row].tolist()
+        first, (kind, *looks, span) = int(arrays["first_ids"][row]), arrays["kinds"][row].tolist()
+        bounds = (low[0], low[1], low[2]), (high[0], high[1], high[2])
+        own, payloads = tuple(payloads[:levels]), payloads[levels:]
+        of = (looks[0], looks[1]) if kind == TileKind.MOTION else None
+        first_id = None if first < 0 else first
+        tiles.append(TilePayloads(int(arrays["splats"][row]), first_id, bounds, own, TileKind(kind), of, span))
+    return FrameRecord(tuple(tiles), arrays["source"].tobytes())

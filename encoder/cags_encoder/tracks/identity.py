@@ -1,0 +1,87 @@
+"""Which splat of one frame is which of the next.
+
+Sources that know identities give them; for others, and where those of the source are plainly wrong, splats are linked
+with those of the frame before (:mod:`cags_encoder.tracks.linking`). A splat that is not found again is a new one, and
+one that is missing from a frame has ended: an identity is one unbroken track. Frames that share too little start a new
+group of frames.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.bundle.tracks import TrackStatistics
+from cags_common.errors import SceneError
+from cags_common.splats import Ids, Splats
+from cags_encoder.tracks.linking import Looks, Rows, Tracks, alike, link
+from cags_encoder.tracks.statistics import TrackCounter
+
+MIN_OVERLAP = 0.25
+"""Share of rows that must be found again; with fewer a key frame costs no more than the differences."""
+
+MIN_ALIKE = 0.8
+"""Share of the splats of one source identity that must look or lie alike in two frames for it to be believed."""
+
+
+class IdentityTracker:
+    """Gives every row of every frame a persistent identity. Frames must come in order."""
+
+    def __init__(self) -> None:
+        self._ids: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._next = 0
+        self._splats: Splats | None = None
+        self._known: NDArray[np.int64] | None = None
+        self._tracks: Tracks | None = None  # of the last frame, where it was linked
+        self._counter = TrackCounter()
+
+    def identify(self, splats: Splats, known: Ids | None, source: str) -> tuple[NDArray[np.int64], bool]:
+        """Identities [n] of a frame's rows, and whether enough of the frame before was found again.
+
+        ``known`` [n] are identities that the source gives. ``source`` names the frame in errors. Raises
+        :class:`SceneError` for identities that repeat.
+        """
+        given = None if known is None else _checked(known, len(splats), source)
+        rows = self._rows(splats, given)
+        found = rows >= 0
+        ids = np.empty(len(rows), np.int64)
+        ids[found] = self._ids[rows[found]]
+        fresh = len(rows) - int(found.sum())
+        ids[~found] = np.arange(self._next, self._next + fresh)
+        self._next += fresh
+        self._counter.add(self._splats, splats, rows)
+        self._ids, self._splats, self._known = ids, splats, given
+        return ids, bool(found.sum() >= MIN_OVERLAP * len(rows))
+
+    def statistics(self) -> TrackStatistics:
+        """What the tracks so far are like."""
+        return self._counter.statistics()
+
+    def _rows(self, splats: Splats, given: NDArray[np.int64] | None) -> Rows:
+        """The row of the frame before that each row continues, or -1."""
+        if self._splats is None:
+            return np.full(len(splats), -1, np.intp)
+        if given is not None and self._known is not None:
+            rows = _rows_of(given, self._known)
+            if alike(self._splats, splats, rows) >= MIN_ALIKE:
+                self._tracks = None
+                return rows
+        before = self._tracks or Tracks.begun(Looks.of(self._splats))
+        after = Looks.of(splats)
+        rows = link(before, after)
+        self._tracks = before.continued(after, rows)
+        return rows
+
+
+def _checked(known: Ids, count: int, source: str) -> NDArray[np.int64]:
+    ids = known.astype(np.int64)
+    if len(ids) != count or len(np.unique(ids)) != count or ids.min(initial=0) < 0:
+        raise SceneError(f"{source}: its splat identities must be distinct and not negative, one a splat")
+    return ids
+
+
+def _rows_of(ids: NDArray[np.int64], among: NDArray[np.int64]) -> Rows:
+    """The row of each of ``ids`` in ``among``, or -1."""
+    order = np.argsort(among, kind="stable")
+    at = order[np.minimum(np.searchsorted(among, ids, sorter=order), len(among) - 1)]
+    return np.where(among[at] == ids, at, -1)

@@ -1,0 +1,479 @@
+"""Which splat of a frame continues which of the frame before: mutual nearest neighbours in position and looks.
+
+A splat is looked for where its track's velocity takes it (or, where it has none, its neighbours'), among the nearest
+splats there. Which of these it is, position and looks decide together: the distance in units of the local spacing, and
+what scale, rotation, colour and harmonics differ by, in steps that sources quantise them with. Each part counts up to a
+limit, so that one attribute may change at will. Opacity does not count: splats fade.
+
+Everything is relative to the splats themselves: neither the unit of length nor the number of splats matters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32, F64
+from cags_common.splats import SH_C0, Splats
+from cags_common.tiles.morton import morton_order
+from cags_encoder.tracks.rows import identical_rows
+
+Rows = NDArray[np.intp]
+
+USUAL, STRANGE = 90, 3.0
+"""Percentile of the differences in looks of a pair of frames, and how many times that is strange."""
+
+STRANGE_LOOKS, STRANGE_PLACE = 2.0, 0.25
+"""What is never strange: this difference in looks, this squared distance in units of the spacing."""
+
+FEW, CANDIDATES = 3, 6
+"""Nearest splats among which a continuation is sought: of all splats, and of those that are left."""
+
+REACH = 3.0
+"""A continuation lies within this many of a splat's own radii, or of the distances to its neighbours, of its place."""
+
+ACCEPTED = 12.0
+"""Largest score of a link: about three sure signs of another splat."""
+
+SURE = 1.0
+"""Score of a row's link that is not looked into any further."""
+
+SCALE_STEP, COLOUR_STEP, HARMONICS_STEP, TURN_STEP = 0.15, 0.06, 0.08, 0.15
+"""Differences that count one: of the logarithm of the scales, of RGB, of harmonics, and radians of a long splat."""
+
+LIMIT, HARMONICS_LIMIT = 9.0, 4.0
+"""The most that one attribute counts for."""
+
+HARMONICS_PARTS = 4
+"""Numbers that harmonics are summed up in, by fixed random weights: enough to tell splats apart."""
+
+ROUNDS = 3
+"""How often the mutually nearest are taken out and the others look again."""
+
+SAMPLE = 1024
+"""Rows by which it is found out whether rows are identities."""
+
+ROWS_HOLD = 0.9
+"""Share of the sampled rows of which no other splat may be the better continuation."""
+
+SEED_LOOKS, SEED_SPREAD = 0.5, 0.25
+"""Looks tell a splat alone when they differ by this at most, and by this share of what the next best does; and how far,
+as a share of its own, its movement may differ from that of others told so.
+"""
+
+TINY = 1e-12
+"""In place of a distance of zero: where splats lie at one place, all that is elsewhere is out of reach."""
+
+FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
+"""Moving neighbours that a splat without a velocity takes its own from: how many are looked at, how many nearest."""
+
+FLOW_ROUNDS, COMPANIONS, EXPLAINED = 12, 16, 0.05
+"""How often splats are looked for again where their neighbours went, how many of these are asked, and within how much
+of the spacing a splat lies where it was expected.
+"""
+
+BENDS = 0.7
+"""Velocities are taken to change evenly where splats then lie nearer to where they are looked for by this factor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """What splats [n] are compared by."""
+
+    splats: Splats
+    means: F64  # [n, 3]
+    radii: F64  # [n] mean standard deviation
+    signs: F32  # [n, 6 + HARMONICS_PARTS] scales, colours and harmonics, in steps
+    stretch: F32  # [n] how much a turn can be seen
+
+    def __len__(self) -> int:
+        return len(self.splats)
+
+    @cached_property
+    def order(self) -> Rows:
+        """Rows [n] such that neighbours lie together: looking them up in it takes half the time."""
+        return morton_order(self.splats.means)
+
+    @staticmethod
+    def of(splats: Splats) -> Looks:
+        """Those of ``splats``."""
+        logs = np.clip(splats.log_scales, -60, 60)
+        rest = splats.sh_rest.reshape(len(splats), -1)
+        parts = (
+            logs / np.float32(SCALE_STEP),
+            splats.sh0 * np.float32(SH_C0 / COLOUR_STEP),
+            np.einsum("nk,kp->np", rest, _weights(rest.shape[1])) if rest.shape[1] else _none(len(splats)),
+        )
+        radii: F64 = np.exp(logs.astype(np.float64)).mean(axis=1)
+        stretch = np.minimum(np.ptp(logs, axis=1), 1.0)
+        return Looks(splats, splats.means.astype(np.float64), radii, np.concatenate(parts, axis=1), stretch)
+
+
+def _none(count: int) -> F32:
+    """[count, HARMONICS_PARTS] of splats without harmonics."""
+    return np.zeros((count, HARMONICS_PARTS), np.float32)
+
+
+def _weights(count: int) -> F32:
+    """[count, HARMONICS_PARTS]: sums by these differ by about one where harmonics differ by a step each."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (count, HARMONICS_PARTS))
+    weights: F32 = (signs / (HARMONICS_STEP * max(count, 1) ** 0.5 * HARMONICS_PARTS**0.5)).astype(np.float32)
+    return weights
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """A frame's splats [n], and how they came to it."""
+
+    looks: Looks
+    velocities: F64  # [n, 3] a frame
+    bends: F64  # [n, 3] by how much the velocity was another in the frame before; 0 where there was none
+    ages: NDArray[np.int64]  # [n] frames before this one that the track has lived through
+
+    @staticmethod
+    def begun(looks: Looks) -> Tracks:
+        """Those of a first frame."""
+        still = np.zeros((len(looks), 3))
+        return Tracks(looks, still, still, np.zeros(len(looks), np.int64))
+
+    def continued(self, after: Looks, rows: Rows) -> Tracks:
+        """Those of the next frame, whose splats continue ``rows`` [m], or none (-1)."""
+        found = rows >= 0
+        step, bends = np.zeros((len(after), 3)), np.zeros((len(after), 3))
+        ages = np.zeros(len(after), np.int64)
+        came = rows[found]
+        step[found] = after.means[found] - self.looks.means[came]
+        ages[found] = self.ages[came] + 1
+        old = ages > 1
+        bends[old] = step[old] - self.velocities[rows[old]]
+        return Tracks(after, step, bends, ages)
+
+    def predicted(self) -> F64:
+        """Where each splat is to be looked for in the next frame [n, 3]."""
+        moving = self.ages > 0
+        velocities = self.velocities.copy()
+        if moving.any() and not moving.all():
+            velocities[~moving] = _flow(self.looks.means[~moving], self.looks.means[moving], velocities[moving])
+        expected: F64 = self.looks.means + velocities
+        return expected
+
+
+def link(before: Tracks, after: Looks) -> Rows:
+    """The row of ``before`` that each splat of ``after`` [n] continues, or -1; no row is given twice."""
+    return _Linking(before, after).run()
+
+
+def alike(before: Splats, after: Splats, rows: Rows) -> float:
+    """Share of the splats of ``after`` [n] that may well continue their ``rows`` of ``before``: they lie within reach
+    of them, or look the same. 1 where none has a row.
+    """
+    linked = np.flatnonzero(rows >= 0)
+    linked = linked[:: max(1, len(linked) // SAMPLE)]
+    if not len(linked):
+        return 1.0
+    mine, theirs = Looks.of(before.take(rows[linked])), Looks.of(after.take(linked))
+    same = np.arange(len(linked))
+    place, looks = _Pair(mine, theirs).differences(same, same[:, None], mine.means, REACH * mine.radii[:, None])
+    return float(np.mean((place <= 1.0) | (looks <= ACCEPTED / 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Two frames whose splats are compared."""
+
+    before: Looks
+    after: Looks
+
+    def differences(self, rows: Rows, found: Rows, expected: F64, unit: F64 | float) -> tuple[F64, F64]:
+        """Differences of place (squared, in ``unit`` [m, 1]) and of looks [m, k] of splats ``found`` [m, k] in the
+        frame after from ``rows`` [m] of the frame before, of which all [n] are expected at places [n, 3].
+        """
+        before, after = self.before, self.after
+        apart = after.means[found] - expected[rows][:, None]
+        place: F64 = np.einsum("mkc,mkc->mk", apart, apart) / np.square(np.maximum(unit, TINY))
+        signs = after.signs[found] - before.signs[rows][:, None]
+        parts = (signs[..., :3], signs[..., 3:6], signs[..., 6:])
+        scales, colours, harmonics = (np.einsum("mkc,mkc->mk", part, part) for part in parts)
+        cosine = np.abs(np.einsum("mkq,mq->mk", after.splats.quats[found], before.splats.quats[rows]))
+        turn = 2 * np.arccos(np.minimum(cosine, 1)) * before.stretch[rows][:, None] / TURN_STEP
+        looks: F64 = np.minimum(scales, LIMIT) + np.minimum(colours, LIMIT) + np.minimum(turn * turn, LIMIT)
+        return place, looks + np.minimum(harmonics, HARMONICS_LIMIT)
+
+
+class _Linking:
+    """One pair of frames. ``rows`` grows step by step."""
+
+    def __init__(self, before: Tracks, after: Looks) -> None:
+        self._before, self._after = before.looks, after
+        self._pair = _Pair(before.looks, after)
+        self._tracks = before
+        self.rows: Rows = np.full(len(after), -1, np.intp)
+        self._free = np.ones(len(before.looks), bool)
+        self._changed = np.ones(len(after), bool)
+        self._by_rows = False  # whether rows are identities
+
+    def run(self) -> Rows:
+        """Link what can be linked."""
+        self._link(*identical_rows(self._before.splats, self._after.splats))
+        self._changed = self.rows < 0
+        if not self._open():
+            return self.rows
+        expected = self._expected()
+        by_row = self._by_row(expected)
+        if self._open():
+            self._search(expected, FEW)
+        if self._open():
+            self._search_by_flow()
+        if self._open() and self._search_by_looks():
+            self._search_by_flow()
+        if not self._by_rows:
+            self._settle_by_flow(expected)
+        rows = by_row[self._free[by_row] & (self.rows[by_row] < 0)]
+        self._link(rows, rows)
+        self._part_strangers(expected)
+        return self.rows
+
+    def _expected(self) -> F64:
+        """Where the splats of the frame before are looked for [n, 3]: their velocities change as they did before,
+        where a sample shows that this is nearer than velocities that stay.
+        """
+        even, bends = self._tracks.predicted(), self._tracks.bends
+        sample = np.flatnonzero(self._tracks.ages > 1)
+        sample = sample[:: max(1, len(sample) // SAMPLE)]
+        if len(sample) <= CANDIDATES or not bends.any():
+            return even
+        away = [np.median(self._field.near(e[sample], 1)[0]) for e in (even, even + bends)]
+        return even + bends if away[1] < BENDS * away[0] else even
+
+    def _part_strangers(self, expected: F64) -> None:
+        """Undo links of splats that look otherwise than those of this pair of frames usually do, and are neither where
+        they were looked for nor where their neighbours went: one ended, and another began beside it.
+        """
+        linked = np.flatnonzero((self.rows >= 0) & self._changed)
+        came = self.rows[linked]
+        place, looks = self._apart(came, linked, expected)
+        usual = float(np.percentile(looks, USUAL)) if len(looks) else 0.0
+        other = looks > max(STRANGE * usual, STRANGE_LOOKS)
+        strange = np.flatnonzero(other & (place > STRANGE_PLACE))
+        if len(strange) and not other.all():
+            expected = self._moved_with(linked[~other], came[strange])
+            place, _ = self._apart(came[strange], linked[strange], expected)
+            strange = strange[place > STRANGE_PLACE]
+        self._free[came[strange]] = True
+        self.rows[linked[strange]] = -1
+
+    def _apart(self, before: Rows, after: Rows, expected: F64) -> tuple[F64, F64]:
+        """Differences of place and looks of pairs of rows [p]."""
+        place, looks = self._pair.differences(before, after[:, None], expected, self._spacing)
+        return place[:, 0], looks[:, 0]
+
+    def _open(self) -> bool:
+        """Whether there is a splat left in both frames."""
+        return bool(self._free.any() and (self.rows < 0).any())
+
+    def _link(self, before: Rows, after: Rows) -> None:
+        self.rows[after] = before
+        self._free[before] = False
+
+    def _by_row(self, expected: F64) -> Rows:
+        """Where rows are identities, link those that surely continue themselves. The other rows that may."""
+        count = min(len(self._before), len(self._after))
+        rows = np.flatnonzero(self._free[:count] & (self.rows[:count] < 0))
+        sample = rows[:: max(1, len(rows) // SAMPLE)]
+        if not len(sample) or not self._rows_hold(sample, expected):
+            return np.zeros(0, np.intp)
+        self._by_rows = True
+        scores = self._scores(rows, rows[:, None], expected, self._spacing)[:, 0]
+        sure = rows[scores <= SURE]
+        self._link(sure, sure)
+        return rows[(scores > SURE) & (scores <= ACCEPTED)]
+
+    def _rows_hold(self, sample: Rows, expected: F64) -> bool:
+        """Whether hardly any of ``sample`` has a better continuation than the same row."""
+        own = self._scores(sample, sample[:, None], expected, self._spacing)[:, 0]
+        likely = own <= ACCEPTED
+        if likely.mean() < ROWS_HOLD / 2:
+            return False
+        best = self._scores(sample, self._field.near(expected[sample], CANDIDATES)[1], expected, self._spacing).min(
+            axis=1
+        )
+        return bool(np.mean(own[likely] <= best[likely] + 1e-3) >= ROWS_HOLD)
+
+    @cached_property
+    def _field(self) -> _Field:
+        """All splats of the frame."""
+        return _Field(self._after.means, self._after.order)
+
+    def _local(self, distances: F64) -> F64:
+        """Distances to neighbours [m, 1] from those to the nearest few [m, k]: splats lie on surfaces.
+
+        Where there are but a few they are no measure of each other: they are taken for as dense as can be.
+        """
+        last: F64 = distances[:, -1:] * distances.shape[1] ** -0.5
+        return last if len(self._after) > CANDIDATES else 0.0 * last
+
+    @cached_property
+    def _spacing(self) -> float:
+        """Typical distance between neighbours of the frame."""
+        means = self._after.means[:: max(1, len(self._after) // SAMPLE)]
+        return float(np.median(self._local(self._field.near(means, CANDIDATES)[0])))
+
+    def _search(self, expected: F64, candidates: int = CANDIDATES) -> None:
+        """Link those that are each other's best continuation, and then those of the rest."""
+        before, after = self._before.order, self._after.order
+        before, after = before[self._free[before]], after[self.rows[after] < 0]
+        field = self._field if len(after) == len(self._after) else _Field(self._after.means, after)
+        distances, found = field.near(expected[before], candidates)
+        if field is not self._field:
+            distances = self._field.near(expected[before], FEW)[0]
+        scores = self._scores(before, found, expected, self._local(distances))
+        for _ in range(ROUNDS):
+            mine, theirs = _mutual(scores, found, len(self._after))
+            if not len(mine):
+                break
+            self._link(before[mine], theirs)
+            scores[mine] = np.inf
+            scores[self.rows[found] >= 0] = np.inf
+
+    def _scores(self, rows: Rows, found: Rows, expected: F64, spacing: F64 | float) -> F64:
+        """How unlike ``rows`` [m] the splats ``found`` [m, k] of the frame after are; inf for those out of reach."""
+        place, looks = self._pair.differences(rows, found, expected, spacing)
+        unit = np.maximum(spacing, TINY)
+        reach = REACH * np.maximum(self._before.radii[rows][:, None] / unit, 1.0)
+        score = np.minimum(place, LIMIT) + looks
+        return np.where((place <= reach * reach) & (score <= ACCEPTED), score, np.inf)
+
+    def _search_by_flow(self) -> None:
+        """Look for the rest where their neighbours went."""
+        linked = np.flatnonzero(self.rows >= 0)
+        if len(linked):
+            self._search(self._moved_with(linked, np.flatnonzero(self._free)))
+
+    def _search_by_looks(self) -> bool:
+        """Look for the rest where those of them went that are told by their looks alone, and as others around them:
+        things that leap. Returns whether there are such.
+        """
+        from scipy.spatial import cKDTree
+
+        before, after = np.flatnonzero(self._free), np.flatnonzero(self.rows < 0)
+        seeds = before[:: max(1, len(before) // SAMPLE)]
+        if len(after) < 2:
+            return False
+        apart, found = cKDTree(self._after.signs[after]).query(self._before.signs[seeds], k=2, workers=1)
+        alone = (apart[:, 0] <= SEED_LOOKS) & (apart[:, 0] < SEED_LOOKS * apart[:, 1])
+        seeds, moved = seeds[alone], self._after.means[after[found[alone, 0]]] - self._before.means[seeds[alone]]
+        if len(seeds) <= FLOW_NEIGHBOURS:
+            return False
+        usual = _flow(self._before.means[seeds], self._before.means[seeds], moved, others=True)
+        tolerance = np.maximum(SEED_SPREAD * np.linalg.norm(usual, axis=1), REACH * self._spacing)
+        agree = np.linalg.norm(moved - usual, axis=1) <= tolerance
+        if agree.sum() <= FLOW_NEIGHBOURS:
+            return False
+        expected = self._before.means.copy()
+        expected[before] += _flow(expected[before], expected[seeds[agree]], moved[agree])
+        self._search(expected)
+        return True
+
+    def _settle_by_flow(self, expected: F64) -> None:
+        """Look again, where their neighbours went, for splats that neither their own way nor that of their neighbours
+        explains: what moves by as much as its splats lie apart is first linked with the wrong ones, at the edge of
+        what is linked rightly. As long as this explains more of them.
+        """
+        unit = max(self._spacing, TINY)
+        best, kept = np.inf, self.rows.copy()
+        for _ in range(FLOW_ROUNDS):
+            linked = np.flatnonzero((self.rows >= 0) & self._changed)
+            came = self.rows[linked]
+            own = np.linalg.norm(self._after.means[linked] - expected[came], axis=1) / unit
+            doubtful = np.flatnonzero(own > EXPLAINED)
+            if len(doubtful) <= FLOW_NEIGHBOURS:
+                return
+            flow = self._moved_by_others(linked, came[doubtful])
+            off = np.linalg.norm(self._after.means[linked[doubtful]] - flow[came[doubtful]], axis=1) / unit
+            lost = doubtful[off > EXPLAINED]
+            left = len(lost) + int(self._free.sum())
+            if left >= best:
+                self.rows = kept
+                break
+            best, kept = left, self.rows.copy()
+            self.rows[linked[lost]] = -1
+            self._free[came[lost]] = True
+            if self._open():
+                rows = np.flatnonzero(self._free)
+                self._search(self._moved_by_others(np.flatnonzero(self.rows >= 0), rows))
+            if self._open():
+                self._search(expected)
+        self._free[:] = True
+        self._free[self.rows[self.rows >= 0]] = False
+
+    def _moved_by_others(self, linked: Rows, rows: Rows) -> F64:
+        """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the :data:`COMPANIONS` nearest
+        of the ``linked`` did, themselves aside.
+        """
+        from scipy.spatial import cKDTree
+
+        came, expected = self.rows[linked], self._before.means.copy()
+        if not len(came):
+            return expected
+        moved = self._after.means[linked] - expected[came]
+        k = min(COMPANIONS + 1, len(came))
+        near = cKDTree(expected[came]).query(expected[rows], k=k, workers=1)[1].reshape(len(rows), k)
+        own = came[near] == rows[:, None]
+        last = np.where(own.any(axis=1)[:, None], near[:, -1:], near[:, -2:-1] if k > 1 else near[:, -1:])
+        expected[rows] += np.median(moved[np.where(own, last, near)], axis=1)
+        return expected
+
+    def _moved_with(self, linked: Rows, rows: Rows) -> F64:
+        """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the ``linked`` around them."""
+        came = self.rows[linked]
+        expected = self._before.means.copy()
+        moved = self._after.means[linked] - expected[came]
+        expected[rows] += _flow(expected[rows], self._before.means[came], moved)
+        return expected
+
+
+class _Field:
+    """Some rows of a frame's splats, for finding those near a place."""
+
+    def __init__(self, means: F64, rows: Rows) -> None:
+        from scipy.spatial import cKDTree
+
+        self._rows = rows
+        self._tree = cKDTree(means[rows])
+
+    def near(self, places: F64, count: int) -> tuple[F64, Rows]:
+        """Distances [m, k] and rows [m, k] of the ``count`` splats nearest to each of ``places`` [m, 3]."""
+        k = min(count, len(self._rows))
+        distances, found = self._tree.query(places, k=k, workers=1)
+        return distances.reshape(-1, k), self._rows[found.reshape(-1, k)]
+
+
+def _mutual(scores: F64, found: Rows, count: int) -> tuple[Rows, Rows]:
+    """Rows [p] and the splats [p] of the other frame that are each other's lowest of ``scores`` [m, k]."""
+    best = np.argmin(scores, axis=1)
+    mine = np.arange(len(scores))
+    theirs, lowest = found[mine, best], scores[mine, best]
+    rival = np.full(count, np.inf)
+    np.minimum.at(rival, found.ravel(), scores.ravel())
+    pairs = np.flatnonzero(np.isfinite(lowest) & (lowest <= rival[theirs]))
+    first = np.unique(theirs[pairs], return_index=True)[1]  # of equals one
+    pairs = pairs[first]
+    return pairs, theirs[pairs]
+
+
+def _flow(places: F64, points: F64, velocities: F64, *, others: bool = False) -> F64:
+    """Velocities [m, 3] at ``places``: the medians of those of the nearest of ``points`` [n, 3].
+
+    With ``others`` the places are the points, and each is told by the others alone.
+    """
+    from scipy.spatial import cKDTree
+
+    stride = max(1, len(points) // FLOW_POINTS)
+    points, velocities = points[::stride], velocities[::stride]
+    k = min(FLOW_NEIGHBOURS + others, len(points))
+    near = cKDTree(points).query(places, k=k, workers=1)[1].reshape(len(places), k)
+    flow: F64 = np.median(velocities[near[:, others:]], axis=1)
+    return flow

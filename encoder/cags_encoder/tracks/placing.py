@@ -1,0 +1,164 @@
+"""Which ids a frame's splats get, and what changes by id from frame to frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.bundle import SourceDelta
+from cags_common.bundle.tracks import TrackStatistics
+from cags_common.geometry import F32, F64, axis_bounds
+from cags_common.splats import Ids, Splats
+from cags_common.tiles.morton import morton_order
+from cags_encoder.sampling import check_degree
+from cags_encoder.tracks.identity import IdentityTracker
+from cags_encoder.tracks.looking import Look
+from cags_encoder.tracks.rows import SplatTable
+
+MOTION = ("means", "quats")
+"""Columns of splats that motion is told of, apart from everything else."""
+
+LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A frame whose splats have their ids."""
+
+    index: int
+    key: bool
+    """Whether it begins a group."""
+    delta: SourceDelta
+    capacity: int
+    """One more than the largest id of the group so far."""
+    births: NDArray[np.bool_]
+    """[m] which of the delta's splats are new."""
+    looks: NDArray[np.bool_]
+    """[m] which are new, or differ in more than position and rotation."""
+    peaks: F32 | None = None
+    """[m] opacity logits to code instead of the delta's own: the largest of a splat that fades."""
+
+
+ROOM = 1.5
+"""Ids for each splat that is there, at most: the more of them are free, the closer together lie those of new splats."""
+
+FASTEST = 1e4
+"""A splat that goes further than so many of its own sizes between two frames is taken for another."""
+
+
+class ClipPlacer:
+    """Takes frames in order; starts a group where one is due or where nothing connects to the frame before."""
+
+    def __init__(self, name: str, gof_frames: int) -> None:
+        self._name, self._gof_frames = name, gof_frames
+        self._tracker, self._placer = IdentityTracker(), Placer()
+        self.starts: list[int] = []
+        self.low: F64 = np.full(3, np.inf)
+        self.high: F64 = np.full(3, -np.inf)
+        self.degree: int | None = None
+
+    def place(self, looks: Iterable[tuple[int, Look]]) -> Iterator[Placed]:
+        """Ids for the splats of each frame. Raises :class:`SceneError`."""
+        for index, seen in looks:
+            where = f"{self._name}, frame {index}"
+            self.degree = seen.splats.sh_degree if self.degree is None else self.degree
+            check_degree(seen.splats, self.degree, where)
+            identities, continuous = self._tracker.identify(seen.splats, seen.known, where)
+            key = not self.starts or not continuous or index - self.starts[-1] >= self._gof_frames
+            if key:
+                self._placer = Placer()
+                self.starts.append(index)
+            delta, births, looked = self._placer.place(seen.splats, identities)
+            low, high = axis_bounds(seen.splats.means)
+            self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
+            yield Placed(index, key, delta, self._placer.capacity, births, looked)
+
+    def tracks(self) -> TrackStatistics:
+        """What the tracks of the frames so far are like."""
+        return self._tracker.statistics()
+
+
+class Placer:
+    """Gives the splats of one group's frames their ids, in order. The first frame given is the key frame."""
+
+    def __init__(self) -> None:
+        self._table: SplatTable | None = None
+        self._identities: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._free: NDArray[np.int64] = np.zeros(0, np.int64)
+
+    @property
+    def capacity(self) -> int:
+        """One more than the largest id so far."""
+        return self._table.capacity if self._table else 0
+
+    def place(
+        self, splats: Splats, identities: NDArray[np.int64]
+    ) -> tuple[SourceDelta, NDArray[np.bool_], NDArray[np.bool_]]:
+        """What the next frame [n], n >= 1, changes: its rows have persistent ``identities`` [n].
+
+        And of what it changes [m] which splats are new, and which look different, new ones included.
+        """
+        if self._table is None:
+            order = morton_order(splats.means)
+            splats, self._identities = splats.take(order), identities[order]
+            self._table = SplatTable(splats)
+            every = np.ones(len(splats), bool)
+            return SourceDelta(np.arange(len(splats), dtype=np.int32), splats, np.zeros(0, np.int32)), every, every
+        ids, removed = self._ids(identities, splats)
+        order = np.argsort(ids, kind="stable")
+        ids, splats = ids[order], splats.take(order)
+        new = ~self._table.holds(ids)
+        looks = new | self._table.differs(ids, splats, LOOKS)
+        differing = looks | self._table.differs(ids, splats, MOTION)
+        self._table.alive[removed] = False
+        delta = SourceDelta(ids[differing], splats.take(differing), removed)
+        self._table.put(delta.ids, delta.splats)
+        return delta, new[differing], looks[differing]
+
+    def _ids(self, identities: NDArray[np.int64], splats: Splats) -> tuple[Ids, Ids]:
+        """Ids of this frame's rows (known ones keep theirs, new ones take free or fresh ids), and the ids that went."""
+        lookup = np.argsort(self._identities, kind="stable")
+        at = np.searchsorted(self._identities, identities, sorter=lookup)
+        at = lookup[np.minimum(at, len(lookup) - 1)]
+        assert self._table is not None
+        known = self._identities[at] == identities
+        known[known] = ~self._jumps(at[known].astype(np.int32), splats.take(known))
+        gone = self._table.alive.copy()
+        gone[at[known]] = False
+        removed = np.flatnonzero(gone).astype(np.int32)
+        ids = at.astype(np.int32)
+        new = np.flatnonzero(~known)
+        new = new[morton_order(splats.means[new])]  # ids that rise along the curve: neighbours in a tile are near
+        ids[new] = self._fresh_ids(len(new), len(identities))
+        top = max(len(self._identities), int(ids.max(initial=-1)) + 1)
+        self._identities = np.concatenate([self._identities, np.full(top - len(self._identities), -1)])
+        self._identities[removed] = -1
+        self._identities[ids] = identities
+        self._free = np.union1d(self._free, removed)
+        return ids, removed
+
+    def _jumps(self, ids: Ids, splats: Splats) -> NDArray[np.bool_]:
+        """Whether each splat [n] is too far from where ``ids`` [n] were in the frame before."""
+        assert self._table is not None
+        away = np.abs(splats.means.astype(np.float64) - self._table.take(ids).means).max(axis=1)
+        size = np.exp(np.clip(splats.log_scales.astype(np.float64), -60, 60)).max(axis=1)
+        jumps: NDArray[np.bool_] = away > FASTEST * size
+        return jumps
+
+    def _fresh_ids(self, count: int, alive: int) -> Ids:
+        """Ids that went in earlier frames (never in this one: a client may apply its removals late), or new ones while
+        there are no more than :data:`ROOM` for each of ``alive`` splats: those that lie closest together, since gaps
+        between them are what lists of ids cost.
+        """
+        if not count:
+            return np.zeros(0, np.int32)
+        first = len(self._identities)
+        more = count if first + count <= ROOM * alive else max(count - len(self._free), 0)
+        ids = np.concatenate([self._free, np.arange(first, first + more)])
+        at = int(np.argmin(ids[count - 1 :] - ids[: len(ids) - count + 1]))
+        chosen = ids[at : at + count]
+        self._free = np.setdiff1d(self._free, chosen, assume_unique=True)
+        return chosen.astype(np.int32)

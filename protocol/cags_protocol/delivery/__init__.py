@@ -1,0 +1,1 @@
+"""Between message and link: the send queue, credit, round trips, reassembly."""

@@ -1,0 +1,161 @@
+"""Credit and delivery accounting of what is on its way to a client.
+
+At most ``window_us`` of queueing delay times the rate is unacknowledged, so that what the server decides next is never
+stuck behind more than that. Rate samples follow draft-cheng-iccrg-delivery-rate-estimation: bytes delivered between the
+sending of a packet and its acknowledgement, over the longer of the send and the acknowledge interval.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from cags_common.errors import ProtocolError
+from cags_protocol.delivery.round_trips import RoundTrips
+from cags_protocol.delivery.send_queue import Entry
+from cags_protocol.wire import limits
+from cags_protocol.wire.messages import SeqRange
+
+REORDER_PACKETS = 64
+"""A packet is lost when one sent this much later is acknowledged; over TCP that never happens."""
+
+MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
+"""Least credit: one packet on the wire, one to follow it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One packet on its way, with the state of delivery when it was sent."""
+
+    entry: Entry
+    size: int
+    sent_us: int
+    first_sent_us: int
+    delivered_bytes: int
+    delivered_us: int
+    app_limited: bool
+    window_limited: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AckResult:
+    """What an acknowledgement changed."""
+
+    acked: list[tuple[int, Flight]]
+    lost: list[tuple[int, Flight]]
+    rtt_us: int
+    delivery_rate_bps: float | None
+    app_limited: bool
+    window_limited: bool
+
+
+class FlowControl:
+    """Packets in flight on one connection."""
+
+    def __init__(self, window_us: int, rate_bps: float, now_us: int) -> None:
+        self._window_us = window_us
+        self.rate_bps = rate_bps
+        """What the bandwidth estimator thinks the link carries; sizes the window."""
+        self._flights: OrderedDict[int, Flight] = OrderedDict()
+        self._next_seq = 1
+        self._app_limited_until = 0
+        self._delivered_us = self._first_sent_us = now_us
+        self._round_trips = RoundTrips()
+        self._window_full = False
+        self.in_flight_bytes = 0
+        self.delivered_bytes = 0
+        self.sent_bytes = 0
+        self.lost_bytes = 0
+
+    @property
+    def next_seq(self) -> int:
+        """Number of the next packet."""
+        return self._next_seq
+
+    @property
+    def min_rtt_us(self) -> int:
+        """Shortest round trip seen of late; 0 before the first."""
+        return self._round_trips.shortest_us
+
+    @property
+    def window_bytes(self) -> int:
+        """Bytes that may be unacknowledged: the link's own content, ``window_us`` of queue, and room for jitter.
+
+        Without that room a busy machine, whose round trips jump by tens of milliseconds, would never fill its link.
+        """
+        jitter_us = self._round_trips.jitter_us
+        return max(MIN_WINDOW_BYTES, int(self.rate_bps * (self._window_us + self.min_rtt_us + jitter_us) / 8e6))
+
+    def has_credit(self, extra_bytes: int = 0) -> bool:
+        """Whether another packet may be sent now; ``extra_bytes`` widens the window."""
+        open_ = self.in_flight_bytes + limits.PACKET_BYTES <= self.window_bytes + extra_bytes
+        self._window_full = self._window_full or not open_
+        return open_
+
+    def on_sent(self, entry: Entry, size: int, now_us: int) -> None:
+        """Account for packet ``next_seq``, which carries ``size`` bytes of ``entry``."""
+        if not self._flights:
+            self._first_sent_us = self._delivered_us = now_us
+        self._flights[self._next_seq] = Flight(
+            entry, size, now_us, self._first_sent_us, self.delivered_bytes, self._delivered_us,
+            self._app_limited_until > self.delivered_bytes, self._window_full,
+        )  # fmt: skip
+        self._next_seq += 1
+        self.in_flight_bytes += size
+        self.sent_bytes += size
+
+    def on_idle(self) -> None:
+        """The queue ran dry with credit left: what is in flight now does not show what the link can do."""
+        self._app_limited_until = self.delivered_bytes + self.in_flight_bytes + 1
+        self._window_full = False
+
+    def on_ack(self, ranges: Iterable[SeqRange], delay_us: int, now_us: int) -> AckResult | None:
+        """Take the acknowledged packets out; None if there are no new ones. Raises :class:`ProtocolError`."""
+        ranges = tuple(ranges)
+        largest = max((r.last for r in ranges), default=0)
+        if largest >= self._next_seq:
+            raise ProtocolError(f"ack of packet {largest}, but only {self._next_seq - 1} were sent")
+        acked = self._take_acked(ranges)
+        if not acked:
+            return None
+        self.delivered_bytes += sum(flight.size for _, flight in acked)
+        newest = acked[-1][1]
+        rtt_us = max(now_us - newest.sent_us - delay_us, 0)
+        self._round_trips.note(now_us, rtt_us)
+        rate = self._rate_sample(newest, now_us)
+        self._delivered_us, self._first_sent_us = now_us, newest.sent_us
+        return AckResult(acked, self._take_lost(largest), rtt_us, rate, newest.app_limited, newest.window_limited)
+
+    def drain(self) -> list[Flight]:
+        """Take out everything that is in flight: the connection is over."""
+        return [self._remove(seq) for seq in list(self._flights)]
+
+    def _rate_sample(self, newest: Flight, now_us: int) -> float | None:
+        send_us = newest.sent_us - newest.first_sent_us
+        ack_us = now_us - newest.delivered_us
+        interval_us = max(send_us, ack_us)
+        return (self.delivered_bytes - newest.delivered_bytes) * 8e6 / interval_us if interval_us > 0 else None
+
+    def _take_acked(self, ranges: tuple[SeqRange, ...]) -> list[tuple[int, Flight]]:
+        acked: list[tuple[int, Flight]] = []
+        for wanted in sorted(ranges, key=lambda r: r.first):
+            for seq in list(self._flights):
+                if seq > wanted.last:
+                    break
+                if seq >= wanted.first:
+                    acked.append((seq, self._remove(seq)))
+        return acked
+
+    def _take_lost(self, largest: int) -> list[tuple[int, Flight]]:
+        lost: list[tuple[int, Flight]] = []
+        while self._flights and next(iter(self._flights)) + REORDER_PACKETS < largest:
+            seq = next(iter(self._flights))
+            lost.append((seq, self._remove(seq)))
+            self.lost_bytes += lost[-1][1].size
+        return lost
+
+    def _remove(self, seq: int) -> Flight:
+        flight = self._flights.pop(seq)
+        self.in_flight_bytes -= flight.size
+        return flight

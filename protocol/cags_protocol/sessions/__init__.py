@@ -1,0 +1,1 @@
+"""The two sans-IO sessions: states, blobs, trace."""

@@ -1,0 +1,1 @@
+"""What a server with several scenes adds: their list, thumbnails, and scenes that visitors bring."""

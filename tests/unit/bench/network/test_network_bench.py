@@ -1,0 +1,188 @@
+"""Parts of ``cags-bench network`` that need no scene."""
+
+import asyncio
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from cags_bench.network.checks import checks
+from cags_bench.network.clients import margins_us, missed
+from cags_bench.network.command import NetworkSettings
+from cags_bench.network.content import black_frames, freezes, outage_ends, recovery_ms
+from cags_bench.network.crowd import crowd_line
+from cags_bench.network.load import run_load
+from cags_bench.network.plot import plot_session
+from cags_bench.network.sending import estimate_error, figures
+from cags_bench.network.sockets import direct_lines, kernel_bps, run_direct
+from cags_bench.parallel import in_parallel
+from cags_bench.traces import scaled_trace
+from cags_common.errors import ConfigError, TraceError
+from cags_protocol import ServerSession
+from cags_protocol.sessions.tracing import EventTrace
+from cags_server.ratecontrol.bandwidth import MeasuredEstimator, OracleEstimator
+from cags_shaper.link import LinkSettings
+from cags_shaper.trace import open_trace, trace_of_rates
+from cags_shaper.tun import why_unavailable
+from support.wire_pair import Pair, tile
+
+LINK = LinkSettings(delay_us=10_000)
+
+
+@pytest.mark.parametrize("estimator", [MeasuredEstimator, lambda: OracleEstimator(open_trace("generated:steady-20"))])
+def test_a_steady_link_is_used_without_a_long_queue(estimator):
+    trace = open_trace("generated:steady-20")
+    log = run_load(trace, estimator(), 6_000_000, LINK)
+    found = figures(log, trace, 2_000_000, 6_000_000)
+    assert 0.85 < found["utilisation"] < 1
+    assert found["latency_ms"] < 100
+    assert found["reference_latency_ms"] < found["latency_ms"]
+    assert found["wasted_share"] < 0.01
+
+
+def test_after_a_fall_latency_comes_back():
+    fall = trace_of_rates("fall", [0.0, 3.0], [20.0, 1.5], 60.0)
+    found = figures(run_load(fall, MeasuredEstimator(), 9_000_000, LINK), fall, 5_000_000, 9_000_000)
+    assert found["latency_ms"] <= 120
+
+
+def test_two_loads_are_the_same():
+    trace = open_trace("generated:lte-driving")
+    assert run_load(trace, MeasuredEstimator(), 2_000_000, LINK) == run_load(
+        trace, MeasuredEstimator(), 2_000_000, LINK
+    )
+
+
+def test_a_crowd_is_served_whole():
+    line = crowd_line(10, 500_000, 10_000)
+    assert line["silent_sessions"] == 0
+    assert line["messages"] > 100
+
+
+def test_outages_and_recovery():
+    trace = trace_of_rates("t", [0, 1, 4, 5], [10, 0, 10, 10], 6)
+    assert [round(t / 1e6) for t in outage_ends(trace, 6_000_000)] == [4]
+    records = [{"time_us": t * 100_000, "missed": 11 <= t < 43} for t in range(60)]
+    assert recovery_ms(records, trace) == pytest.approx(300, abs=10)
+    assert freezes(records) == 1
+    assert recovery_ms(records, open_trace("generated:steady-10")) is None
+
+
+def test_checks_name_target_and_value():
+    (found, *_) = checks([{"case": "crowd", "seconds": 200.0, "silent_sessions": 0}])
+    assert (found["ok"], found["value"], found["target"]) == (False, 200.0, "<= 120")
+    lines = [
+        {"case": "content", "trace": "generated:steady-30", "policy": policy, "psnr_db": db, "black_frames": 0}
+        | {"recovery_ms": None, "first_picture_ms": 300.0}
+        for policy, db in (("paper", 30.0), ("utility", 30.6))
+    ]
+    gains = [c for c in checks(lines) if "utility" in c["name"]]
+    assert [c["ok"] for c in gains] == [True, True]
+
+
+@pytest.mark.parametrize(("gain", "ok"), [(-0.11, False), (-0.09, True)])
+def test_a_policy_that_loses_anywhere_is_seen(gain, ok):
+    lines = [
+        {"case": "content", "trace": trace, "policy": policy, "black_frames": 0, "recovery_ms": None}
+        | {"psnr_db": 30.0 + (gain if policy == "utility" and trace == "b" else 0.0)}
+        for trace in ("a", "b")
+        for policy in ("paper", "utility")
+    ]
+    (worst,) = [c for c in checks(lines) if "at worst" in c["name"]]
+    assert worst["value"] == pytest.approx(gain)
+    assert worst["ok"] is ok
+
+
+def test_content_checks_judge_the_worst_trace():
+    line = {
+        "case": "content",
+        "trace": "a",
+        "policy": "paper",
+        "psnr_db": 30.0,
+        "black_frames": 0,
+        "recovery_ms": 900.0,
+    }
+    found = {c["name"]: c for c in checks([line, line | {"black_frames": 2, "recovery_ms": 1100.0}])}
+    assert (found["black frames"]["value"], found["black frames"]["ok"]) == (2, False)
+    assert (found["recovery after an outage, ms"]["value"], found["recovery after an outage, ms"]["ok"]) == (
+        1100,
+        False,
+    )
+
+
+def test_first_pictures_have_a_limit_by_link():
+    lines = [{"case": "first", "trace": f"generated:steady-{mbps}", "first_picture_ms": 1500.0} for mbps in (2, 10, 30)]
+    found = {c["name"]: c["ok"] for c in checks(lines)}
+    assert found == {"first picture at 2 Mbps, ms": True, "first picture at 10 Mbps, ms": False}
+
+
+def test_a_picture_of_next_to_nothing_is_black():
+    records = [{"drawn_share": share} for share in (0.5, 0.6, 0.5, 0.04, 0.0, 0.5)]
+    assert black_frames(records) == 2
+    assert black_frames([]) == 0
+
+
+def test_links_are_scaled_by_the_scenes_splats(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    trace = open_trace(str(scaled_trace("generated:steady-30", 0.1, seconds=4)))
+    assert trace.mean_bps(0, 3_000_000) == pytest.approx(3e6, rel=0.01)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_cases_side_by_side_come_in_their_order(workers):
+    assert list(in_parallel(abs, [-3, 2, -1], workers)) == [3, 2, 1]
+
+
+def test_deadlines_of_headless_clients():
+    client = SimpleNamespace(started_us=1_000_000, due_us=lambda frame: 1_000_000 + 200_000 * frame)
+    margins = [margins_us(client, {0: 900_000, 1: 1_200_001}, 3)]
+    assert margins == [[100_000, -1, None]]
+    assert missed(margins) == 2
+    assert margins_us(SimpleNamespace(started_us=None), {}, 2) == [None, None]
+
+
+def test_an_unknown_part_is_refused():
+    with pytest.raises(ConfigError, match="'dance' is unknown"):
+        NetworkSettings(parts="sending,dance")
+
+
+def test_a_session_trace_is_drawn(tmp_path):
+    path = tmp_path / "s1.jsonl"
+    with path.open("w") as file:
+        pair = Pair()
+        pair.server = ServerSession(now_us=0, trace=EventTrace(lambda r: file.write(json.dumps(r) + "\n"), "s1"))
+        pair.open()
+        pair.queue(*(tile(0, i, 20_000, deadline_us=pair.now_us + 90_000) for i in range(10)))
+        pair.run(2_000_000)
+    assert plot_session(path).read_bytes().startswith(b"\x89PNG")
+    path.write_text("{}\n")
+    with pytest.raises(TraceError, match="is no event trace"):
+        plot_session(path)
+    with pytest.raises(TraceError, match=r"gone.jsonl: cannot be read \(No such file.*--event-traces"):
+        plot_session(tmp_path / "gone.jsonl")
+
+
+def test_estimates_are_judged_where_the_link_carries_anything():
+    trace = trace_of_rates("t", [0, 1, 2], [10, 20, 0], 6)
+    early, late, never = (100_000, 11e6), (1_100_000, 10e6), (3_000_000, 5e6)
+    assert estimate_error([early], trace, 0, 6_000_000) == pytest.approx(0.1, rel=0.02)
+    assert estimate_error([late, never], trace, 0, 6_000_000) == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize(("rate_bps", "known"), [(None, None), (0.0, None), (5e6, 5e6)])
+def test_tcp_knows_a_rate_only_once_it_has_measured_one(rate_bps, known):
+    info = None if rate_bps is None else SimpleNamespace(delivery_rate_bps=rate_bps)
+    assert kernel_bps(SimpleNamespace(tcp_info=lambda: info)) == known
+
+
+def test_without_packets_a_direct_path_is_left_out_with_its_reason(monkeypatch):
+    monkeypatch.setattr("cags_bench.network.sockets.why_unavailable", lambda: "no root")
+    assert list(direct_lines(1_000_000, 0)) == [{"case": "direct", "skipped": "no root"}]
+
+
+@pytest.mark.skipif(why_unavailable() is not None, reason=f"packets cannot be shaped here: {why_unavailable()}")
+def test_a_direct_path_shows_both_estimates():
+    log = asyncio.run(run_direct(open_trace("generated:steady-20"), 1_500_000, 5_000))
+    assert len(log.estimates) > 5
+    assert log.kernel
+    assert all(rate_bps > 0 for _, rate_bps in log.kernel)

@@ -1,0 +1,195 @@
+"""The player in time, without sockets, clocks or threads: messages in, messages and work out."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+
+from cags_client.playback.jobs import Decode
+from cags_client.playback.player import Player
+from cags_client.settings import ClientSettings
+from cags_common.coding.packing import encode_ids
+from cags_common.errors import NetworkError
+from cags_common.geometry import Pose
+from cags_protocol import ClientSession, ServerSession
+from cags_protocol import events as ev
+from cags_protocol.sessions.blobs import CODEBOOKS_BLOB
+from cags_protocol.wire.encoding import encode
+from cags_protocol.wire.messages import Blob, Control, FrameEnd, Hello, Mark, Refusal, RefusalCode, Welcome
+from support.small_store import books, manifest
+
+
+class Still:
+    """A viewer who does not move."""
+
+    def pose_at(self, t_us: int) -> Pose:
+        return Pose.identity()
+
+
+def player(**changes: object) -> Player:
+    settings = ClientSettings(**{"width": 16, "height": 12, "reconnect_s": 5.0, "startup_ms": 0, **changes})  # type: ignore[arg-type]
+    return Player(ClientSession(now_us=0), settings, Still(), now_us=0, rng=random.Random(1))
+
+
+def welcome(**changes: object) -> bytes:
+    info = manifest(**changes).to_json()  # type: ignore[arg-type]
+    return encode(Welcome("s", 30.0, 8, False, info))
+
+
+def sent(client: Player, server: ServerSession, now_us: int) -> list[object]:
+    """What the server hears of that which the client writes now."""
+    for data in client.data_to_send(now_us):
+        server.receive(data, now_us=now_us)
+    heard = []
+    while (event := server.next_event()) is not None:
+        heard.append(event)
+    return heard
+
+
+def joined(client: Player) -> ServerSession:
+    """The server of a client that has its codebooks."""
+    server = ServerSession(now_us=0)
+    sent(client, server, 0)
+    server.accept(Welcome("s", 30.0, 8, False, manifest().to_json()), now_us=0)
+    codebooks = books().to_bytes()
+    server.queue(ev.Outgoing(Blob(CODEBOOKS_BLOB, 0, len(codebooks)), codebooks), now_us=0)
+    for data in server.data_to_send(0):
+        client.receive(data, 0)
+    return server
+
+
+def first_frame_comes(client: Player, server: ServerSession, now_us: int) -> None:
+    """The first frame is there whole, and decoded: with no startup buffer the play begins."""
+    server.queue(ev.Outgoing(FrameEnd(0), encode_ids(np.zeros(0, np.int32))), now_us=now_us)
+    for data in server.data_to_send(now_us):
+        client.receive(data, now_us)
+    while isinstance(action := client.next_action(now_us), Decode):
+        client.done(action, action.run(), now_us)
+    client.handle_timer(now_us)
+
+
+def test_the_first_thing_that_is_sent_is_a_hello_with_the_viewers_camera() -> None:
+    (hello,) = [e.hello for e in sent(player(), ServerSession(now_us=0), 0) if isinstance(e, ev.Joined)]
+    assert isinstance(hello, Hello)
+    assert (hello.intrinsics.width_px, hello.intrinsics.height_px) == (16, 12)
+    assert hello.pose == Pose.identity()
+
+
+def test_nothing_is_to_be_done_before_the_server_has_answered() -> None:
+    client = player()
+    assert client.next_action(10_000_000) is None
+    assert not client.finished
+
+
+def test_no_first_frame_in_time_ends_the_play_and_says_so() -> None:
+    client = player(join_timeout=2.0)
+    client.handle_timer(1_900_000)
+    assert client.error is None
+    client.handle_timer(2_100_000)
+    assert client.finished
+    assert client.next_timer_us() is None
+    assert isinstance(client.error, NetworkError)
+    assert "no first frame within 2 s" in str(client.error)
+
+
+@pytest.mark.parametrize("code", [RefusalCode.TOKEN, RefusalCode.VERSION])
+def test_a_refusal_that_another_attempt_would_meet_again_ends_the_play(code: RefusalCode) -> None:
+    client = player()
+    client.receive(encode(Refusal(code.value, "token", "who are you")), 1)
+    assert client.finished
+    assert "the server refused (token): who are you" in str(client.error)
+
+
+def test_a_stream_that_takes_more_memory_than_the_viewer_gives_ends_the_play() -> None:
+    client = player(max_splats=5)
+    client.receive(welcome(), 1)
+    assert client.finished
+    assert "--max-splats" in str(client.error)
+
+
+def test_a_group_of_frames_that_comes_makes_work_and_only_one_piece_at_a_time() -> None:
+    client = player()
+    joined(client)
+    assert client.pipeline is not None
+    client._take(ev.MarkReceived(Mark(1)))
+    first = client.next_action(0)
+    assert isinstance(first, Decode)
+    assert client.next_action(0) is None, "decoding goes on one piece after another"
+    client.done(first, first.run(), 0)
+    assert client.next_action(0) is None
+
+
+def test_play_is_asked_for_once_and_begins_after_the_delay() -> None:
+    client = player(start_delay_ms=300)
+    server = joined(client)
+    sent(client, server, 0)
+    first_frame_comes(client, server, 1_000_000)
+    first_frame_comes(client, server, 1_200_000)
+    asked = [e.control for e in sent(client, server, 1_200_000) if isinstance(e, ev.ControlReceived)]
+    assert asked == [Control("play", 0, 1_300_000)]
+    assert client.next_action(1_299_999) is None
+    action = client.next_action(1_300_000)
+    assert action is not None
+    assert action.frame == 0  # type: ignore[union-attr]
+
+
+def test_frames_that_are_late_are_dropped_where_asked_for() -> None:
+    client = player(start_delay_ms=10, drop_late=True)
+    first_frame_comes(client, joined(client), 0)
+    action = client.next_action(110_000)
+    assert action is not None
+    assert action.frame == 3  # type: ignore[union-attr]
+    assert client.stats.dropped == 3
+
+
+def test_a_connection_that_is_lost_after_the_welcome_is_opened_again_and_tells_where_the_play_stands() -> None:
+    client = player(start_delay_ms=10)
+    first_frame_comes(client, joined(client), 0)
+    client.lost("reset", 500_000)
+    assert client.away
+    assert not client.finished
+    assert client.wants_connection(5_000_000)
+    client.connected(5_000_000)
+    again = ServerSession(now_us=5_000_000)
+    (hello,) = [e.hello for e in sent(client, again, 5_000_000) if isinstance(e, ev.Joined)]
+    assert hello.resume == "s"
+
+
+def test_a_connection_that_does_not_come_back_in_time_ends_the_play() -> None:
+    client = player(reconnect_s=1.0)
+    joined(client)
+    client.lost("reset", 0)
+    client.handle_timer(1_500_000)
+    assert client.finished
+    assert "the connection was lost (reset)" in str(client.error)
+
+
+def test_before_the_welcome_a_lost_connection_is_the_end() -> None:
+    client = player()
+    client.lost("refused", 0)
+    assert client.finished
+    assert isinstance(client.error, NetworkError)
+
+
+def test_a_server_that_comes_back_with_another_scene_ends_the_play() -> None:
+    client = player()
+    joined(client)
+    client.lost("reset", 0)
+    assert client.wants_connection(5_000_000) or client.wants_connection(10_000_000)
+    client.connected(10_000_000)
+    client.receive(welcome(frames=9), 10_000_000)
+    assert client.finished
+    assert "another scene" in str(client.error)
+
+
+def test_leaving_says_goodbye() -> None:
+    client = player()
+    server = joined(client)
+    sent(client, server, 0)
+    client.leave(1)
+    assert client.finished
+    assert client.error is None
+    closed = [e for e in sent(client, server, 1) if isinstance(e, ev.Closed)]
+    assert [e.code for e in closed] == ["bye"]

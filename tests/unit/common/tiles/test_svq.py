@@ -1,0 +1,106 @@
+import gzip
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from cags_common.coding.packing import gzip_bytes
+from cags_common.errors import DecodeError
+from cags_common.tiles.svq import Codebook, CodebookSet
+from support.codec_scenes import books
+
+
+def test_prefix_and_layers_take_a_code_apart_and_together() -> None:
+    book = books((4, 2, 1))["scale"]
+    codes = np.arange(128, dtype=np.uint32)
+    base, first, second = (book.layer(codes, layer) for layer in range(3))
+    assert np.array_equal((base << 3) | (first << 1) | second, codes)
+    assert np.array_equal(book.prefix(codes, 2), codes >> 1)
+
+
+def test_lookup_reads_the_table_of_the_depth() -> None:
+    book = books((4, 2))["sh0"]
+    codes = np.array([0, 5, 63], np.uint32)
+    assert np.array_equal(book.lookup(codes, 2), book.tables[1][codes])
+    assert np.array_equal(book.lookup(book.prefix(codes, 1), 1), book.tables[0][codes >> 2])
+
+
+def test_codebooks_survive_serialising_and_equal_ones_give_equal_bytes() -> None:
+    given = books((4, 2, 2))
+    data = given.to_bytes()
+    back = CodebookSet.from_bytes(data)
+    assert back.attributes == given.attributes
+    for a, b in zip(given, back, strict=True):
+        assert a.layer_bits == b.layer_bits
+        assert all(np.array_equal(x, y) for x, y in zip(a.tables, b.tables, strict=True))
+    assert back.to_bytes() == data == books((4, 2, 2)).to_bytes()
+
+
+def test_entries_that_repeat_their_parent_cost_nothing() -> None:
+    random = np.random.default_rng(0)
+    base = random.normal(size=(16, 3)).astype(np.float32)
+    repeated = CodebookSet({"scale": Codebook("scale", (4, 8), (base, np.repeat(base, 256, axis=0)))})
+    alone = CodebookSet({"scale": Codebook("scale", (4,), (base,))})
+    assert len(repeated.to_bytes()) < len(alone.to_bytes()) + 40
+
+
+def test_the_deepest_codebook_allowed_works() -> None:
+    given = books((8, 8), attributes=("opacity",))
+    back = CodebookSet.from_bytes(given.to_bytes())["opacity"]
+    assert back.lookup(np.array([2**16 - 1], np.uint32), 2)[0, 0] == given["opacity"].tables[1][-1, 0]
+
+
+@pytest.mark.parametrize("layer_bits", [(), (0, 2), (9,), (8, 8, 1)])
+def test_layers_outside_the_bounds_are_refused(layer_bits: tuple[int, ...]) -> None:
+    with pytest.raises(DecodeError, match="outside the allowed range"):
+        Codebook("scale", layer_bits, tuple(np.zeros((1 << b, 3), np.float32) for b in np.cumsum(layer_bits)))
+
+
+def test_a_missing_attribute_is_named() -> None:
+    with pytest.raises(DecodeError, match="no codebook for attribute 'sh3'"):
+        books()["sh3"]
+
+
+def test_many_small_codebooks_that_unpack_to_gigabytes_are_refused_unread() -> None:
+    """A book of sixteen layers of equal rows takes 20 bytes and 11 MB of tables: 255 of them come in one small blob."""
+    book = bytes([9, 0, 16, 0, *[1] * 16]) + b"".join(bytes(-(-(2 << layer) // 8)) for layer in range(16))
+    data = b"CAGSCB01" + gzip_bytes(bytes([255]) + 255 * book)
+    tracemalloc.start()
+    try:
+        with pytest.raises(DecodeError, match="255 of them"):
+            CodebookSet.from_bytes(data)
+        _, most_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(data) < 10_000
+    assert most_bytes < 50e6
+
+
+def serialised(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """Codebooks whose body, inside its gzip frame, is changed."""
+    magic = data[: data.index(b"\x1f\x8b")]
+    return magic + gzip_bytes(change(gzip.decompress(data[len(magic) :])))
+
+
+def infinite(body: bytes) -> bytes:
+    return body[:-2] + np.float16(np.inf).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda body: body + b"\0", "1 bytes too many"),
+        (lambda body: body[:-1], "cut short"),
+        (infinite, "holds a value that is not finite"),
+        (lambda body: bytes([2]) + body[1:] * 2, "an attribute appears twice"),
+        (lambda body: body[:2] + b"\xff" + body[3:], "with flags 255 is unknown"),
+        (lambda body: body[:5] + b"\0" + body[6:], "outside the allowed range"),
+    ],
+)
+def test_codebooks_that_are_not_whole_are_refused(change: Callable[[bytes], bytes], words: str) -> None:
+    values = np.arange(16, dtype=np.float32)[:, None]
+    data = CodebookSet({"opacity": Codebook("opacity", (4,), (values,))}).to_bytes()
+    assert CodebookSet.from_bytes(serialised(data, lambda body: body)).to_bytes() == data
+    with pytest.raises(DecodeError, match=words):
+        CodebookSet.from_bytes(serialised(data, change))

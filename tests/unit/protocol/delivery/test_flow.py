@@ -1,0 +1,130 @@
+import pytest
+
+from cags_common.errors import ProtocolError
+from cags_protocol.delivery.flow import MIN_WINDOW_BYTES, REORDER_PACKETS, FlowControl
+from cags_protocol.delivery.round_trips import MIN_RTT_WINDOW_US
+from cags_protocol.delivery.send_queue import Entry
+from cags_protocol.wire.messages import SeqRange
+from support.wire_pair import tile
+
+ENTRY = Entry(1, tile(0, 0, 10), (1, 0, 1), b"head", memoryview(b"body"))
+
+
+def flow(rate_bps=8e6, window_us=40_000):
+    return FlowControl(window_us, rate_bps, 0)
+
+
+def send(control, now_us, size=1000):
+    control.on_sent(ENTRY, size, now_us)
+    return control.next_seq - 1
+
+
+def test_credit_is_rate_times_window_and_round_trip():
+    control = flow()
+    assert control.window_bytes == 40_000
+    send(control, 0)
+    control.on_ack([SeqRange(1, 1)], 0, 60_000)
+    assert control.min_rtt_us == 60_000
+    assert control.window_bytes == 100_000
+
+
+def test_credit_never_falls_below_two_packets():
+    assert flow(rate_bps=1.0).window_bytes == MIN_WINDOW_BYTES
+
+
+def test_credit_is_used_up_and_comes_back():
+    control = flow(rate_bps=1.0)
+    assert control.has_credit()
+    send(control, 0, 8192)
+    send(control, 0, 8192)
+    assert not control.has_credit()
+    assert control.has_credit(extra_bytes=8192)
+    control.on_ack([SeqRange(1, 1)], 0, 1000)
+    assert control.has_credit()
+
+
+def test_the_round_trip_leaves_out_the_wait_for_the_acknowledgement():
+    control = flow()
+    send(control, 1000)
+    result = control.on_ack([SeqRange(1, 1)], 5000, 26_000)
+    assert result.rtt_us == 20_000
+
+
+def test_the_shortest_round_trip_is_forgotten_in_time():
+    control = flow()
+    for start_us, rtt_us in ((0, 10_000), (1_000_000, 50_000), (MIN_RTT_WINDOW_US + 500_000, 70_000)):
+        seq = send(control, start_us)
+        control.on_ack([SeqRange(seq, seq)], 0, start_us + rtt_us)
+    assert control.min_rtt_us == 50_000
+
+
+def test_the_rate_of_a_burst_counts_its_whole_round_trip():
+    control = flow(rate_bps=1e9)
+    for _ in range(50):
+        send(control, 0, 1250)  # a burst of 50 x 10 kbit
+    rates = [control.on_ack([SeqRange(seq, seq)], 0, 20_000 + 1000 * seq).delivery_rate_bps for seq in range(1, 51)]
+    assert rates[-1] == pytest.approx(50 * 10_000 / 0.070, rel=0.01)
+
+
+def test_an_idle_server_marks_what_follows():
+    control = flow()
+    control.on_idle()
+    send(control, 0)
+    assert control.on_ack([SeqRange(1, 1)], 0, 1000).app_limited
+    send(control, 2000)
+    send(control, 2000)
+    control.on_ack([SeqRange(2, 2)], 0, 3000)
+    send(control, 3000)
+    assert not control.on_ack([SeqRange(4, 4)], 0, 4000).app_limited
+
+
+def test_gaps_become_losses_only_long_after():
+    control = flow(rate_bps=1e9)
+    for _ in range(REORDER_PACKETS + 2):
+        send(control, 0)
+    assert control.on_ack([SeqRange(2, REORDER_PACKETS + 1)], 0, 1000).lost == []
+    result = control.on_ack([SeqRange(REORDER_PACKETS + 2, REORDER_PACKETS + 2)], 0, 1000)
+    assert [seq for seq, _ in result.lost] == [1]
+    assert control.in_flight_bytes == 0
+    assert control.lost_bytes == 1000
+
+
+def test_repeated_acknowledgements_say_nothing():
+    control = flow()
+    send(control, 0)
+    assert control.on_ack([SeqRange(1, 1)], 0, 1000) is not None
+    assert control.on_ack([SeqRange(1, 1)], 0, 2000) is None
+    assert control.on_ack([], 0, 2000) is None
+    assert control.delivered_bytes == 1000
+
+
+def test_what_was_never_sent_cannot_be_acknowledged():
+    control = flow()
+    with pytest.raises(ProtocolError, match="ack of packet 1, but only 0 were sent"):
+        control.on_ack([SeqRange(1, 1)], 0, 1000)
+
+
+def round_trips(control, times_us):
+    for number, rtt_us in enumerate(times_us):
+        seq = send(control, number * 1000)
+        control.on_ack([SeqRange(seq, seq)], 0, number * 1000 + rtt_us)
+    return control.window_bytes
+
+
+def test_jitter_widens_the_window_and_a_growing_queue_does_not():
+    calm = round_trips(flow(), [20_000] * 100)
+    assert round_trips(flow(), [20_000 + 1000 * n for n in range(100)]) == calm
+    assert round_trips(flow(), [20_000, 40_000] * 50) > 1.5 * calm
+
+
+def test_a_rate_is_over_the_longer_of_sending_and_acknowledging():
+    """Acknowledgements that come in a bunch do not say that the link carried it all at once."""
+    control = flow()
+    send(control, 0)
+    send(control, 1_000)
+    control.on_ack([SeqRange(1, 1)], 0, 50_000)
+    send(control, 51_000)
+    bunch = control.on_ack([SeqRange(1, 3)], 0, 52_000)
+    assert bunch.delivery_rate_bps == pytest.approx(2_000 * 8e6 / 51_000), "not 2,000 bytes in 2 ms"
+    send(control, 60_000)
+    assert control.on_ack([SeqRange(4, 4)], 0, 70_000).delivery_rate_bps == pytest.approx(1_000 * 8e6 / 10_000)

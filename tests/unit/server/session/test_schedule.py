@@ -1,0 +1,161 @@
+"""The ticks of one client: what is planned next, when, and what is skipped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cags_protocol.wire.messages import Control
+from cags_server.session.clock import ClientClock
+from cags_server.session.schedule import JUMP_US, Schedule
+from cags_server.session.timeline import Timeline
+from cags_server.settings import ServerSettings
+
+FPS, FRAMES, AT_US = 50.0, 100, 1_000_000
+PERIOD_US = 20_000
+SETTINGS = ServerSettings(lead_frames=6)
+
+
+def playing(
+    frames: int = FRAMES, frame: int = 0, *, loop: bool = False, settings: ServerSettings = SETTINGS
+) -> Schedule:
+    """A client whose clock is the server's, and which plays from ``frame`` at ``AT_US``."""
+    clock = ClientClock()
+    made = Schedule(settings, Timeline(FPS, frames), clock)
+    clock.observe(0, 0)
+    made.controlled(Control("play", frame, AT_US, loop=loop), 0, 0)
+    return made
+
+
+def planned(schedule: Schedule) -> int:
+    """Plan the next frame, with a reference that is there at once; its media frame."""
+    _, frame, _ = schedule.begin_render(0)
+    schedule.rendering = False
+    return frame
+
+
+def test_nothing_is_planned_before_the_viewer_says_when_to_play() -> None:
+    schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), ClientClock())
+    assert not schedule.begun
+    assert schedule.next_frame is None
+    assert schedule.next_due_us(0, lambda: True) is None
+
+
+def test_a_frame_is_due_a_lead_before_its_display() -> None:
+    schedule = playing()
+    assert schedule.next_due_us(0, lambda: True) == AT_US - 6 * PERIOD_US
+    assert planned(schedule) == 0
+    assert schedule.next_due_us(0, lambda: True) == AT_US - 5 * PERIOD_US
+
+
+@pytest.mark.parametrize(("permille", "shown"), [(1000, [0, 1, 2, 3]), (500, [0, 2, 4, 6]), (250, [0, 4, 8, 12])])
+def test_frames_that_the_client_does_not_display_are_left_out(permille: int, shown: list[int]) -> None:
+    schedule = playing()
+    schedule.cadence_permille = permille
+    assert [planned(schedule) for _ in shown] == shown
+    assert schedule.planned_period_us == PERIOD_US * 1000 / permille
+
+
+def test_frames_that_are_due_while_one_is_rendered_are_covered_by_the_newest() -> None:
+    schedule = playing()
+    tick, frame, covers = schedule.begin_render(int(2.5 * PERIOD_US))
+    assert (tick, frame, covers) == (2, 2, 3)
+    assert schedule.is_out(2)
+    assert schedule.next_tick == 3
+
+
+def test_a_render_that_is_overdue_is_served_blind_and_then_the_frame_after_it() -> None:
+    schedule = playing()
+    schedule.begin_render(0)
+    due_us = schedule.next_due_us(0, lambda: True)
+    assert due_us is not None
+    assert AT_US - 6 * PERIOD_US < due_us < AT_US, "it waits for the render, but not beyond the frame's display"
+    assert schedule.serves == 0
+    assert schedule.go_blind() == (0, 1)
+    assert schedule.overtaken(0)
+    assert schedule.serves == 1
+    assert schedule.go_blind() == (1, 1)
+
+
+def test_a_group_of_which_nothing_was_seen_waits_longer_for_its_render() -> None:
+    schedule = playing()
+    schedule.begin_render(0)
+    seen, unseen = (schedule.next_due_us(0, lambda answer=answer: answer) for answer in (True, False))
+    assert seen is not None and unseen is not None
+    assert unseen > seen
+
+
+def test_after_a_jump_of_the_clock_one_frame_stands_for_all_before_it() -> None:
+    schedule = playing()
+    tick, covers = schedule.go_blind(JUMP_US + 10 * PERIOD_US)
+    assert (tick, covers) == (60, 61)
+
+
+def test_a_pause_plans_the_same_frame_again_and_again() -> None:
+    schedule = playing(frame=30)
+    schedule.controlled(Control("pause", 30, AT_US), 0, 0)
+    assert [planned(schedule) for _ in range(3)] == [30, 30, 30]
+
+
+def test_a_clock_that_was_set_back_in_a_pause_is_followed() -> None:
+    clock = ClientClock()
+    schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), clock)
+    schedule.controlled(Control("pause", 0, 3_600_000_000), 0, 0)
+    clock.observe(0, 0)
+    assert (schedule.next_due_us(0, lambda: True) or 0) > 3_000_000_000
+    schedule.follow_clock(0)
+    assert (schedule.next_due_us(0, lambda: True) or 0) < JUMP_US
+
+
+def test_a_control_makes_void_what_was_planned_before_it() -> None:
+    schedule = playing()
+    before = schedule.generation
+    planned(schedule)
+    schedule.controlled(Control("play", 40, AT_US), 0, 0)
+    assert schedule.generation == before + 1
+    assert schedule.next_frame == 40
+
+
+def test_a_slow_renderer_makes_the_lead_longer_up_to_a_bound() -> None:
+    schedule = playing()
+    asked = schedule.lead_us(0)
+    assert asked == 6 * PERIOD_US
+    schedule.pace.observe(200_000, 0, 1e6)
+    assert asked < schedule.lead_us(0) < schedule.lead_us(50_000) < 3 * asked
+    assert schedule.lead_us(10_000_000) == 3 * asked
+
+
+def test_a_clip_ends_with_its_last_frame_and_a_loop_begins_again() -> None:
+    schedule = playing(frames=3)
+    assert [planned(schedule) for _ in range(3)] == [0, 1, 2]
+    assert schedule.next_frame is None
+    again = playing(frames=3, loop=True)
+    assert [planned(again) for _ in range(5)] == [0, 1, 2, 0, 1]
+
+
+@given(st.lists(st.integers(0, 5 * PERIOD_US), min_size=1, max_size=30), st.sampled_from([1000, 700, 333, 90]))
+def test_every_frame_is_covered_once_and_in_order(lates: list[int], permille: int) -> None:
+    schedule, covered, newest = playing(frames=10_000), 0, -1
+    schedule.cadence_permille = permille
+    for late_us in lates:
+        tick, _, covers = schedule.begin_render(late_us)
+        schedule.rendering = False
+        covered += covers
+        assert tick > newest
+        assert covered == tick + 1
+        newest = tick
+
+
+@given(st.lists(st.sampled_from([1000, 900, 500, 120]), min_size=1, max_size=20), st.integers(1, 4))
+def test_tiles_ahead_never_fall_back(cadences: list[int], ahead: int) -> None:
+    schedule = playing(frames=10_000, settings=replace(SETTINGS, tiles_ahead=ahead))
+    newest = -1
+    for permille in cadences:
+        schedule.cadence_permille = permille
+        tick, _, _ = schedule.begin_render(0)
+        schedule.rendering = False
+        assert schedule.ahead(tick) >= max(newest, tick)
+        newest = schedule.ahead(tick)

@@ -1,0 +1,39 @@
+/** The author's view: what a scene says of how to open it, what the address says instead, and saving it. */
+
+import { fartherThanAuthor, type ViewCamera } from "../player/camera.ts";
+import { minus, plus } from "../player/vectors.ts";
+import type { AuthorView, SceneInfo } from "../seam.ts";
+import type { Place } from "./place.ts";
+
+/** `scene` as the address wants it opened; a pose of the address is of a moment, and no first view. */
+export function openedAs(scene: SceneInfo, { target, background }: Place): SceneInfo {
+  const wanted = { ...(target ? { target } : {}), ...(background ? { background } : {}) };
+  return { ...scene, view: { ...scene.view, ...wanted } };
+}
+
+/** Red, green and blue of `#rrggbb`, 0..1; black where there is none. */
+export function coloursOf(background = "#000000"): [number, number, number] {
+  const [r, g, b] = [1, 3, 5].map((at) => parseInt(background.slice(at, at + 2), 16) / 255);
+  return [r, g, b];
+}
+
+/** What `cags-encode --view` takes: the view as it stands now, in a picture of these tangents of half its angles. */
+export function savedView(scene: SceneInfo, camera: ViewCamera, tanX: number, tanY: number): string {
+  const { rotation } = camera.pose;
+  const { target, radius } = camera.around;
+  const { background } = scene.view;
+  const position = plus(target, minus(camera.pose.position, target), 1 / fartherThanAuthor(tanX, tanY));
+  const short = (parts: readonly number[]): number[] => parts.map((part) => Number(part.toFixed(7)));
+  const view: Record<string, unknown> = {
+    title: scene.view.title ?? scene.name,
+    ...(background ? { background } : {}),
+    pose: [...short(position), ...short(rotation)],
+    target: short(target),
+    radius: Number(radius.toPrecision(4)),
+  };
+  return `${JSON.stringify(view, null, 2)}\n`;
+}
+
+export function titleOf({ view, name }: { readonly view: AuthorView; readonly name: string }): string {
+  return view.title ?? name;
+}

@@ -1,0 +1,95 @@
+/** The gallery: the scenes of a server that has several, and a place to drop another one. */
+
+import "./gallery.css";
+import { the } from "./dom.ts";
+import { placeOf } from "./place.ts";
+import { Uploads } from "./uploads.ts";
+
+interface Entry {
+  readonly name: string;
+  readonly title: string;
+  readonly seconds: number;
+  readonly frames: number;
+  readonly bytes: number;
+}
+
+let token = placeOf(location.hash).token;
+
+/** Ask the server for something beside this page. */
+export function ask(path: string, options: RequestInit = {}): Promise<Response> {
+  return fetch(new URL(path, location.href.replace(/[?#].*/, "")), {
+    ...options,
+    headers: { ...options.headers, ...(token ? { Authorization: `Bearer ${token}` } : {}) },
+  });
+}
+
+const uploads = new Uploads(ask, say, () => void show());
+
+async function show(): Promise<void> {
+  let answer: Response;
+  try {
+    answer = await ask("scenes");
+  } catch {
+    return say("The server is not there. Load this page again when it is.");
+  }
+  the("token").hidden = answer.status !== 401;
+  if (answer.status === 401) return say(token === undefined ? "This server asks for a token. Whoever runs it can give you one." : "This token does not open the server.");
+  if (!answer.ok) return say(`The server answers ${answer.status} ${answer.statusText}.`);
+  say("");
+  const { scenes, upload_bytes } = (await answer.json()) as { scenes: Entry[]; upload_bytes: number };
+  the("count").textContent = scenes.length === 1 ? "1 scene" : `${scenes.length} scenes`;
+  the("scenes").replaceChildren(...(scenes.length ? scenes.map(card) : [nothing(upload_bytes > 0)]));
+  uploads.offer(upload_bytes);
+}
+
+function card({ name, title, seconds, frames, bytes }: Entry): HTMLLIElement {
+  const [item, link, picture, heading, facts] = [make("li"), make("a"), make("img"), make("h2"), make("p")];
+  const scene = new URLSearchParams({ scene: name });
+  link.href = `?${scene}${token ? `#${new URLSearchParams({ token })}` : ""}`;
+  picture.alt = "";
+  picture.width = 480;
+  picture.height = 300;
+  void load(picture, `thumbnail?${scene}`);
+  heading.textContent = title;
+  facts.textContent = `${frames === 1 ? "still" : lasts(seconds)} · ${size(bytes)}`;
+  link.append(picture, heading, facts);
+  item.append(link);
+  return item;
+}
+
+/** A thumbnail, which a server with a token gives only to those who show it. */
+async function load(picture: HTMLImageElement, path: string): Promise<void> {
+  const answer = await ask(path).catch(() => undefined);
+  if (answer?.ok) picture.src = URL.createObjectURL(await answer.blob());
+}
+
+function nothing(uploadable: boolean): HTMLLIElement {
+  const item = make("li");
+  item.className = "empty";
+  item.textContent = uploadable ? "There is no scene yet. Drop one above." : "There is no scene in the server's folder. cags-encode makes one.";
+  return item;
+}
+
+function say(text: string): void {
+  the("message").textContent = text;
+  the("message").hidden = text === "";
+}
+
+function make<K extends keyof HTMLElementTagNameMap>(name: K): HTMLElementTagNameMap[K] {
+  return document.createElement(name);
+}
+
+function lasts(seconds: number): string {
+  return seconds < 60 ? `${seconds.toFixed(seconds < 10 ? 1 : 0)} s` : `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s`;
+}
+
+function size(bytes: number): string {
+  return bytes < 1e5 ? `${(bytes / 1e3).toFixed(0)} kB` : `${(bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0)} MB`;
+}
+
+the<HTMLFormElement>("token").addEventListener("submit", (event) => {
+  event.preventDefault();
+  token = the<HTMLInputElement>("token-text").value;
+  void show();
+});
+void show();

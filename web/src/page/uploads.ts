@@ -1,0 +1,99 @@
+/** A file dropped on the gallery: sent, encoded by the server, and then a scene among the others. */
+
+import { the } from "./dom.ts";
+import { zipped } from "./zip.ts";
+
+type Ask = (path: string, options?: RequestInit) => Promise<Response>;
+
+/** What the server says of the job under way. */
+interface Job {
+  readonly state: "idle" | "receiving" | "encoding" | "done" | "failed";
+  readonly text: string;
+  /** Of the stage, 0..1; null while it is not known. */
+  readonly share: number | null;
+  readonly scene: string;
+}
+
+const LOOK_MS = 700;
+
+export class Uploads {
+  readonly #ask: Ask;
+  readonly #say: (text: string) => void;
+  readonly #done: () => void;
+  #mostBytes = 0;
+  #looking = 0;
+  #sending: AbortController | null = null;
+
+  /** `done`: there is another scene. */
+  constructor(ask: Ask, say: (text: string) => void, done: () => void) {
+    this.#ask = ask;
+    this.#say = say;
+    this.#done = done;
+    const [zone, files] = [the("upload"), the<HTMLInputElement>("files")];
+    the("choose").addEventListener("click", () => files.click());
+    the("cancel").addEventListener("click", () => (this.#sending ? this.#sending.abort() : void this.#ask("upload", { method: "DELETE" })));
+    files.addEventListener("change", () => void this.#send([...(files.files ?? [])]));
+    for (const kind of ["dragover", "dragleave", "drop"] as const) {
+      document.addEventListener(kind, (event) => {
+        event.preventDefault();
+        zone.toggleAttribute("data-over", kind === "dragover" && this.#mostBytes > 0);
+        if (kind === "drop") void this.#send([...(event.dataTransfer?.files ?? [])]);
+      });
+    }
+  }
+
+  /** Take files of up to so many bytes; 0: the server takes none. */
+  offer(mostBytes: number): void {
+    this.#mostBytes = mostBytes;
+    the("upload").hidden = mostBytes === 0;
+    the("takes").textContent = `.ply, .spz, .splat, .sog, .splatv, .npz, the frames of a clip, or a .zip of them; up to ${Math.round(mostBytes / 1e6)} MB`;
+    if (mostBytes) void this.#look();
+  }
+
+  async #send(files: readonly File[]): Promise<void> {
+    if (!files.length || !this.#mostBytes) return;
+    this.#say("");
+    const bytes = files.reduce((sum, file) => sum + file.size, 0);
+    if (bytes > this.#mostBytes) return this.#say(`${files[0].name}: ${(bytes / 1e6).toFixed(0)} MB are more than the ${(this.#mostBytes / 1e6).toFixed(0)} MB that this server takes.`);
+    this.#show({ state: "receiving", text: "Sending", share: null, scene: "" });
+    const [name, body] = files.length === 1 ? [files[0].name, files[0]] : ["frames.zip", await zipped(files)];
+    this.#sending = new AbortController();
+    const look = window.setTimeout(() => void this.#look(), LOOK_MS);
+    try {
+      const answer = await this.#ask(`upload?${new URLSearchParams({ name })}`, { method: "POST", body, signal: this.#sending.signal });
+      if (!answer.ok) throw new Error(((await answer.json()) as { error: string }).error);
+      void this.#look();
+    } catch (error) {
+      clearTimeout(look);
+      clearTimeout(this.#looking);
+      the("job").hidden = true;
+      the("invite").hidden = false;
+      this.#say(error instanceof TypeError ? "The server ended the upload." : (error as Error).message);
+    } finally {
+      this.#sending = null;
+    }
+  }
+
+  /** Follow the job under way, whoever began it. */
+  async #look(): Promise<void> {
+    clearTimeout(this.#looking);
+    const answer = await this.#ask("upload").catch(() => undefined);
+    if (!answer?.ok) return;
+    const job = (await answer.json()) as Job;
+    const before = the("job").hidden;
+    this.#show(job);
+    if (job.state === "receiving" || job.state === "encoding") this.#looking = window.setTimeout(() => void this.#look(), LOOK_MS);
+    else if (!before && job.state === "done") this.#done();
+    else if (!before && job.state === "failed") this.#say(job.text);
+  }
+
+  #show({ state, text, share }: Job): void {
+    const busy = state === "receiving" || state === "encoding";
+    the("job").hidden = !busy;
+    the("invite").hidden = busy;
+    the("job-text").textContent = text;
+    const bar = the<HTMLProgressElement>("job-share");
+    if (share === null) bar.removeAttribute("value");
+    else bar.value = share;
+  }
+}

@@ -1,0 +1,27 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { References } from "../../src/playback/references.ts";
+import type { Reference } from "../../src/seam.ts";
+
+const CLIP = 90;
+
+function silent(frame: number, order: number, basis: number): Reference {
+  return { frame, order, basis, kind: "nothing" } as unknown as Reference;
+}
+
+for (const skipped of [19, 8]) {
+  test(`a reference of frame ${skipped}, which was skipped, holds nothing back at frame 20`, () => {
+    const references = new References<null>();
+    references.marked(9);
+    references.add(silent(skipped, 1, 4), null);
+    assert.equal(references.basisAt(20, undefined, CLIP), 9);
+  });
+}
+
+test("in a loop the next references are of the clip's first frames", () => {
+  const references = new References<null>();
+  references.marked(9);
+  references.add(silent(2, 1, 4), null);
+  assert.equal(references.basisAt(88, undefined, CLIP), 4);
+  assert.equal(references.basisAt(3, undefined, CLIP), 9);
+});
