@@ -94,6 +94,7 @@ class Streamer:
         self._reference_budget = ReferenceBudget(settings.reference_most)
         self._worth = Worth()
         self._visibility = Visibility(library, settings.visible_px)
+        self._rests_until_us = 0  # the renderer, after a job that took long
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
         self._marks: list[ev.Outgoing] = []
@@ -350,7 +351,8 @@ class Streamer:
         seen = self._next_is_seen()
         spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
         affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), spare_us)
-        if seen and not self._schedule.rendering and not (affordable and self._may_render(now_us)):
+        room = affordable and now_us >= self._rests_until_us
+        if seen and not self._schedule.rendering and not (room and self._may_render(now_us)):
             return True
         if not self._pays:
             return self._schedule.between_renders(LOOK_EVERY, seen=seen)
@@ -407,6 +409,8 @@ class Streamer:
         self._schedule.pace.observe(work_us, len(render.coded.access_unit), rate_bps)
         whole_us = work_us if plan.speaks else REFERENCE_WORK * work_us
         self._worth.made(slowly=whole_us > OVERLOAD * self._schedule.reference_period_us)
+        # A job that takes longer than a frame takes the machine from everything else: tiles, and a client beside it.
+        self._rests_until_us = now_us + max(work_us - round(self._schedule.reference_period_us), 0)
         self.stats.references += plan.speaks
         self.stats.render_ns += render.render_ns
         self.stats.mirror_ns += render.mirror_ns

@@ -11,6 +11,11 @@ from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
 
 
+def next_references(rig: Rig) -> list[ReferenceFrame]:
+    """Those of the next step that has any."""
+    return next(found for found in (of(ReferenceFrame, rig.step()) for _ in range(40)) if found)
+
+
 def test_frames_are_planned_a_lead_before_their_display_in_the_servers_clock() -> None:
     rig = Rig()
     rig.play()
@@ -58,7 +63,7 @@ def test_a_reference_too_late_for_anything_is_not_sent() -> None:
     out = rig.streamer.finish(job.run(), due + 900_000)
     assert of(ReferenceFrame, out) == []
     assert rig.streamer.stats.references_late == 1
-    assert [r.idr for r in of(ReferenceFrame, rig.step())] == [True]
+    assert [r.idr for r in next_references(rig)] == [True]
 
 
 def test_at_a_low_rate_media_does_not_wait_a_whole_frame_for_a_slow_job() -> None:
@@ -127,7 +132,7 @@ def test_media_goes_on_while_a_picture_is_being_rendered() -> None:
     assert [record.reference_bytes > 0 for record in rig.streamer.stats.records] == [True, True, False, False]
     rendered = rig.streamer.stats.records[1]
     assert (rendered.predicted, rendered.margins) == (job.plan.predicted.pose, job.plan.margins)
-    assert [r.frame for r in of(ReferenceFrame, rig.step())] == [4]
+    assert [r.frame for r in next_references(rig)] == [5], "the renderer rests for as long as it overran a frame"
 
 
 @pytest.mark.parametrize("ahead", [1, 3])
