@@ -81,8 +81,11 @@ def _serve(argv: Sequence[str]) -> None:
             "listening on %s without --token: anyone who reaches it may watch", settings.host
         )
     with ExitStack() as shown:
-        rasteriser = raster.create(raster.chosen(settings.rasteriser, notes.append))
-        scenes = Collection.open(settings.bundle, rasteriser, may_be_empty=settings.accept_uploads)
+        scenes = Collection.open(
+            settings.bundle,
+            lambda: raster.create(raster.chosen(settings.rasteriser, notes.append)),
+            may_be_empty=settings.accept_uploads,
+        )
         asyncio.run(serve(scenes, settings, ready))
 
 

@@ -84,6 +84,37 @@ class StreamStats:
     rtt_us: int = 0
 
 
+@dataclass
+class Totals:
+    """Sums over all sessions that have ended; :meth:`with_live` adds those that go on."""
+
+    sessions: int = 0
+    frames: int = 0
+    frames_late: int = 0
+    references: int = 0
+    bytes_tiles: int = 0
+    bytes_reference: int = 0
+    bytes_other: int = 0
+    render_ns: int = 0
+    encode_ns: int = 0
+
+    def add(self, stats: StreamStats) -> None:
+        """Count a session in."""
+        self.sessions += 1
+        self.frames += stats.frames
+        self.references += stats.references
+        self.frames_late += stats.frames_skipped + stats.references_late
+        self.bytes_tiles += stats.bytes_tiles
+        self.bytes_reference += stats.bytes_reference
+        self.bytes_other += stats.bytes_other
+        self.render_ns += stats.render_ns
+        self.encode_ns += stats.encode_ns
+
+    def as_stats(self) -> StreamStats:
+        """What references have cost, as one session's figures."""
+        return StreamStats(references=self.references, render_ns=self.render_ns, encode_ns=self.encode_ns)
+
+
 def write_session(folder: Path, name: str, stats: StreamStats, ending: Closed | None) -> Path:
     """Write what is remembered of a session; the first line describes the file, the last the session's end.
 

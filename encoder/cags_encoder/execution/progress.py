@@ -8,9 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
 Tell = Callable[[str, int, int], None]
 """Called with the stage's name, steps done and steps in all."""
 
@@ -33,10 +30,13 @@ def progress_bar(*, lines: bool = False) -> Iterator[Tell]:
 
     Where stderr is no terminal nothing is shown, or with ``lines`` a line now and then.
     """
-    console = Console(stderr=True)
-    if lines and not console.is_terminal:
-        yield progress_lines(sys.stderr, time.monotonic)
+    if not sys.stderr.isatty():
+        yield progress_lines(sys.stderr, time.monotonic) if lines else _silent
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks = {}
@@ -47,6 +47,10 @@ def progress_bar(*, lines: bool = False) -> Iterator[Tell]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield tell
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Where nobody looks."""
 
 
 def progress_lines(stream: TextIO, clock: Callable[[], float]) -> Tell:

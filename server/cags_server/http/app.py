@@ -40,11 +40,10 @@ from cags_server.http.event_file import EventFile
 from cags_server.http.gallery.scenes import add_scenes
 from cags_server.http.gallery.uploads import Uploads
 from cags_server.http.memory import FreedMemory
-from cags_server.http.metrics import Totals, exposition
 from cags_server.http.page import add_page
 from cags_server.http.status import SessionBook, page
 from cags_server.http.waiting_list import WaitingList
-from cags_server.records import StreamStats, write_session
+from cags_server.records import StreamStats, Totals, write_session
 from cags_server.reference.render_pool import RenderPool
 from cags_server.reference.render_slots import RenderSlots
 from cags_server.scene.collection import Collection, UnknownSceneError
@@ -197,6 +196,8 @@ class App:
     async def _metrics(self, request: web.Request) -> web.Response:
         if self._settings.token and (refusal := self._operator(request)) is not None:
             return refusal
+        from cags_server.http.metrics import exposition  # with all of Prometheus' client: once somebody asks
+
         page = exposition(self._ended, (stats for _, stats in self.sessions()))
         return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 

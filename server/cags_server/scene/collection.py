@@ -6,7 +6,7 @@ import logging
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from weakref import WeakValueDictionary
@@ -66,8 +66,8 @@ class Collection:
         return found
 
     @classmethod
-    def open(cls, url: str, rasteriser: Rasteriser, *, may_be_empty: bool = False) -> Collection:
-        """The bundle at ``url``, or all bundles in that folder.
+    def open(cls, url: str, rasteriser: Callable[[], Rasteriser], *, may_be_empty: bool = False) -> Collection:
+        """The bundle at ``url``, or all bundles in that folder; ``rasteriser()`` is asked for once they are found.
 
         Raises :class:`BundleError` or :class:`DecodeError` for one bundle and for a folder without any, unless it
         ``may_be_empty``. Bundles of a folder that cannot be read are left out, with a line in the log.
@@ -77,10 +77,10 @@ class Collection:
         places = _bundles(folder) if several and folder is not None else []
         if folder is None or not (places or (several and may_be_empty)):
             reader = BundleReader.open(url)
-            return cls({scene_name(reader.manifest.name): reader}, rasteriser)
+            return cls({scene_name(reader.manifest.name): reader}, rasteriser())
         if len(places) > MAX_SCENES:
             raise ConfigError(f"bundle = {url}: holds {len(places)} bundles; at most {MAX_SCENES} are served")
-        collection = cls({}, rasteriser, folder)
+        collection = cls({}, rasteriser(), folder)
         for place in places:
             try:
                 collection.add(place)

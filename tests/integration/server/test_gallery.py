@@ -32,7 +32,7 @@ RASTERISER = create("auto")
 async def gallery(folder: Path, **settings: Any) -> AsyncIterator[tuple[str, TestServer]]:
     """Address and server of the bundles in a folder."""
     chosen = ServeSettings(bundle=str(folder), reference_width=64, reference_height=48, **settings)
-    app = App(Collection.open(str(folder), RASTERISER, may_be_empty=chosen.accept_uploads), chosen)
+    app = App(Collection.open(str(folder), lambda: RASTERISER, may_be_empty=chosen.accept_uploads), chosen)
     server = TestServer(app.web_app(), host="127.0.0.1")
     await server.start_server()
     try:
@@ -179,7 +179,7 @@ def test_uploads_need_a_folder_and_off_loopback_a_token(folder: Path) -> None:
         ServeSettings(bundle="x", host="0.0.0.0", accept_uploads=True)
     with pytest.raises(ConfigError, match="give a --token"):
         ServeSettings(bundle="x", hosts="scenes.example", accept_uploads=True)
-    one = Collection.open(str(folder / "one.cags"), RASTERISER)
+    one = Collection.open(str(folder / "one.cags"), lambda: RASTERISER)
     with pytest.raises(ConfigError, match="is one bundle"):
         App(one, ServeSettings(bundle="x", accept_uploads=True))
 

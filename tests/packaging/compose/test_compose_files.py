@@ -140,7 +140,8 @@ def test_prometheus_takes_its_configuration() -> None:
 
 
 def test_the_dashboard_asks_only_for_what_servers_tell() -> None:
-    from cags_server.http.metrics import Totals, exposition
+    from cags_server.http.metrics import exposition
+    from cags_server.records import Totals
 
     told = set(re.findall(r"^# TYPE (\w+)", exposition(Totals(), []), re.MULTILINE))
     told |= {f"{name}_{part}" for name in told for part in ("sum", "count")}

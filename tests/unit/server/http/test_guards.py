@@ -9,8 +9,8 @@ import pytest
 from cags_common.errors import ConfigError
 from cags_protocol.events import Closed
 from cags_server.http.admission import origin_allowed, tls_context, token_allowed
-from cags_server.http.metrics import Totals, exposition
-from cags_server.records import StreamStats, write_session
+from cags_server.http.metrics import exposition
+from cags_server.records import StreamStats, Totals, write_session
 from cags_server.session.quota import MESSAGE_S, ClientQuota, Quotas, ReadingShare, TokenBucket
 from cags_server.settings import ServeSettings
 from support.server_scene import hello

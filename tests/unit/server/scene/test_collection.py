@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_all_bundles_of_a_folder_are_listed(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
-    scenes = Collection.open(str(folder), RASTERISER)
+    scenes = Collection.open(str(folder), lambda: RASTERISER)
     first, second = scenes.entries()
     assert (first.name, first.title, first.frames) == ("one", "splats", 1)
     assert (second.name, second.title, second.frames) == ("two", "The second", 3)
@@ -45,7 +45,7 @@ def test_all_bundles_of_a_folder_are_listed(folder: Path, caplog: pytest.LogCapt
 
 
 def test_a_scene_is_named_and_others_are_not_there(folder: Path) -> None:
-    scenes = Collection.open(str(folder), RASTERISER)
+    scenes = Collection.open(str(folder), lambda: RASTERISER)
     assert scenes.library("one") is scenes.library("one")
     assert scenes.library("two").manifest == scenes.manifest("two")
     for name in HOSTILE:
@@ -56,7 +56,7 @@ def test_a_scene_is_named_and_others_are_not_there(folder: Path) -> None:
 
 
 def test_one_bundle_needs_no_name(folder: Path) -> None:
-    scenes = Collection.open(str(folder / "one.cags"), RASTERISER)
+    scenes = Collection.open(str(folder / "one.cags"), lambda: RASTERISER)
     assert not scenes.several
     assert scenes.library(None) is scenes.library("splats")
     with pytest.raises(UnknownSceneError):
@@ -65,8 +65,8 @@ def test_one_bundle_needs_no_name(folder: Path) -> None:
 
 def test_a_folder_without_bundles_is_none_unless_it_may_be_empty(tmp_path: Path) -> None:
     with pytest.raises(BundleError, match=r"has no manifest\.json"):
-        Collection.open(str(tmp_path), RASTERISER)
-    scenes = Collection.open(str(tmp_path), RASTERISER, may_be_empty=True)
+        Collection.open(str(tmp_path), lambda: RASTERISER)
+    scenes = Collection.open(str(tmp_path), lambda: RASTERISER, may_be_empty=True)
     assert scenes.entries() == []
     small_bundle(tmp_path / "late.cags")
     assert scenes.add(tmp_path / "late.cags") == "late"
@@ -75,7 +75,7 @@ def test_a_folder_without_bundles_is_none_unless_it_may_be_empty(tmp_path: Path)
 
 
 def test_who_watches_keeps_a_scene_and_idle_ones_are_bounded(folder: Path) -> None:
-    scenes = Collection.open(str(folder), RASTERISER)
+    scenes = Collection.open(str(folder), lambda: RASTERISER)
     watched = scenes.library("one")
     for number in range(IDLE_SCENES + 2):
         scenes.add(folder / "two.cags")
@@ -85,12 +85,12 @@ def test_who_watches_keeps_a_scene_and_idle_ones_are_bounded(folder: Path) -> No
 
 
 def test_a_thumbnail_is_the_bundles_or_drawn(folder: Path, tmp_path: Path) -> None:
-    scenes = Collection.open(str(folder), RASTERISER)
+    scenes = Collection.open(str(folder), lambda: RASTERISER)
     own = (folder / "one.cags/thumbnail.jpg").read_bytes()
     assert scenes.thumbnail("one") == own
     bare = small_bundle(tmp_path / "bare.cags")
     (bare / "thumbnail.jpg").unlink()
-    assert Collection.open(str(tmp_path), RASTERISER).thumbnail("bare") == own, "the same picture"
+    assert Collection.open(str(tmp_path), lambda: RASTERISER).thumbnail("bare") == own, "the same picture"
 
 
 @given(st.text(max_size=100))
