@@ -1,19 +1,20 @@
-"""Benchmarks for people: the same lines as ``--json`` gives, as tables."""
+"""Benchmarks for people: the same lines as ``--json`` gives, as tables. What draws them loads with the first one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+if TYPE_CHECKING:
+    from rich.table import Table
 
 HIDDEN = ("machine", "commit", "python", "versions", "checks", "summary", "benchmark", "settings")
 
 
 def print_lines(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
     """Print cases as they come, then the summary and its checks."""
+    from rich.console import Console
+
     console = Console(file=stream, highlight=False)
     for line in lines:
         if not line.get("summary"):
@@ -28,6 +29,9 @@ def print_lines(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
 
 def summary_table(line: dict[str, Any]) -> Table:
     """The figures of a summary line, a row each."""
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(title=str(line.get("benchmark", "summary")), show_header=False)
     for key, value in line.items():
         if key not in HIDDEN:
@@ -37,6 +41,9 @@ def summary_table(line: dict[str, Any]) -> Table:
 
 def checks_table(checks: Iterable[dict[str, Any]]) -> Table:
     """Targets beside what was measured."""
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table("check", "target", "measured", "met", title="checks")
     for row in checks:
         cells = str(row["name"]), str(row["target"]), _short(row["value"]), "yes" if row["ok"] else "NO"
