@@ -13,18 +13,22 @@ HIDDEN = ("machine", "commit", "python", "versions", "checks", "summary", "bench
 
 def print_lines(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
     """Print cases as they come, then the summary and its checks."""
+    for line in lines:
+        _print_line(line, stream)
+
+
+def _print_line(line: dict[str, Any], stream: IO[str]) -> None:
     from rich.console import Console
 
     console = Console(file=stream, highlight=False)
-    for line in lines:
-        if not line.get("summary"):
-            text = "  ".join(f"{key}={_short(value)}" for key, value in line.items() if key not in HIDDEN)
-            console.print(text, markup=False, soft_wrap=True)
-            continue
-        console.print(summary_table(line))
-        if line.get("checks"):
-            console.print(checks_table(line["checks"]))
-        console.print(f"{line.get('machine', '')}, commit {line.get('commit', '')}", style="dim", markup=False)
+    if not line.get("summary"):
+        text = "  ".join(f"{key}={_short(value)}" for key, value in line.items() if key not in HIDDEN)
+        console.print(text, markup=False, soft_wrap=True)
+        return
+    console.print(summary_table(line))
+    if line.get("checks"):
+        console.print(checks_table(line["checks"]))
+    console.print(f"{line.get('machine', '')}, commit {line.get('commit', '')}", style="dim", markup=False)
 
 
 def summary_table(line: dict[str, Any]) -> Table:
