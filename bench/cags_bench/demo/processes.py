@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import queue
 import subprocess
 import sys
@@ -75,11 +74,8 @@ class ProcessGroup:
             with contextlib.suppress(OSError):
                 process.stop()
 
-    def start(self, module: str, arguments: Sequence[str], niceness: int = 0) -> Process:
-        """Start ``python -m module arguments``; its stderr goes to ``logs/module.log`` (``module-2.log``, ..).
-
-        With a ``niceness`` it stands back behind the others where processor time is short.
-        """
+    def start(self, module: str, arguments: Sequence[str]) -> Process:
+        """Start ``python -m module arguments``; its stderr goes to ``logs/module.log`` (``module-2.log``, ..)."""
         number = 1 + sum(process.name == module for process in self._running)
         log = self.logs / (f"{module}.log" if number == 1 else f"{module}-{number}.log")
         with log.open("w", encoding="utf-8") as stderr:
@@ -90,8 +86,6 @@ class ProcessGroup:
                 stderr=stderr,
                 text=True,
             )
-        if niceness and sys.platform == "linux":  # of its first thread, from which all others have it
-            os.setpriority(os.PRIO_PROCESS, handle.pid, niceness)
         process = Process(module, handle, log)
         self._running.append(process)
         return process

@@ -29,10 +29,6 @@ CLIENT_GRACE_S = 240.0
 """How long the client may take to score its frames after the last one was shown."""
 
 
-CLIENT_NICENESS = 5
-"""Of the demo's client, which shares its machine with the server."""
-
-
 def threads_each(settings: DemoSettings) -> str:
     """Threads of a render in server and client: all cores for either, unless told; they seldom draw at once."""
     return str(settings.threads or usable_cores())
@@ -129,8 +125,7 @@ def stream_once(bundle: str, settings: DemoSettings, report: Path, progress: IO[
     with ProcessGroup(report) as group:
         shaper = start_link(group, bundle, settings)
         print(f"cags-demo: server and shaper are up (port {shaper['port']}), client starts", file=progress)
-        # Every frame drawn takes time that the server on the same cores needs to say what the next one lacks.
-        client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report), CLIENT_NICENESS)
+        client = group.start("cags_client", client_arguments(bundle, shaper["port"], settings, report))
         return wait_for_client(client)
 
 
