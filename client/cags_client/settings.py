@@ -80,7 +80,10 @@ class ClientSettings:
     start_frame: int = setting(0, "first media frame to play", low=0)
     duration: float | None = setting(None, "seconds to play; the whole clip if not given", low=0.001)
     startup_ms: int = setting(
-        700, "time for which the first frame is held at most while more of it comes", low=0, high=10_000
+        700,
+        "longest hold of the first frame while more of it arrives, in milliseconds; 0 plays at once",
+        low=0,
+        high=10_000,
     )
     start_delay_ms: int = setting(250, "startup buffer before the first frame, in milliseconds", low=0, high=10_000)
     join_timeout: float = setting(30.0, "seconds to wait for the first frame's data", low=0.1, high=3600)

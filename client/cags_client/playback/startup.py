@@ -1,46 +1,48 @@
-"""How long the first frame is held, while more of it comes, before the clip plays.
+"""The startup buffer: how long the first frame is held, and refined, before the clip plays.
 
-A clip that plays as soon as its coarsest layers are there is at its worst where it is looked at first. The first frame
-is therefore held for a moment, and the server, which is told that the viewer pauses, refines it: until nothing more
-comes, or as long as a viewer is made to wait.
+A clip that starts as soon as its base layers have arrived looks worst in its first second. The client therefore tells the
+server that it is paused at the first frame, and the server refines it, until nothing more arrives or the longest hold is
+over.
 """
 
 from __future__ import annotations
 
 QUIET_US = 250_000
-"""When nothing has come for so long, there is nothing more to come."""
+"""The hold ends when no tile has arrived for this long."""
 
 PREVIEW_EVERY_US = 200_000
-"""What is held is drawn anew so often, while more of it comes."""
+"""While tiles arrive, the held frame is redrawn at this interval."""
 
 
 class Startup:
     """Of one play."""
 
     def __init__(self, most_us: int, now_us: int) -> None:
-        """The first frame is held for ``most_us`` at most."""
+        """``most_us``: the longest hold."""
         self._most_us = most_us
         self._newest_us = self._drawn_us = now_us
         self._whole_us: int | None = None
 
     def came(self, now_us: int) -> None:
-        """A tile has come."""
+        """A tile has arrived."""
         self._newest_us = now_us
 
     def whole(self, now_us: int) -> bool:
-        """A frame is there whole; True when that is the first one, which is held from now on."""
-        first, self._whole_us = self._whole_us is None, now_us if self._whole_us is None else self._whole_us
-        return first
+        """A frame is complete. Returns whether it is the first one, whose hold begins now."""
+        if self._whole_us is not None:
+            return False
+        self._whole_us = now_us
+        return True
 
     @property
     def ends_us(self) -> int | None:
-        """When the clip is to play, if nothing more comes; None before its first frame is there."""
+        """When the hold ends if nothing more arrives; None before the first frame is complete."""
         if self._whole_us is None:
             return None
         return min(self._whole_us + self._most_us, max(self._newest_us + QUIET_US, self._whole_us))
 
     def preview(self, now_us: int) -> bool:
-        """Whether what is held is to be drawn anew, since more of it has come."""
+        """Whether to redraw the held frame now that more of it has arrived."""
         if now_us - self._drawn_us < PREVIEW_EVERY_US:
             return False
         self._drawn_us = now_us
