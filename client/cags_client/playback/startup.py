@@ -1,8 +1,8 @@
 """The startup buffer: how long the first frame is held, and refined, before the clip plays.
 
-A clip that starts as soon as its base layers have arrived looks worst in its first second. The client therefore tells the
-server that it is paused at the first frame, and the server refines it, until nothing more arrives or the longest hold is
-over.
+A clip that starts as soon as its base layers have arrived looks worst in its first second. The client therefore tells
+the server that it is paused at the first frame, and the server refines it, until nothing more arrives or the longest
+hold is over.
 """
 
 from __future__ import annotations
