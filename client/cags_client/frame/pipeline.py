@@ -258,10 +258,10 @@ class ClientPipeline:
         the newest mark. While an own reference is late, what is shown stays as the one before assumes. Without any
         reference there are no marks.
         """
+        coming = self._references.next_basis(frame, self.info.frames)
         if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
             self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
             return self._committed_mark
-        coming = self._references.next_basis(frame, self._used, self.info.frames)
         self._committed_mark = self._marked if coming is None else min(coming, self._marked)
         return self._committed_mark or None
 
