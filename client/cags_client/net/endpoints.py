@@ -142,7 +142,7 @@ def _reason(data: bytes) -> str:
     """What a server says of a refusal, in a line; empty where it says nothing."""
     try:
         table = json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         return ""
     reason = table.get("error") if isinstance(table, dict) else None
     return reason[:500] if isinstance(reason, str) and reason.isprintable() else ""
