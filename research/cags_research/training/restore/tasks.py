@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cags_research.restore.networks.inputs import filled
+from cags_research.restore.networks.inputs import filled, reach
 from cags_research.restore.networks.srresnet import Sees, SrResNet
 from cags_research.training.restore.dataset import Batch
 
@@ -22,12 +23,29 @@ def restore_srresnet(network: nn.Module, batch: Batch, device: torch.device) -> 
     return restored
 
 
+def _started_at_blurred() -> SrResNet:
+    network = SrResNet(Sees.BOTH, gated=True)
+    network.start_at_blurred()
+    return network
+
+
 NETWORKS: Mapping[str, tuple[Callable[[], nn.Module], Task]] = {
-    "srresnet": (lambda: SrResNet(Sees.BOTH), restore_srresnet),
+    "srresnet": (_started_at_blurred, restore_srresnet),
     "sr-align-ref": (lambda: SrResNet(Sees.REFERENCE), restore_srresnet),
     "cr-no-ref": (lambda: SrResNet(Sees.DISTORTED), restore_srresnet),
 }
-"""Network and task by name."""
+"""Network, as training begins with it, and task by name."""
+
+
+def as_used(name: str, restored: Tensor, batch: Batch) -> Tensor:
+    """What the restorer ``name`` shows where its network answers ``restored``: one that corrects keeps to the reach of
+    the reference (:mod:`cags_research.restore.networks.restorer`)."""
+    if name != "srresnet":
+        return restored
+    shares = np.stack([reach(confidence) for confidence in batch.confidence[..., 0]])[..., None]
+    distorted = torch.from_numpy(batch.distorted).to(restored.device)
+    return distorted + torch.from_numpy(shares).to(restored.device) * (restored - distorted)
+
 
 ERROR_FLOOR = 1e-6
 """Squared error (60 dB) under which pictures count as equal: nothing may be lost at the top of the ladder."""
