@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import shlex
 import subprocess
@@ -69,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Make what pairs are missing, train, and write ``NETWORK.npz``, ``report.md`` and ``curves.png``."""
     from cags_research.training.restore.trainer import Trainer
 
+    _commit()  # now: files may change while it trains
     settings = load_settings(TrainSettings, arguments, PairSettings)
     pairs = load_settings(PairSettings, arguments, TrainSettings)
     if arguments.bundle:
@@ -181,6 +183,7 @@ def _finish(trainer: Trainer, settings: TrainSettings, arguments: argparse.Names
     return weights
 
 
+@functools.cache
 def _commit() -> str | None:
     """Commit of the program's working tree, "+" behind it where files differ; None outside of one."""
     words = ["git", "describe", "--always", "--dirty=+"]
