@@ -47,14 +47,24 @@ def as_used(name: str, restored: Tensor, batch: Batch) -> Tensor:
     return distorted + torch.from_numpy(shares).to(restored.device) * (restored - distorted)
 
 
+HARM = 4.0
+"""What a decibel that is lost counts more than one that is won."""
+
 ERROR_FLOOR = 1e-6
 """Squared error (60 dB) under which pictures count as equal: nothing may be lost at the top of the ladder."""
 
 
 def batch_loss(restored: Tensor, batch: Batch, device: torch.device) -> Tensor:
-    """The loss of a batch."""
-    truth, covered = (torch.from_numpy(image).to(device) for image in (batch.truth, batch.covered))
-    return loss(restored, truth, covered)
+    """The loss of a batch: the log error of what is restored, and :data:`HARM` times its excess over the distorted one's.
+
+    The gain of a coarse picture and the loss of a fine one weigh the same in decibels, but a viewer was promised the
+    gain: where it is not known which of the two it will be, the picture is to be left alone.
+    """
+    truth, covered, distorted = (
+        torch.from_numpy(image).to(device) for image in (batch.truth, batch.covered, batch.distorted)
+    )
+    after, before = _log_errors(restored, truth, covered), _log_errors(distorted, truth, covered)
+    return (after + HARM * (after - before).clamp(min=0.0)).mean()
 
 
 def loss(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
@@ -64,11 +74,16 @@ def loss(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
     counts still, so that its gradient does not die. Void (``covered`` [B, S, S, 1] of 0) counts a tenth of what the
     scene covers.
     """
+    return _log_errors(restored, truth, covered).mean()
+
+
+def _log_errors(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
+    """Logarithm of each patch's squared error [B]."""
     shown = restored.clamp(0, 1)
     shown = shown + 0.05 * (restored - shown)
     weight = 0.1 + 0.9 * covered
     squared = ((shown - truth) ** 2 * weight).mean(dim=(1, 2, 3)) / weight.mean(dim=(1, 2, 3))
-    return torch.log(squared + ERROR_FLOOR).mean()
+    return torch.log(squared + ERROR_FLOOR)
 
 
 def covered_psnr(restored: Tensor, truth: Tensor, covered: Tensor) -> Tensor:
