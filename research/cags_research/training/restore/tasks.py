@@ -55,7 +55,7 @@ ERROR_FLOOR = 1e-6
 
 
 def batch_loss(restored: Tensor, batch: Batch, device: torch.device) -> Tensor:
-    """The loss of a batch: the log error of what is restored, and :data:`HARM` times its excess over the distorted one's.
+    """The loss of a batch: the log error of what is restored, and :data:`HARM` times its excess over the distorted.
 
     The gain of a coarse picture and the loss of a fine one weigh the same in decibels, but a viewer was promised the
     gain: where it is not known which of the two it will be, the picture is to be left alone.
