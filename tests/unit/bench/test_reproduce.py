@@ -92,6 +92,7 @@ def test_page_and_data_hold_the_section(tmp_path):
     page = (tmp_path / "index.html").read_text()
     assert "Quality &lt;under&gt; load" in page
     assert "31.25" in page
+    assert page.index("1 of 1 claims hold") < page.index("Quality &lt;under&gt; load"), "the summary comes first"
     assert "data:image/png;base64," in page
     lines = [json.loads(line) for line in (tmp_path / "fixed.jsonl").read_text().splitlines()]
     assert [line["PSNR [dB]"] for line in lines] == [31.25, None]
