@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cags_bench.reproduce.methods import METHODS
+from cags_bench.reproduce.methods import METHODS, Method
 from support.baseline_checks import (
     UNLIMITED,
     check_everything_is_shown,
+    check_labels,
     check_more_is_never_worse,
     check_published,
     play,
@@ -39,6 +41,10 @@ def test_more_bandwidth_is_never_worse(name: str, cache: str) -> None:
         pytest.importorskip("torch")
     played = [(link, play(METHODS[name], cache, link=link, poses="synthetic:still")) for link in RATES]
     check_more_is_never_worse(name, played)
+
+
+def test_every_method_is_what_its_name_says() -> None:
+    check_labels(METHODS)
 
 
 def test_as_published_is_as_published() -> None:
@@ -85,3 +91,22 @@ def test_kept_results_depend_on_the_code_of_every_method(monkeypatch: pytest.Mon
 
     parts = {Path(name.replace(".", "/")).parts[0] for name in PACKAGES}
     assert {"cags_research", "cags_server", "cags_client", "cags_common", "cags_encoder"} <= parts
+
+
+CODECS = {
+    "layered": {},
+    "as published": {"quantiser": "paper-66"},
+    "density": {"codec": "density"},
+    "video": {"codec": "video"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("codec", CODECS)
+def test_only_the_effects_needed_show_what_all_of_them_do(codec: str, cache: str) -> None:
+    """Either way: what is left out must neither have been worth something nor have done harm."""
+    needed, always = (
+        play(Method(codec, "", encode=CODECS[codec], client={"effects": effects}), cache)
+        for effects in ("needed", "always")
+    )
+    assert np.mean(needed.shown_db) == pytest.approx(np.mean(always.shown_db), abs=0.05)

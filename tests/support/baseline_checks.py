@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -158,3 +158,34 @@ def check_published(method: Method) -> None:
         assert given.get(name) == value, f"as published: {name} is {given.get(name)!r} where the paper has {value!r}"
     extra = (set(method.encode) | set(server) | set(client)) - set(wanted)
     assert not extra, f"as published: {', '.join(sorted(extra))} is set too, of which the paper says nothing"
+
+
+LABELS: dict[str, dict[str, dict[str, object]]] = {
+    "lts-f": {"encode": {"codec": "density"}, "client": {"restore": "none"}},
+    "lts-f-even": {"encode": {"codec": "density"}, "server": {"abr": "even"}, "client": {"restore": "none"}},
+    "v3-a": {"encode": {"codec": "video"}},
+    "sr-align-ref": {"server": {"references": "picture"}, "client": {"restore": "reference"}},
+    "cr-no-ref": {"client": {"restore": "none"}},
+    "reference-only": {"server": {"abr": "none", "lead_frames": 2, "reference_full_size": True}},
+    "reference-only-small": {"server": {"abr": "none", "lead_frames": 2, "reference_full_size": False}},
+    "pictures": {"server": {"references": "picture"}},
+    "no-prpa": {"encode": {"quantiser": "paper-66"}, "client": {"align": "unaligned", "restore": "srresnet"}},
+    "no-adaptive-fov": {"server": {"fov": "fixed"}},
+    "cags-paper": {"encode": {"quantiser": "paper-66"}},
+    "cags": {},
+}
+"""What makes each method that which its name says, by part and setting."""
+
+
+def check_labels(methods: Mapping[str, Method]) -> None:
+    """Every method has what its name says, no two are the same, and ours is set to nothing."""
+    assert set(methods) == set(LABELS), f"not described: {', '.join(sorted(set(methods) ^ set(LABELS)))}"
+    for name, parts in LABELS.items():
+        for part, wanted in parts.items():
+            given = getattr(methods[name], part)
+            for key, value in wanted.items():
+                assert given.get(key) == value, f"{name}: {key} is {given.get(key)!r} and not {value!r}"
+    told = [(dict(m.encode), dict(m.server), dict(m.client)) for m in methods.values()]
+    alike = [name for name, one in zip(methods, told, strict=True) if told.count(one) > 1]
+    assert not alike, f"{' and '.join(alike)} are one method"
+    assert told[list(methods).index("cags")] == ({}, {}, {}), "cags: is not what this program does by default"

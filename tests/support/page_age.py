@@ -10,7 +10,17 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
-MEASURED = ("common", "encoder", "server", "client", "protocol", "shaper", "kernels", "research", "bench/cags_bench/sim")
+MEASURED = (
+    "common",
+    "encoder",
+    "server",
+    "client",
+    "protocol",
+    "shaper",
+    "kernels",
+    "research",
+    "bench/cags_bench/sim",
+)
 """Folders whose code decides a figure."""
 
 ALLOWED_COMMITS = 30
