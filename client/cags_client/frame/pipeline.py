@@ -174,9 +174,14 @@ class ClientPipeline:
         self._references.reset()
         self._scene = None
 
-    def forget_references(self) -> None:
-        """The viewer jumped within what is held: references of the pass before are of no use."""
-        self._references.reset()
+    @property
+    def references_received(self) -> int:
+        """How many have come so far."""
+        return self._references.count
+
+    def forget_references(self, until: int | None = None) -> None:
+        """References that have come are of no use any more: all, or the first ``until``."""
+        self._references.reset(until)
 
     def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
         """LoDs shown of each tile (source frame, tile) that has a splat in the picture from ``camera``; draws it."""
@@ -258,10 +263,10 @@ class ClientPipeline:
         the newest mark. While an own reference is late, what is shown stays as the one before assumes. Without any
         reference there are no marks.
         """
+        coming = self._references.next_basis(frame, self.info.frames)
         if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
             self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
             return self._committed_mark
-        coming = self._references.next_basis(frame, self._used, self.info.frames)
         self._committed_mark = self._marked if coming is None else min(coming, self._marked)
         return self._committed_mark or None
 

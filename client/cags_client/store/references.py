@@ -67,6 +67,7 @@ class References:
         self.last_decoded = 0
         """Sequence number of the last picture that was decoded; 0 before any."""
         self._received: dict[int, Received] = {}
+        self._to_come: set[int] = set()  # frames that were not reached yet
         self._lock = threading.Lock()
 
     def add(self, message: ReferenceFrame, access_unit: memoryview, basis: int) -> bool:
@@ -93,6 +94,7 @@ class References:
             self._received[message.frame] = Received(
                 message.frame, self._order, basis, camera, kind, coded, message.knee, message.error, message.seq
             )
+            self._to_come.add(message.frame)
             while len(self._received) > KEPT:
                 del self._received[next(iter(self._received))]
         return True
@@ -118,17 +120,17 @@ class References:
             past = [f for f in self._received if 0 <= frame - f <= max_age]
             return self._received[max(past)] if past else None
 
-    def next_basis(self, frame: int, after: int, frames: int) -> int | None:
-        """The mark that the next references assume, of those that have come: later in order than ``after``, and of the
-        frames that follow ``frame`` in a clip of ``frames`` that may be played in a loop. None where none has come, or
-        they assume nothing.
+    def next_basis(self, frame: int, frames: int) -> int | None:
+        """The mark that the next references assume, of those that have come for frames after ``frame`` in a clip of
+        ``frames`` that may be played in a loop. None where none has come, or they assume nothing. Call it for every
+        frame on display.
 
-        One of a frame before it, which was skipped, is never looked at: it must not hold back what came since.
+        A frame that was reached once, or was skipped, is never one to come again: its reference is not looked at any
+        more and must not hold back what came since, not even half a clip later, when a loop would reach it next.
         """
         with self._lock:
-            waiting = [
-                r for f, r in self._received.items() if r.order > after and 0 < (f - frame) % frames <= frames / 2
-            ]
+            self._to_come = {f for f in self._to_come & self._received.keys() if 0 < (f - frame) % frames < frames / 2}
+            waiting = [self._received[f] for f in self._to_come]
             return min((r.basis for r in waiting if r.assumes), default=None)
 
     def restart(self) -> None:
@@ -136,7 +138,14 @@ class References:
         self._decoder.reset()
         self._last_seq = self.last_decoded = 0
 
-    def reset(self) -> None:
-        """Forget everything (the viewer jumped); the decoder goes on."""
+    @property
+    def count(self) -> int:
+        """References that have come so far, over all connections."""
+        return self._order
+
+    def reset(self, until: int | None = None) -> None:
+        """Forget everything (the viewer jumped), or the first ``until`` that came; the decoder goes on."""
         with self._lock:
-            self._received.clear()
+            kept = {f: r for f, r in self._received.items() if until is not None and r.order > until}
+            self._received = kept
+            self._to_come &= kept.keys()

@@ -2,7 +2,11 @@
 
 At most ``window_us`` of queueing delay times the rate is unacknowledged, so that what the server decides next is never
 stuck behind more than that. Rate samples follow draft-cheng-iccrg-delivery-rate-estimation: bytes delivered between the
-sending of a packet and its acknowledgement, over the longer of the send and the acknowledge interval.
+sending of a packet and its arrival, over the longer of the send and the arrival interval.
+
+Arrivals are those that the client's clock tells, brought to the server's by the shortest one-way delay of late. By the
+time at which acknowledgements are read, a server that is short of processor time would take its own delay for a queue
+on the link and send less and less. The window alone counts such delay in: it must last until the server looks again.
 """
 
 from __future__ import annotations
@@ -45,6 +49,7 @@ class AckResult:
     acked: list[tuple[int, Flight]]
     lost: list[tuple[int, Flight]]
     rtt_us: int
+    """Round trip of the newest packet, without the time that its acknowledgement waited at either end."""
     delivery_rate_bps: float | None
     app_limited: bool
     window_limited: bool
@@ -62,6 +67,7 @@ class FlowControl:
         self._app_limited_until = 0
         self._delivered_us = self._first_sent_us = now_us
         self._round_trips = RoundTrips()
+        self._one_way = RoundTrips()  # from the server's clock to the client's: of any sign
         self._window_full = False
         self.in_flight_bytes = 0
         self.delivered_bytes = 0
@@ -110,8 +116,11 @@ class FlowControl:
         self._app_limited_until = self.delivered_bytes + self.in_flight_bytes + 1
         self._window_full = False
 
-    def on_ack(self, ranges: Iterable[SeqRange], delay_us: int, now_us: int) -> AckResult | None:
-        """Take the acknowledged packets out; None if there are no new ones. Raises :class:`ProtocolError`."""
+    def on_ack(self, ranges: Iterable[SeqRange], received_us: int, delay_us: int, now_us: int) -> AckResult | None:
+        """Take the acknowledged packets out; None if there are no new ones. Raises :class:`ProtocolError`.
+
+        The newest packet arrived at ``received_us`` of the client's clock, ``delay_us`` before this was sent.
+        """
         ranges = tuple(ranges)
         largest = max((r.last for r in ranges), default=0)
         if largest >= self._next_seq:
@@ -121,20 +130,30 @@ class FlowControl:
             return None
         self.delivered_bytes += sum(flight.size for _, flight in acked)
         newest = acked[-1][1]
-        rtt_us = max(now_us - newest.sent_us - delay_us, 0)
-        self._round_trips.note(now_us, rtt_us)
-        rate = self._rate_sample(newest, now_us)
-        self._delivered_us, self._first_sent_us = now_us, newest.sent_us
+        rtt_us = self._round_trip_us(newest.sent_us, received_us, delay_us, now_us)
+        arrived_us = max(newest.sent_us + rtt_us, self._delivered_us)
+        rate = self._rate_sample(newest, arrived_us)
+        self._delivered_us, self._first_sent_us = arrived_us, newest.sent_us
         return AckResult(acked, self._take_lost(largest), rtt_us, rate, newest.app_limited, newest.window_limited)
+
+    def _round_trip_us(self, sent_us: int, received_us: int, delay_us: int, now_us: int) -> int:
+        """Of a packet: the shortest, and how much longer it travelled one way than the fastest did.
+
+        No more than the time until now: a client's clock that was set counts for nothing.
+        """
+        until_now_us = max(now_us - sent_us - delay_us, 0)
+        self._round_trips.note(now_us, until_now_us)
+        one_way_us = received_us - sent_us
+        self._one_way.note(now_us, one_way_us)
+        return min(until_now_us, self._round_trips.shortest_us + one_way_us - self._one_way.shortest_us)
 
     def drain(self) -> list[Flight]:
         """Take out everything that is in flight: the connection is over."""
         return [self._remove(seq) for seq in list(self._flights)]
 
-    def _rate_sample(self, newest: Flight, now_us: int) -> float | None:
+    def _rate_sample(self, newest: Flight, arrived_us: int) -> float | None:
         send_us = newest.sent_us - newest.first_sent_us
-        ack_us = now_us - newest.delivered_us
-        interval_us = max(send_us, ack_us)
+        interval_us = max(send_us, arrived_us - newest.delivered_us)
         return (self.delivered_bytes - newest.delivered_bytes) * 8e6 / interval_us if interval_us > 0 else None
 
     def _take_acked(self, ranges: tuple[SeqRange, ...]) -> list[tuple[int, Flight]]:

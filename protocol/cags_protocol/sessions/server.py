@@ -193,7 +193,7 @@ class ServerSession(Session[ev.ServerEvent]):
                 self._emit(ev.KeyframeRequested(message.reference_seq))
 
     def _on_ack(self, ack: Ack, now_us: int) -> None:
-        result = self._flow.on_ack(ack.ranges, ack.delay_us, now_us)
+        result = self._flow.on_ack(ack.ranges, ack.received_us, ack.delay_us, now_us)
         if ack.evicted:
             self._emit(ev.Evicted(ack.evicted))
         if result is None:

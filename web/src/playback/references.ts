@@ -23,14 +23,16 @@ function assumes(reference: Reference): boolean {
 
 export class References<P> {
   private readonly received = new Map<number, Received<P>>();
+  /** Frames that were not reached yet. */
+  private readonly toCome = new Set<number>();
   private mark = 0;
   private committed = 0;
-  private used = 0;
 
   /** Take a decoded reference, or one that says nothing. */
   add(reference: Reference, picture: P): void {
     this.received.delete(reference.frame);
     this.received.set(reference.frame, { reference, picture });
+    this.toCome.add(reference.frame);
     while (this.received.size > KEPT) this.received.delete(this.received.keys().next().value!);
   }
 
@@ -56,32 +58,28 @@ export class References<P> {
    * behind. While an own reference is late, what is shown stays as the one before assumes.
    */
   basisAt(frame: number, found: Received<P> | undefined, frames: number): number | undefined {
-    const basis = this.chosen(frame, found?.reference, frames);
-    const own = found?.reference.frame === frame ? found.reference.order : 0;
-    this.used = Math.max(this.used, own);
-    return basis;
-  }
-
-  private chosen(frame: number, reference: Reference | undefined, frames: number): number | undefined {
+    const reference = found?.reference;
+    const coming = this.nextBasis(frame, frames);
     if (reference && assumes(reference) && frame - reference.frame <= PATIENCE_FRAMES) {
       if (reference.frame === frame) this.committed = reference.basis;
       return this.committed;
     }
-    const coming = this.nextBasis(frame, frames);
     this.committed = coming === undefined ? this.mark : Math.min(coming, this.mark);
     return this.committed || undefined;
   }
 
   /**
-   * The mark that the next references assume, of those that have come: of the frames that follow `frame` in a clip of
-   * `frames`. One of a frame before it, which was skipped, must not hold back what came since.
+   * The mark that the next references assume, of those that have come for frames after `frame` in a clip of `frames`.
+   * A frame that was reached once, or was skipped, is never one to come again: its reference must not hold back what came
+   * since, not even half a clip later, when a loop would reach it next.
    */
   private nextBasis(frame: number, frames: number): number | undefined {
     let least: number | undefined;
-    for (const [at, { reference }] of this.received) {
+    for (const at of this.toCome) {
       const ahead = (((at - frame) % frames) + frames) % frames;
-      if (reference.order <= this.used || ahead === 0 || ahead > frames / 2 || !assumes(reference)) continue;
-      least = Math.min(least ?? Infinity, reference.basis);
+      const one = this.received.get(at);
+      if (!one || ahead === 0 || ahead >= frames / 2) this.toCome.delete(at);
+      else if (assumes(one.reference)) least = Math.min(least ?? Infinity, one.reference.basis);
     }
     return least;
   }
@@ -92,5 +90,6 @@ export class References<P> {
   /** Forget everything: the viewer jumped. */
   reset(): void {
     this.received.clear();
+    this.toCome.clear();
   }
 }

@@ -25,3 +25,10 @@ test("in a loop the next references are of the clip's first frames", () => {
   assert.equal(references.basisAt(88, undefined, CLIP), 4);
   assert.equal(references.basisAt(3, undefined, CLIP), 9);
 });
+
+test("a reference of a frame that was skipped holds nothing back, nor half a clip later", () => {
+  const references = new References<null>();
+  references.marked(9);
+  references.add(silent(1, 1, 4), null);
+  for (let frame = 2; frame < 3 * CLIP; frame += 2) assert.equal(references.basisAt(frame % CLIP, undefined, CLIP), 9);
+});

@@ -155,30 +155,35 @@ def test_correctors_and_aligners_get_what_is_theirs() -> None:
 
 def test_the_next_basis_is_the_least_that_waits_and_pictures_assume_none() -> None:
     references, video = References(), Video()
-    assert references.next_basis(0, 0, 90) is None
+    assert references.next_basis(0, 90) is None
     assert references.add(*difference(video, 5, basis=3))
     assert references.add(*difference(video, 6, basis=4))
-    assert references.next_basis(4, 0, 90) == 3
-    assert references.next_basis(5, 1, 90) == 4, "the first has been used"
-    assert references.next_basis(6, 2, 90) is None
+    assert references.next_basis(4, 90) == 3
+    assert references.next_basis(5, 90) == 4, "the first has been reached"
+    assert references.next_basis(6, 90) is None
     assert references.add(*video.picture(7, basis=9))
-    assert references.next_basis(6, 2, 90) is None
+    assert references.next_basis(6, 90) is None, "a picture assumes nothing"
     assert references.add(*nothing(8, basis=7))
-    assert references.next_basis(6, 2, 90) == 7
+    assert references.next_basis(6, 90) == 7
 
 
-@pytest.mark.parametrize("skipped", [19, 8])
-def test_a_reference_of_a_frame_that_was_skipped_holds_nothing_back(skipped: int) -> None:
+@pytest.mark.parametrize("frames", [2, 5, 24, 90])
+@pytest.mark.parametrize("step", [1, 2])
+def test_a_reference_of_a_frame_that_was_skipped_or_came_late_never_holds_anything_back(frames: int, step: int) -> None:
     references = References()
-    assert references.add(*nothing(skipped, basis=4))
-    assert references.next_basis(20, 0, 90) is None
+    assert references.add(*nothing(1, basis=4))
+    for frame in range(step, 3 * frames, step):  # the frame itself is skipped, or on display
+        assert references.next_basis(frame % frames, frames) is None, f"frame {frame}"
+    assert references.add(*nothing(0, basis=5))
+    for frame in range(3 * frames + 1, 6 * frames, step):
+        assert references.next_basis(frame % frames, frames) is None, f"late, at frame {frame}"
 
 
 def test_in_a_loop_the_next_references_are_of_the_clips_first_frames() -> None:
     references = References()
     assert references.add(*nothing(2, basis=4))
-    assert references.next_basis(88, 0, 90) == 4
-    assert references.next_basis(3, 0, 90) is None
+    assert references.next_basis(88, 90) == 4
+    assert references.next_basis(3, 90) is None
 
 
 def test_a_picture_says_what_coding_has_left_in_it() -> None:
@@ -189,15 +194,3 @@ def test_a_picture_says_what_coding_has_left_in_it() -> None:
     assert received is not None
     assert received.coded is not None
     assert received.reference.error == pytest.approx(1e-4)
-
-
-def test_the_next_references_say_how_far_to_show() -> None:
-    references, video = References(), Video()
-    for frame, basis in ((3, 5), (4, 6), (5, 8)):
-        message, unit, _ = video.picture(frame)
-        references.add(replace(message, kind="difference"), unit, basis)
-    assert references.next_basis(3, after=1, frames=90) == 6, "that of frame 3 was used, the next one stands on 6"
-    assert references.next_basis(5, after=3, frames=90) is None
-    message, unit, _ = video.picture(6)
-    references.add(message, unit, 9)
-    assert references.next_basis(5, after=3, frames=90) is None, "a picture assumes nothing"

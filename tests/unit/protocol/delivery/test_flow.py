@@ -7,6 +7,9 @@ from cags_protocol.delivery.send_queue import Entry
 from cags_protocol.wire.messages import SeqRange
 from support.wire_pair import tile
 
+BACK_US = 400
+"""What acknowledgements travel."""
+
 ENTRY = Entry(1, tile(0, 0, 10), (1, 0, 1), b"head", memoryview(b"body"))
 
 
@@ -19,11 +22,17 @@ def send(control, now_us, size=1000):
     return control.next_seq - 1
 
 
+def ack(control, ranges, now_us, *, delay_us=0, late_us=0, offset_us=0):
+    """An acknowledgement that waited at the client and, ``late_us``, until the server read it."""
+    received_us = now_us - late_us - delay_us - BACK_US + offset_us
+    return control.on_ack(ranges, received_us, delay_us, now_us)
+
+
 def test_credit_is_rate_times_window_and_round_trip():
     control = flow()
     assert control.window_bytes == 40_000
     send(control, 0)
-    control.on_ack([SeqRange(1, 1)], 0, 60_000)
+    ack(control, [SeqRange(1, 1)], 60_000)
     assert control.min_rtt_us == 60_000
     assert control.window_bytes == 100_000
 
@@ -39,14 +48,14 @@ def test_credit_is_used_up_and_comes_back():
     send(control, 0, 8192)
     assert not control.has_credit()
     assert control.has_credit(extra_bytes=8192)
-    control.on_ack([SeqRange(1, 1)], 0, 1000)
+    ack(control, [SeqRange(1, 1)], 1000)
     assert control.has_credit()
 
 
 def test_the_round_trip_leaves_out_the_wait_for_the_acknowledgement():
     control = flow()
     send(control, 1000)
-    result = control.on_ack([SeqRange(1, 1)], 5000, 26_000)
+    result = ack(control, [SeqRange(1, 1)], 26_000, delay_us=5000)
     assert result.rtt_us == 20_000
 
 
@@ -54,7 +63,7 @@ def test_the_shortest_round_trip_is_forgotten_in_time():
     control = flow()
     for start_us, rtt_us in ((0, 10_000), (1_000_000, 50_000), (MIN_RTT_WINDOW_US + 500_000, 70_000)):
         seq = send(control, start_us)
-        control.on_ack([SeqRange(seq, seq)], 0, start_us + rtt_us)
+        ack(control, [SeqRange(seq, seq)], start_us + rtt_us)
     assert control.min_rtt_us == 50_000
 
 
@@ -62,7 +71,7 @@ def test_the_rate_of_a_burst_counts_its_whole_round_trip():
     control = flow(rate_bps=1e9)
     for _ in range(50):
         send(control, 0, 1250)  # a burst of 50 x 10 kbit
-    rates = [control.on_ack([SeqRange(seq, seq)], 0, 20_000 + 1000 * seq).delivery_rate_bps for seq in range(1, 51)]
+    rates = [ack(control, [SeqRange(seq, seq)], 20_000 + 1000 * seq).delivery_rate_bps for seq in range(1, 51)]
     assert rates[-1] == pytest.approx(50 * 10_000 / 0.070, rel=0.01)
 
 
@@ -70,20 +79,20 @@ def test_an_idle_server_marks_what_follows():
     control = flow()
     control.on_idle()
     send(control, 0)
-    assert control.on_ack([SeqRange(1, 1)], 0, 1000).app_limited
+    assert ack(control, [SeqRange(1, 1)], 1000).app_limited
     send(control, 2000)
     send(control, 2000)
-    control.on_ack([SeqRange(2, 2)], 0, 3000)
+    ack(control, [SeqRange(2, 2)], 3000)
     send(control, 3000)
-    assert not control.on_ack([SeqRange(4, 4)], 0, 4000).app_limited
+    assert not ack(control, [SeqRange(4, 4)], 4000).app_limited
 
 
 def test_gaps_become_losses_only_long_after():
     control = flow(rate_bps=1e9)
     for _ in range(REORDER_PACKETS + 2):
         send(control, 0)
-    assert control.on_ack([SeqRange(2, REORDER_PACKETS + 1)], 0, 1000).lost == []
-    result = control.on_ack([SeqRange(REORDER_PACKETS + 2, REORDER_PACKETS + 2)], 0, 1000)
+    assert ack(control, [SeqRange(2, REORDER_PACKETS + 1)], 1000).lost == []
+    result = ack(control, [SeqRange(REORDER_PACKETS + 2, REORDER_PACKETS + 2)], 1000)
     assert [seq for seq, _ in result.lost] == [1]
     assert control.in_flight_bytes == 0
     assert control.lost_bytes == 1000
@@ -92,22 +101,22 @@ def test_gaps_become_losses_only_long_after():
 def test_repeated_acknowledgements_say_nothing():
     control = flow()
     send(control, 0)
-    assert control.on_ack([SeqRange(1, 1)], 0, 1000) is not None
-    assert control.on_ack([SeqRange(1, 1)], 0, 2000) is None
-    assert control.on_ack([], 0, 2000) is None
+    assert ack(control, [SeqRange(1, 1)], 1000) is not None
+    assert ack(control, [SeqRange(1, 1)], 2000) is None
+    assert ack(control, [], 2000) is None
     assert control.delivered_bytes == 1000
 
 
 def test_what_was_never_sent_cannot_be_acknowledged():
     control = flow()
     with pytest.raises(ProtocolError, match="ack of packet 1, but only 0 were sent"):
-        control.on_ack([SeqRange(1, 1)], 0, 1000)
+        ack(control, [SeqRange(1, 1)], 1000)
 
 
 def round_trips(control, times_us):
     for number, rtt_us in enumerate(times_us):
         seq = send(control, number * 1000)
-        control.on_ack([SeqRange(seq, seq)], 0, number * 1000 + rtt_us)
+        ack(control, [SeqRange(seq, seq)], number * 1000 + rtt_us)
     return control.window_bytes
 
 
@@ -122,9 +131,38 @@ def test_a_rate_is_over_the_longer_of_sending_and_acknowledging():
     control = flow()
     send(control, 0)
     send(control, 1_000)
-    control.on_ack([SeqRange(1, 1)], 0, 50_000)
+    ack(control, [SeqRange(1, 1)], 50_000)
     send(control, 51_000)
-    bunch = control.on_ack([SeqRange(1, 3)], 0, 52_000)
+    bunch = ack(control, [SeqRange(1, 3)], 52_000)
     assert bunch.delivery_rate_bps == pytest.approx(2_000 * 8e6 / 51_000), "not 2,000 bytes in 2 ms"
     send(control, 60_000)
-    assert control.on_ack([SeqRange(4, 4)], 0, 70_000).delivery_rate_bps == pytest.approx(1_000 * 8e6 / 10_000)
+    assert ack(control, [SeqRange(4, 4)], 70_000).delivery_rate_bps == pytest.approx(1_000 * 8e6 / 10_000)
+
+
+def rates_of(late_us, *, offset_us=0, packets=40):
+    """Rate samples and round trips of packets that go out and arrive 10 ms apart, read so much late by turns."""
+    control = flow(rate_bps=1e9)
+    results = []
+    for number in range(packets):
+        send(control, 10_000 * number, 1250)  # 1 Mbps
+        if number >= 2:
+            late = late_us[number % len(late_us)]
+            seq, now_us = number - 1, 10_000 * (number - 2) + 20_000 + late
+            results.append(ack(control, [SeqRange(seq, seq)], now_us, late_us=late, offset_us=offset_us))
+    return control, results
+
+
+@pytest.mark.parametrize("offset_us", [0, -3_600_000_000, 86_400_000_000])
+def test_acknowledgements_that_are_read_late_are_no_queue_and_no_slow_link(offset_us):
+    control, results = rates_of([0, 3_000, 9_000], offset_us=offset_us)
+    assert {result.rtt_us for result in results[3:]} == {20_000}
+    assert {result.delivery_rate_bps for result in results[3:]} == {1e6}
+    assert control.window_bytes > rates_of([0])[0].window_bytes, "the window lasts until the server looks again"
+
+
+def test_a_client_whose_clock_is_set_tells_no_more_than_the_acknowledgements_time():
+    control = flow()
+    for number, offset_us in enumerate([0, 0, 5_000_000, -5_000_000]):
+        seq = send(control, 100_000 * number)
+        result = ack(control, [SeqRange(seq, seq)], 100_000 * number + 30_000, offset_us=offset_us)
+        assert result.rtt_us == 30_000
