@@ -61,9 +61,9 @@ def _measures(aligned: Tensor, distorted: Tensor) -> Tensor:
     """Logarithms [B, 7, H/8, W/8] of what the cells of pictures [B, 3, H, W] hold."""
     difference = aligned - distorted
     smooth, detail = _blurred(difference, 7), distorted - _blurred(distorted, 7)
-    parts = (smooth, _blurred(difference, 15), _blurred(difference, 31), difference - smooth)
-    parts += (aligned - _blurred(aligned, 7), detail)
-    cells = [_over_cells(part * part) for part in parts]
+    means = (smooth, _blurred(difference, 15), _blurred(difference, 31))
+    sharp = (difference - smooth, aligned - _blurred(aligned, 7), detail)
+    cells = [_over_cells(part * part) for part in (*means, *sharp)]
     ways = (distorted - _blurred(distorted, 3), detail, *_slopes(_blurred(distorted, 3)))
     measured = torch.cat([_unexplained(difference, ways), *cells], dim=1)
     return (torch.log(measured + FLOOR) - _LOG_MIDDLE) / _LOG_SPREAD
