@@ -31,7 +31,7 @@ TESTED_ELSEWHERE = {
     "cags_bench/demo": "tests/packaging/test_readme.py",
     "cags_bench/motion": "tests/unit/bench/test_cli.py",
     "cags_bench/predict": "tests/unit/bench/test_cli.py",
-    "cags_bench/reproduce/experiments": "tests/unit/bench/test_reproduce.py",
+    "cags_bench/reproduce/experiments": "tests/unit/bench/reproduce/test_reproduce.py",
     "cags_bench/sim": "tests/sim/test_virtual_time.py",
     "cags_bench/stream": "tests/sim/test_virtual_time.py",
 }
