@@ -282,8 +282,10 @@ class Outcome:
 
     @property
     def kept(self) -> float:
-        """Share of the quiet frames that came under attack: of the viewer who fared worst."""
-        return self.under_fps / self.quiet_fps
+        """Share of the quiet frames that came under attack: of the viewer who fared worst. 0 where the
+        machine left no time for frames in peace either.
+        """
+        return self.under_fps / self.quiet_fps if self.quiet_fps else 0.0
 
     @property
     def well(self) -> bool:

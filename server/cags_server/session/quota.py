@@ -83,7 +83,7 @@ class ReadingShare:
         self._saved_s, self._at_s = SAVED_S, now_s
 
     def took(self, seconds: float, now_s: float) -> float:
-        """Reading a message took ``seconds``; how long to wait before the next one is read."""
+        """Reading a message took ``seconds`` of processor time; how long to wait before the next one is read."""
         share = max(READING_SHARE / max(self._clients(), 1), LEAST_SHARE)
         self._saved_s = min(self._saved_s + (now_s - self._at_s) * share, SAVED_S) - seconds - MESSAGE_S
         self._at_s = now_s
