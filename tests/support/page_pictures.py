@@ -1,8 +1,8 @@
 """Pictures of the page for ``docs/images/web``: ``PYTHONPATH=tests python -m support.page_pictures SCENES OUT``.
 
-``SCENES`` is a folder of bundles, of which the first by name is played. Pages are shown as they are at full detail, by a
-headless Chromium on a software adapter; there a screenshot lacks the canvas, which is therefore read out and put in its
-place.
+``SCENES`` is a folder of bundles, of which the first by name is played; names of pictures after ``OUT`` leave out the
+others. Pages are shown as they are at full detail, by a headless Chromium on a software adapter; there a screenshot
+lacks the canvas, which is therefore read out and put in its place.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 
 from cags_bench.web.browser import chromium
 from cags_common.bundle.reader import MANIFEST_NAME
-from support.web_page import STILL, Page, Server, served
+from support.web_page import Page, Server, served
 
-UPLOADS = ("--accept-uploads",)
 PHONE, WIDE, LANDSCAPE = (390, 780), (1120, 630), (780, 360)
+OPENED = "document.getElementById('inspect').click()"
 
 READ_OUT = """
 const done = arguments[0], canvas = document.getElementById("picture");
@@ -31,6 +31,12 @@ canvas.toBlob((blob) => {
   canvas.after(copy);
 });
 """
+DETAILED = "!player?.waiting && (player?.shown?.update.lodMean ?? 0) > 0.97 * ((player?.info?.lods ?? 0) - 1)"
+"""What is in view is at its highest level."""
+
+LISTED = "document.images.length > 0 && [...document.images].every((each) => each.complete)"
+FAILED = "document.querySelector('#stage[data-failed]') !== null"
+ASKS = "!document.getElementById('token').hidden"
 
 
 @dataclass(frozen=True)
@@ -44,16 +50,33 @@ class Shot:
     phone: bool = False
 
 
-SHOTS = (
+@dataclass(frozen=True)
+class Words:
+    """One picture of a page without a scene on it, at ``place``, once ``ready`` (an expression) holds."""
+
+    name: str
+    size: tuple[int, int]
+    theme: str
+    place: str
+    ready: str
+    webgpu: bool = True
+
+
+OPEN = (
+    Words("gallery-dark", WIDE, "dark", "", LISTED),
+    Words("gallery-narrow-light", PHONE, "light", "", LISTED),
+    Words("error-dark", WIDE, "dark", "?scene=nowhere", FAILED),
+    Words("unsupported-dark", WIDE, "dark", "?scene={scene}", FAILED, webgpu=False),
     Shot("wide-dark", WIDE, "dark"),
-    Shot("wide-light", WIDE, "light"),
-    Shot("inspector-dark", WIDE, "dark", "document.getElementById('inspect').click()"),
-    Shot("inspector-light", WIDE, "light", "document.getElementById('inspect').click()"),
+    Shot("inspector-dark", WIDE, "dark", OPENED),
+    Shot("inspector-light", WIDE, "light", OPENED),
     Shot("narrow-dark", PHONE, "dark", phone=True),
     Shot("narrow-light", PHONE, "light", phone=True),
-    Shot("narrow-inspector-dark", PHONE, "dark", "document.getElementById('inspect').click()", phone=True),
+    Shot("narrow-inspector-dark", PHONE, "dark", OPENED, phone=True),
     Shot("landscape-dark", LANDSCAPE, "dark", phone=True),
 )
+GUARDED = (Words("token-narrow-light", PHONE, "light", "?scene={scene}", ASKS),)
+SERVERS = ((("--accept-uploads", "--visible-px", "0"), OPEN), (("--token", "sesame"), GUARDED))
 
 
 class Pictures:
@@ -63,56 +86,48 @@ class Pictures:
         self._server, self._scene, self._out = server, scene, out
         out.mkdir(parents=True, exist_ok=True)
 
-    def scene(self, shot: Shot) -> None:
+    def take(self, wanted: Shot | Words) -> None:
+        """One picture, in a fresh browser."""
+        phone = wanted.size == PHONE or (isinstance(wanted, Shot) and wanted.phone)
+        webgpu = isinstance(wanted, Shot) or wanted.webgpu
+        width, height = wanted.size
+        with (
+            tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+            chromium(
+                Path(profile), width=width, height=height, theme=wanted.theme, phone=phone, webgpu=webgpu
+            ) as browser,
+        ):
+            if isinstance(wanted, Shot):
+                self._scene_in(browser, wanted)
+            else:
+                browser.get(self._server.url + wanted.place.format(scene=self._scene))
+                Page(browser).until(wanted.ready)
+            path = self._out / f"{wanted.name}.png"
+            browser.save_screenshot(str(path))
+            print(path, flush=True)
+
+    def _scene_in(self, browser: Any, shot: Shot) -> None:
         """The played scene, paused at full detail."""
-        with self._browser(shot.size, shot.theme, phone=shot.phone) as browser:
-            page = Page(browser)
-            pixels = "x".join(str(round(side)) for side in shot.size)
-            browser.get(f"{self._server.url}?scene={self._scene}#paused&size={pixels}")
-            page.until(STILL)
-            page.do(shot.before)
-            page.until("player.status.rttMs !== undefined")
-            browser.execute_async_script(READ_OUT)
-            self._save(browser, shot.name)
-
-    def words(self, name: str, size: tuple[int, int], theme: str, *, place: str, ready: str, webgpu: bool = True) -> None:
-        """A page without a picture, once ``ready`` (an expression) holds."""
-        with self._browser(size, theme, phone=size == PHONE, webgpu=webgpu) as browser:
-            browser.get(self._server.url + place)
-            Page(browser).until(ready)
-            self._save(browser, name)
-
-    def _browser(self, size: tuple[int, int], theme: str, *, phone: bool, webgpu: bool = True) -> Any:
-        profile = Path(tempfile.mkdtemp(prefix="cags-pictures-"))
-        return chromium(profile, width=size[0], height=size[1], theme=theme, phone=phone, webgpu=webgpu)
-
-    def _save(self, browser: Any, name: str) -> None:
-        browser.save_screenshot(str(self._out / f"{name}.png"))
-        print(self._out / f"{name}.png", flush=True)
+        page = Page(browser)
+        pixels = "x".join(str(side) for side in shot.size)
+        browser.get(f"{self._server.url}?scene={self._scene}#paused&size={pixels}")
+        page.until(DETAILED)
+        page.do(shot.before)
+        page.until("player.status.rttMs !== undefined")
+        browser.execute_async_script(READ_OUT)
 
 
-def main(scenes: Path, out: Path, only: str = "") -> None:
-    """Take all pictures, or those whose names begin with ``only``."""
-    names = sorted(path.name for path in scenes.iterdir() if (path / MANIFEST_NAME).is_file())
-    with tempfile.TemporaryDirectory() as work, served(scenes, Path(work), *UPLOADS) as server:
-        pictures = Pictures(server, names[0], out)
-        said = "document.querySelector('#stage[data-failed]') !== null"
-        listed = f"document.querySelectorAll('#scenes img').length === {len(names)} && [...document.images].every((i) => i.complete)"
-        if "gallery".startswith(only):
-            pictures.words("gallery-dark", WIDE, "dark", place="", ready=listed)
-            pictures.words("gallery-narrow-light", PHONE, "light", place="", ready=listed)
-        if "error".startswith(only):
-            pictures.words("error-dark", WIDE, "dark", place="?scene=nowhere", ready=said)
-            pictures.words("unsupported-dark", WIDE, "dark", place=f"?scene={names[0]}", ready=said, webgpu=False)
-        for shot in SHOTS:
-            if shot.name.startswith(only):
-                pictures.scene(shot)
-    if "token".startswith(only):
-        with tempfile.TemporaryDirectory() as work, served(scenes, Path(work), "--token", "sesame") as server:
-            asks = "!document.getElementById('token').hidden"
-            place = f"?scene={names[0]}"
-            Pictures(server, names[0], out).words("token-narrow-light", PHONE, "light", place=place, ready=asks)
+def main(scenes: Path, out: Path, *only: str) -> None:
+    """Take all pictures, or those that are named."""
+    played = min(path.name for path in scenes.iterdir() if (path / MANIFEST_NAME).is_file())
+    for arguments, pages in SERVERS:
+        wanted = [page for page in pages if not only or page.name in only]
+        if not wanted:
+            continue
+        with tempfile.TemporaryDirectory() as work, served(scenes, Path(work), *arguments) as server:
+            for page in wanted:
+                Pictures(server, played, out).take(page)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:4])
+    main(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:])

@@ -67,7 +67,9 @@ def test_files_are_named_by_what_they_hold_and_the_page_says_where_its_scene_is(
     plain = ("index.html", "page.js", "manifest.json")
     assert set(names) == named | {*plain, *(f"{name}.gz" for name in plain)}
     for name in plain:
-        assert gzip.decompress((tmp_path / "site" / f"{name}.gz").read_bytes()) == (tmp_path / "site" / name).read_bytes()
+        assert (
+            gzip.decompress((tmp_path / "site" / f"{name}.gz").read_bytes()) == (tmp_path / "site" / name).read_bytes()
+        )
     for name in named:
         data = (tmp_path / "site" / name).read_bytes()
         assert name.endswith(f"-{zlib.crc32(data):08x}-{len(data):x}.bin")
