@@ -31,7 +31,7 @@ canvas.toBlob((blob) => {
   canvas.after(copy);
 });
 """
-DETAILED = "!player?.waiting && (player?.shown?.update.lodMean ?? 0) > 0.97 * ((player?.info?.lods ?? 0) - 1)"
+DETAILED = "player?.shown && !player.waiting && player.shown.update.lodMean > 0.97 * (player.info.lods - 1)"
 """What is in view is at its highest level."""
 
 LISTED = "document.images.length > 0 && [...document.images].every((each) => each.complete)"
@@ -97,6 +97,9 @@ class Pictures:
                 Path(profile), width=width, height=height, theme=wanted.theme, phone=phone, webgpu=webgpu
             ) as browser,
         ):
+            if not phone:  # else the window's own frame is counted in
+                metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+                browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
             if isinstance(wanted, Shot):
                 self._scene_in(browser, wanted)
             else:

@@ -39,6 +39,9 @@ const PUBLISHED = document.querySelector<HTMLMetaElement>('meta[name="cags-sourc
 /** The scene that the address names, of a server with several. */
 const SCENE = sceneOf(location.search);
 
+/** The server has no scene of the name in the address. */
+class MissingError extends Error {}
+
 class Viewer {
   player: Player | null = null;
   renderer: Renderer | null = null;
@@ -157,6 +160,7 @@ class Viewer {
       this.#messages.askToken(token !== undefined);
       return undefined;
     }
+    if (answer.status === 404 && SCENE !== undefined) throw new MissingError(`There is no scene '${SCENE}' here.`);
     if (answer.status === 404) throw new Error(((await answer.json()) as { error: string }).error);
     if (!answer.ok) throw new Error(`the server answers ${answer.status} ${answer.statusText}`);
     return sceneInfo(readManifest(new Uint8Array(await answer.arrayBuffer())), false);
@@ -231,7 +235,8 @@ class Viewer {
   #cannot(error: unknown): void {
     const message = error instanceof Error ? error.message : String(error);
     embed.tell("error", { message });
-    if (error instanceof UnsupportedError) this.#messages.fail("This browser cannot show the scene", message, false);
+    if (error instanceof UnsupportedError) this.#messages.fail("This browser cannot show the scene", message, "none");
+    else if (error instanceof MissingError) this.#messages.fail("The scene is not there", message, "scenes");
     else this.#messages.fail("The scene cannot be shown", sentence(message));
   }
 
