@@ -20,6 +20,7 @@ SUBCOMMANDS = {
     "align": "time of the client's frame and of the server's references",
     "references": "what differences, pictures, the paper's way and no references bring, over whole sessions",
     "network": "sending, rate policies and estimators over every shipped trace; crowds; soak",
+    "demo": "the demo in real time, several times: frames, evenness, quality; with a core taken away",
     "scale": "sessions that several servers behind a balancer carry",
     "reproduce": "the paper's tables and figures on this project's scenes and traces",
     "web": "the viewer in a browser: a published folder beside the server's stream, over links",

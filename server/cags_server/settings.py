@@ -58,10 +58,10 @@ class ServerSettings:
         False, "references as large as the client's display (remote rendering)", research=True
     )
     reference_share: float = setting(
-        0.4, "target share of the link for references; their quality adapts to it", low=0.01, high=1
+        0.2, "target share of the link for references; their quality adapts to it", low=0.01, high=1
     )
     reference_most: float = setting(
-        0.6,
+        0.4,
         "largest share of the link for references; excess references are skipped; 1 disables the limit",
         low=0.01,
         high=1,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
 
 
@@ -30,3 +31,34 @@ class DemoSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+
+QUIET, BUSY = "quiet", "busy"
+PARTS = (QUIET, BUSY)
+
+
+@dataclass(frozen=True)
+class DemoBenchSettings:
+    """How often the demo is played, beside what, and what it is compared with."""
+
+    parts: str = setting(",".join(PARTS), "quiet: the machine as it is; busy: other processes spin on --busy-cores")
+    runs: int = setting(5, "plays of each part", low=1, high=1000)
+    busy_cores: int = setting(1, "cores on each of which a process spins in the part busy", low=1, high=256)
+    scene: str = setting("procedural", "scene of the demo: a file, a folder, motion:PATH or procedural[:size=N,...]")
+    before: str = setting(
+        "", "Python of an earlier installation, whose demo is played in turns, to be compared with; empty: none"
+    )
+    cache: str = setting("", "folder for encoded bundles; empty: cags-stream/bundles in the user's cache folder")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        self.part_list  # noqa: B018 - refuse what does not parse
+
+    @property
+    def part_list(self) -> list[str]:
+        """Of :data:`PARTS`."""
+        names = [name.strip() for name in self.parts.split(",")]
+        for name in names:
+            if name not in PARTS:
+                raise ConfigError(f"parts: {name!r} is unknown; known: {', '.join(PARTS)}")
+        return names

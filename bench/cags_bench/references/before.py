@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import tempfile
 from pathlib import Path
 
 from cags_bench.bundles import default_cache
 from cags_bench.jsonl import JsonObject
+from cags_bench.programs import executable
 from cags_bench.references.cases import Case, figures_of
 from cags_bench.references.methods import EARLIER, OURS
 from cags_common.errors import ConfigError
@@ -24,7 +24,7 @@ def played_before(python: str, case: Case) -> JsonObject:
     """
     server = ServerSettings()
     with tempfile.TemporaryDirectory(prefix="cags-before-") as out:
-        command = [str(_executable(python)), "-m", "cags_bench", "stream", "--json", "--out", out]
+        command = [str(executable("before", python)), "-m", "cags_bench", "stream", "--json", "--out", out]
         options = {
             "scene": case.scene,
             "trace": case.trace(),
@@ -67,10 +67,3 @@ def read_baseline(path: Path) -> list[JsonObject]:
         f"baseline = {str(path)!r} holds no case to compare with; write one with "
         f"cags-bench references --methods {OURS} --json"
     )
-
-
-def _executable(python: str) -> Path:
-    path = Path(python)
-    if not path.is_file() or not os.access(path, os.X_OK):
-        raise ConfigError(f"before = {python!r} is no program; give the python of an earlier installation")
-    return path.absolute()

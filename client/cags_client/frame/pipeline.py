@@ -174,9 +174,14 @@ class ClientPipeline:
         self._references.reset()
         self._scene = None
 
-    def forget_references(self) -> None:
-        """The viewer jumped within what is held: references of the pass before are of no use."""
-        self._references.reset()
+    @property
+    def references_received(self) -> int:
+        """How many have come so far."""
+        return self._references.count
+
+    def forget_references(self, until: int | None = None) -> None:
+        """References that have come are of no use any more: all, or the first ``until``."""
+        self._references.reset(until)
 
     def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
         """LoDs shown of each tile (source frame, tile) that has a splat in the picture from ``camera``; draws it."""

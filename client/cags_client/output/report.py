@@ -13,6 +13,7 @@ import numpy as np
 
 from cags_client.frame.presented import PresentedFrame
 from cags_client.output.score import averages
+from cags_client.output.steadiness import steadiness
 from cags_client.playback.jobs import Present
 from cags_client.stats import PlayStats
 from cags_common.geometry import F32, angle_between
@@ -75,6 +76,7 @@ def summary(records: list[dict[str, Any]], stats: PlayStats) -> dict[str, Any]:
         "bytes_reference": stats.bytes_reference,
         "goodput_mbps": received * 8 / seconds / 1e6 if seconds > 0 else 0.0,
         **means,
+        **steadiness(records),
         "effects": tally(map(_effects, records)),
         "restorers": dict(Counter(str(record["restorer"]) for record in records)),
         "latency_p95_ms": float(np.percentile(latencies, 95)) if latencies else None,

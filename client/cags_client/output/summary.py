@@ -13,6 +13,8 @@ Row = tuple[str, str]
 def summary_rows(summary: Mapping[str, Any], clip_frames: int) -> list[Row]:
     """Names and values of a :func:`~cags_client.output.report.summary` of a clip of ``clip_frames`` media frames."""
     rows = [("shown", _shown(summary, clip_frames))]
+    if summary.get("even_share") is not None:
+        rows.append(("steady", _steady(summary)))
     if summary.get("psnr_distorted_db") is not None:
         rows.append(("picture", _picture(summary)))
     if summary.get("lod_mean") is not None:
@@ -33,6 +35,15 @@ def _shown(summary: Mapping[str, Any], clip_frames: int) -> str:
         text += f"; {summary['frames_dropped']} skipped, the next one being due"
     if summary["frames_missed"]:
         text += f"; {summary['frames_missed']} without all of their data"
+    return text
+
+
+def _steady(summary: Mapping[str, Any]) -> str:
+    text = f"{summary['frames_per_s']:.0f} frames a second, {100 * summary['even_share']:.0f} % of them evenly"
+    if summary["freezes"]:
+        text += f"; frozen {summary['freezes']} times, {summary['frozen_ms'] / 1e3:.1f} s in all"
+    if summary.get("psnr_restored_step_p95_db") is not None:
+        text += f"; 95 % of frames within {summary['psnr_restored_step_p95_db']:.1f} dB of the one before"
     return text
 
 

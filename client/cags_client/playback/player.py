@@ -103,6 +103,8 @@ class Player:
             self.stats.first_byte_us = now_us
         self.stats.last_byte_us = now_us
         self._session.receive(data, now_us=now_us)
+        if self._session.partial_bytes:
+            self._startup.came(now_us)
         self._pump(now_us)
         if self._codebooks is None and self.backed_up:
             self._fail(NetworkError("the server sends tiles without the codebooks that they need"))
@@ -360,7 +362,9 @@ class Player:
 
     def _hold(self, now_us: int) -> None:
         """The first frame is there: let the server refine it before it is played."""
+        assert self.pipeline is not None
         if self.settings.startup_ms:
+            self._startup.greeting = self.pipeline.references_received
             self._session.control(Control("pause", self.settings.start_frame, now_us), now_us=now_us)
         self._play_if_due(now_us)
 
@@ -373,6 +377,8 @@ class Player:
         ends_us = self._startup.ends_us
         if not self._waits_to_start or ends_us is None or now_us < ends_us:
             return
+        if self._startup.greeting and self.pipeline is not None:
+            self.pipeline.forget_references(self._startup.greeting)
         at_us = now_us + self.settings.start_delay_ms * 1000
         self._due_us = self.stats.started_us = at_us
         self._viewpoint.begin(at_us)

@@ -8,7 +8,7 @@ hold is over.
 from __future__ import annotations
 
 QUIET_US = 250_000
-"""The hold ends when no tile has arrived for this long."""
+"""The hold ends when no tile has arrived for this long, nor a part of one: over a slow link one may take longer."""
 
 PREVIEW_EVERY_US = 200_000
 """While tiles arrive, the held frame is redrawn at this interval."""
@@ -22,9 +22,13 @@ class Startup:
         self._most_us = most_us
         self._newest_us = self._drawn_us = now_us
         self._whole_us: int | None = None
+        self.greeting = 0
+        """References that had come when the hold began: drawn for a client with few splats or none, they would spoil
+        what was refined since. They are forgotten when the clip plays.
+        """
 
     def came(self, now_us: int) -> None:
-        """A tile has arrived."""
+        """A tile has arrived, or a part of a message."""
         self._newest_us = now_us
 
     def whole(self, now_us: int) -> bool:

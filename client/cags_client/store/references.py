@@ -138,8 +138,14 @@ class References:
         self._decoder.reset()
         self._last_seq = self.last_decoded = 0
 
-    def reset(self) -> None:
-        """Forget everything (the viewer jumped); the decoder goes on."""
+    @property
+    def count(self) -> int:
+        """References that have come so far, over all connections."""
+        return self._order
+
+    def reset(self, until: int | None = None) -> None:
+        """Forget everything (the viewer jumped), or the first ``until`` that came; the decoder goes on."""
         with self._lock:
-            self._received.clear()
-            self._to_come.clear()
+            kept = {f: r for f, r in self._received.items() if until is not None and r.order > until}
+            self._received = kept
+            self._to_come &= kept.keys()

@@ -74,7 +74,9 @@ class FakePipeline:
     def reset(self, frame: int) -> None:
         self.resets.append(frame)
 
-    def forget_references(self) -> None:
+    references_received = 0
+
+    def forget_references(self, until: int | None = None) -> None:
         self.jumps += 1
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from cags_client.playback.jobs import Decode
 from cags_client.playback.player import Player
+from cags_client.playback.startup import QUIET_US
 from cags_client.settings import ClientSettings
 from cags_common.coding.packing import encode_ids
 from cags_common.errors import NetworkError
@@ -17,8 +18,19 @@ from cags_protocol import ClientSession, ServerSession
 from cags_protocol import events as ev
 from cags_protocol.sessions.blobs import CODEBOOKS_BLOB
 from cags_protocol.wire.encoding import encode
-from cags_protocol.wire.messages import Blob, Control, FrameEnd, Hello, Mark, Refusal, RefusalCode, Welcome
+from cags_protocol.wire.messages import (
+    Blob,
+    Control,
+    FrameEnd,
+    Hello,
+    Mark,
+    ReferenceFrame,
+    Refusal,
+    RefusalCode,
+    Welcome,
+)
 from support.small_store import books, manifest
+from support.wire_pair import tile
 
 
 class Still:
@@ -68,6 +80,44 @@ def first_frame_comes(client: Player, server: ServerSession, now_us: int) -> Non
     while isinstance(action := client.next_action(now_us), Decode):
         client.done(action, action.run(), now_us)
     client.handle_timer(now_us)
+
+
+def test_parts_of_a_tile_that_a_slow_link_takes_long_for_keep_the_first_frame_on_hold() -> None:
+    client = player(startup_ms=10_000)
+    server = joined(client)
+    first_frame_comes(client, server, 100_000)
+    server.rate_hint_bps = 1e9
+    server.queue(tile(0, 1, 50_000), now_us=100_000)
+    now_us = 100_000
+    packets = server.data_to_send(now_us)
+    assert len(packets) > 5
+    for packet in packets[:-1]:
+        now_us += QUIET_US * 9 // 10
+        client.receive(packet, now_us)
+        client.handle_timer(now_us)
+    assert client.stats.started_us is None, "a part of a tile was taken for silence"
+    client.handle_timer(now_us + QUIET_US)
+    assert client.stats.started_us is not None
+
+
+def test_what_was_drawn_for_a_client_without_splats_is_forgotten_when_the_clip_plays() -> None:
+    client = player(startup_ms=700)
+    server = joined(client)
+    nothing = ReferenceFrame(0, 0, Pose.identity(), client.settings.intrinsics, False, "nothing")
+    server.queue(ev.Outgoing(nothing), now_us=0)
+    first_frame_comes(client, server, 100_000)
+    assert client.pipeline is not None
+    assert client.pipeline._references.newest(0, 0) is not None
+    later = ReferenceFrame(1, 0, Pose.identity(), client.settings.intrinsics, False, "nothing")
+    server.queue(ev.Outgoing(later), now_us=150_000)
+    for data in server.data_to_send(150_000):
+        client.receive(data, 150_000)
+    while isinstance(action := client.next_action(150_000), Decode):
+        client.done(action, action.run(), 150_000)
+    client.handle_timer(100_000 + QUIET_US)
+    assert client.stats.started_us is not None
+    assert client.pipeline._references.newest(0, 0) is None
+    assert client.pipeline._references.newest(1, 0) is not None, "it came after the first frame was whole"
 
 
 def test_the_first_thing_that_is_sent_is_a_hello_with_the_viewers_camera() -> None:
