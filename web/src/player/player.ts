@@ -121,6 +121,7 @@ export class Player {
   #takesUs = 0;
   #drawnView = "";
   #rested = false;
+  #newestOrder = 0; // of references that have come
   #ready = false; // there is a renderer, and its shaders are compiled
   #ended = false;
 
@@ -251,6 +252,7 @@ export class Player {
         this.#onWhole(event.frame);
         break;
       case "reference":
+        this.#newestOrder = event.reference.order;
         this.#video.add(event.reference);
         break;
       case "flushed":
@@ -419,7 +421,10 @@ export class Player {
 
   /** The first frame is there: let the server refine it before it is played. */
   #hold(): void {
-    if (this.#holdUs) this.#source.control({ action: "pause", frame: this.#startFrame, atUs: nowUs() });
+    if (this.#holdUs) {
+      this.#startup.greeting = this.#newestOrder;
+      this.#source.control({ action: "pause", frame: this.#startFrame, atUs: nowUs() });
+    }
     if (this.#ready) this.#startIfDue(nowUs());
   }
 
@@ -428,6 +433,7 @@ export class Player {
     const { endsUs } = this.#startup;
     if (this.#startedUs !== null || endsUs === undefined || (this.playing && now < endsUs)) return;
     this.#startedUs = now;
+    if (this.#startup.greeting) this.#references.reset(this.#startup.greeting);
     if (this.playing && !this.#rested) this.#tell("play", this.#startFrame, now + START_DELAY_US);
     else this.#tell("pause", this.#startFrame, now);
   }

@@ -5,7 +5,7 @@
 
 /** The longest hold of the first frame. */
 export const STARTUP_US = 700_000;
-/** The hold ends when no tile has arrived for this long. */
+/** The hold ends when no tile has arrived for this long, nor a part of one: over a slow link one may take longer. */
 const QUIET_US = 250_000;
 /** While tiles arrive, the held frame is redrawn at this interval. */
 const PREVIEW_EVERY_US = 200_000;
@@ -16,6 +16,9 @@ export class Startup {
   #newestUs: number;
   #drawnUs: number;
   #wholeUs: number | undefined;
+  /** Order of the newest reference that had come when the hold began: those up to it, drawn for a page with few splats or
+   * none, would spoil what was refined since. They are forgotten when the clip plays. */
+  greeting = 0;
 
   /** `mostUs`: the longest hold. */
   constructor(mostUs: number, nowUs: number) {
@@ -23,7 +26,7 @@ export class Startup {
     this.#newestUs = this.#drawnUs = nowUs;
   }
 
-  /** A tile has arrived. */
+  /** A tile has arrived, or a part of a message. */
   came(nowUs: number): void {
     this.#newestUs = nowUs;
   }

@@ -83,7 +83,7 @@ export class LiveSource implements SceneSource {
   private timerUs = Infinity;
   private pingedUs = 0;
   private decoding = false;
-  private tilesCame = false; // since that was told last
+  private tilesCame = false; // or a part of a message, since that was told last
 
   constructor(decoders: Decoders, openSocket: OpenSocket = openWebSocket) {
     this.decoders = decoders;
@@ -255,6 +255,7 @@ export class LiveSource implements SceneSource {
   private take(bytes: Uint8Array): void {
     const now = nowUs();
     this.session.receive(bytes, now);
+    if (this.session.partialBytes) this.tilesCame = true;
     this.pump();
     this.tellArrived(now);
     if (!this.scene?.ready && this.queue.undecodedBytes > MAX_UNDECODED_BYTES) {

@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import type { Renderer } from "../../src/gpu/renderer.ts";
 import { Player } from "../../src/player/player.ts";
-import { type FrameRequest, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type SceneInfo, type SceneSource } from "../../src/seam.ts";
+import { type FrameRequest, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type Reference, type SceneInfo, type SceneSource } from "../../src/seam.ts";
 
 const FPS = 100;
 const FRAMES = 60;
@@ -171,6 +171,19 @@ test("the first frame is held no longer than it may be, and not at all for a vie
   await paused.until("its beginning", () => paused.actions.length > 1);
   assert.deepEqual(paused.actions, ["pause", "pause"]);
   assert.ok(!paused.player.waiting);
+});
+
+test("the reference that greets is seen while the first frame is held, and forgotten when it is played", async () => {
+  const page = new Page(false);
+  const greeting = { frame: 0, seq: 0, order: 1, connection: 1, kind: "nothing", basis: 4, data: new Uint8Array(0) };
+  page.player.handle({ type: "reference", reference: greeting as unknown as Reference });
+  page.whole(0);
+  await page.until("a picture", () => page.player.shown !== null);
+  assert.equal(page.source.asked.at(-1)!.basis, 4);
+  const held = page.source.asked.length;
+  await page.until("the play", () => page.source.asked.length > held && page.actions.includes("play"));
+  await page.until("its first frame", () => page.source.asked.at(-1)!.basis === undefined);
+  assert.equal(page.source.asked.at(-1)!.frame, 0);
 });
 
 test("nothing is held of a scene that nobody refines", async () => {
