@@ -21,12 +21,17 @@ td, th { padding: .15rem .7rem; border-bottom: 1px solid #ddd; text-align: right
 td:first-child, th:first-child { text-align: left }
 img { max-width: 100% }
 .default { font-weight: 600 }
+td.words, th.words { text-align: left }
+.held { color: #060; font-weight: 600 }
+.missed { color: #a00; font-weight: 600 }
 .note { color: #666 }
 .strip { display: flex; flex-wrap: wrap; gap: .5rem }
 figure { margin: 0; flex: 1 1 14rem }
 @media (prefers-color-scheme: dark) {
   body { color: #ddd; background: #181818 }
   td, th { border-color: #444 }
+  .held { color: #7d7 }
+  .missed { color: #f88 }
   img.plot { filter: invert(.9) hue-rotate(180deg) }
 }
 """

@@ -18,10 +18,10 @@ class Configuration:
 
 PUBLISHED = Configuration(
     encode={"quantiser": "paper-66", "lod_order": "paper"},
-    server={"abr": "paper", "fov": "lstm", "references": "picture", "reference_footprint": "plain"},
+    server={"abr": "paper", "fov": "lstm", "fov_gain": 1.0, "references": "picture", "reference_footprint": "plain"},
     client={"restore": "srresnet", "erosion": True},
 )
-"""The paper's way: 66-bit SVQ, the four-step rate policy and the LSTM's field of view.
+"""The paper's way: 66-bit SVQ, the four-step rate policy and the LSTM's field of view, as the network answers.
 
 References are pictures drawn as any of their size, aligned with erosion (PRPA) and restored by its network.
 """
@@ -29,6 +29,7 @@ References are pictures drawn as any of their size, aligned with erosion (PRPA) 
 REMOTE_RENDERING = Configuration(
     server={
         "abr": "none",
+        "lead_frames": 2,
         "references": "picture",
         "opening_tiles": False,
         "reference_full_size": True,
@@ -43,5 +44,13 @@ REMOTE_RENDERING = Configuration(
 )
 """Plain remote rendering: no splats, but a video of the predicted view at the client's size, with a margin of 10 %.
 
-The video may fill 85 % of the link; the client turns it by a homography.
+The video may fill 85 % of the link; the client turns it by a homography. Nothing has to arrive before it but itself, so
+it is planned two frames ahead (66 ms, of which the way there and back over 20 ms takes 40) and not six: predicted for
+less, it is right by more. Where the link or the renderer takes longer the lead grows as for everybody.
 """
+
+REMOTE_RENDERING_SMALL = Configuration(
+    server={**REMOTE_RENDERING.server, "reference_full_size": False},
+    client=REMOTE_RENDERING.client,
+)
+"""The same at 400x300, which a slow link carries better."""

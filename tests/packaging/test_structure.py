@@ -28,10 +28,9 @@ TESTED_ELSEWHERE = {
     "cags_research/codecs/encoding": "tests/unit/research/codecs/test_codecs.py",
     "cags_research/restore/networks/runtimes": "tests/unit/research/restore/networks",
     "cags_research/training/pairs": "tests/unit/research/training",
-    "cags_bench/demo": "tests/packaging/test_readme.py",
     "cags_bench/motion": "tests/unit/bench/test_cli.py",
     "cags_bench/predict": "tests/unit/bench/test_cli.py",
-    "cags_bench/reproduce/experiments": "tests/unit/bench/test_reproduce.py",
+    "cags_bench/reproduce/experiments": "tests/unit/bench/reproduce/test_reproduce.py",
     "cags_bench/sim": "tests/sim/test_virtual_time.py",
     "cags_bench/stream": "tests/sim/test_virtual_time.py",
 }

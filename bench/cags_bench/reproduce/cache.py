@@ -21,6 +21,8 @@ PACKAGES = (
     "cags_client",
     "cags_shaper",
     "cags_kernels",
+    "cags_gpu",
+    "cags_research",
     "cags_bench.sim",
 )
 """All that a simulated session runs."""

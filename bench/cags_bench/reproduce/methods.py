@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cags_research.configurations import PUBLISHED, REMOTE_RENDERING
+from cags_research.configurations import PUBLISHED, REMOTE_RENDERING, REMOTE_RENDERING_SMALL
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,10 @@ METHODS: dict[str, Method] = {
     "cags": Method("CAGS (ours)", "the defaults of this program"),
     "cags-paper": Method(
         "CAGS (as published)",
-        "66-bit SVQ in the printed order of layers, the four-step rate policy, the LSTM's field of view; references "
-        "are pictures drawn as any of their size, aligned and eroded (PRPA), restored by the paper's network, which is "
-        "trained here: its weights are not public",
+        "66-bit SVQ in the printed order of layers, with one code for each band of harmonics; the four-step rate "
+        "policy; the LSTM's field of view as the network answers, which is trained here to cover nine frames in ten "
+        "and not by the mean error; references are pictures drawn as any of their size, aligned and eroded (PRPA), "
+        "restored by the paper's network, which is trained here: its weights are not public",
         encode=PUBLISHED.encode,
         server=PUBLISHED.server,
         client=PUBLISHED.client,
@@ -46,24 +47,39 @@ METHODS: dict[str, Method] = {
     ),
     "lts-f": Method(
         "LTS-F",
-        "density levels: nested subsets of splats by importance with compensated opacity and scale, independently "
-        "decodable groups, one level a frame; our rate policy stands in for LTS's own",
+        "density levels: nested subsets of splats by importance, grown to stand for the rest (making them more opaque "
+        "as well looks worse), each level decodable on its own; our rate policy by tiles, on assumed gains of levels; "
+        "the training of one layer on the other is left out",
         encode={"codec": "density"},
+        client={"restore": "none"},
+    ),
+    "lts-f-even": Method(
+        "LTS-F, a level a frame",
+        "as LTS-F, but all visible tiles stand at one level, the highest that the link carries for all of them",
+        encode={"codec": "density"},
+        server={"abr": "even"},
         client={"restore": "none"},
     ),
     "v3-a": Method(
         "V3-A",
-        "attributes as H.264-coded planes at several qualities; a better quality is sent whole; the hash grids that V3 "
-        "trains are left out, and it gets our references",
+        "attributes as H.264-coded planes at several qualities; a better quality is sent whole; planes of a tile are "
+        "intra-coded, since a tile holds what has changed, where V3 predicts from frame to frame; what V3 trains is "
+        "left out, gains of qualities are assumed, and it gets our references",
         encode={"codec": "video"},
     ),
     "reference-only": Method(
         "reference only",
         "plain remote rendering: no splats are sent; the video of the predicted view, at the client's own size with a "
-        "margin of 10 %, may fill 85 % of the link (up to crf 14); the client corrects where it looks by a homography, "
-        "not where it stands",
+        "margin of 10 %, may fill 85 % of the link (up to crf 14), and is planned two frames ahead, where ours takes "
+        "six; the client corrects where it looks by a homography, not where it stands",
         server=REMOTE_RENDERING.server,
         client=REMOTE_RENDERING.client,
+    ),
+    "reference-only-small": Method(
+        "reference only, 400x300",
+        "as reference only, but a video of 400x300, enlarged by the client",
+        server=REMOTE_RENDERING_SMALL.server,
+        client=REMOTE_RENDERING_SMALL.client,
     ),
     "pictures": Method(
         "pictures alone",
@@ -85,5 +101,5 @@ METHODS: dict[str, Method] = {
 }
 """By the name that ``--methods`` takes."""
 
-BASELINES = ("lts-f", "v3-a", "sr-align-ref", "cr-no-ref", "reference-only")
+BASELINES = ("lts-f", "lts-f-even", "v3-a", "sr-align-ref", "cr-no-ref", "reference-only", "reference-only-small")
 ABLATIONS = ("pictures", "no-adaptive-fov", "no-prpa")

@@ -32,7 +32,24 @@ def write_page(out: Path, sections: Sequence[Section], plan: Plan) -> None:
         f"{html.escape(plan.poses)}; network {html.escape(plan.trace)}. Quality comes from virtual time and is the "
         "same every time; speed is of the machine named above.</p>"
     )
-    (out / "index.html").write_text(html.page("Reproduction", [intro, *map(_section, sections)]), encoding="utf-8")
+    parts = [_summary(sections), intro, *map(_section, sections)]
+    (out / "index.html").write_text(html.page("Reproduction", parts), encoding="utf-8")
+
+
+def _summary(sections: Sequence[Section]) -> str:
+    """What is claimed and what was found, a line a claim, and where its table is."""
+    claims = [(section, one) for section in sections for one in section.checks]
+    if not claims:
+        return ""
+    held = sum(bool(one["ok"]) for _, one in claims)
+    rows = "".join(
+        f"<tr><td><span class={'held' if one['ok'] else 'missed'}>{'holds' if one['ok'] else 'does not hold'}</span>"
+        f"<td class=words><a href='#{section.name}'>{html.escape(one['name'])}</a>"
+        f"<td>{html.escape(one['target'])}<td class=words>{html.escape(html.short(one['value']))}</tr>"
+        for section, one in claims
+    )
+    head = "<tr><th>found<th class=words>claim<th>target<th class=words>measured</tr>"
+    return f"<h2 id=summary>{held} of {len(claims)} claims hold</h2><table>{head}{rows}</table>"
 
 
 def _section(section: Section) -> str:

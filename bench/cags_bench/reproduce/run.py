@@ -13,6 +13,7 @@ from cags_bench.jsonl import check, provenance, summary
 from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner
 from cags_bench.reproduce.experiments import EXPERIMENTS
+from cags_bench.reproduce.marking import marked
 from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Context, Experiment, Plan
 from cags_bench.reproduce.prepare import prepare
@@ -32,7 +33,7 @@ def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
     cases = [case for experiment in chosen for case in experiment.cases(context)]
     prepare(context.runner, cases, settings.workers or os.cpu_count() or 1, _tell)
     for experiment in chosen:
-        section = experiment.run(context)
+        section = marked(experiment.run(context), plan)
         sections.append(section)
         write_section(out, section)
         write_page(out, sections, plan)

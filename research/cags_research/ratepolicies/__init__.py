@@ -1,1 +1,1 @@
-"""Rate policies to compare with: the paper's four steps, one that looks at waiting alone, one that sends nothing."""
+"""Rate policies to compare with: the paper's four steps, one level a frame, waiting alone, and nothing at all."""

@@ -6,8 +6,9 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from cags_bench.jsonl import JsonObject
+from cags_bench.jsonl import JsonObject, check
 from cags_bench.reproduce.cases import StreamCase, averaged
+from cags_bench.reproduce.confidence import pooled
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Curve, Picture, Plot, Section, Strip
@@ -116,27 +117,41 @@ def _db_at_picture(context: Context, result: JsonObject) -> str:
     return next((f"{f[PSNR]:.1f} dB" for f in result["frames"] if f["frame"] == at), "not shown")
 
 
+ABLATION_MBPS = (30.0, 60.0, None)
+"""Where something is at stake: the rates at which not everything fits; and the trace."""
+
+PARTS = (
+    ("PRPA", "cags-paper", "no-prpa"),
+    ("the adaptive field of view", "cags", "no-adaptive-fov"),
+    ("references that are differences", "cags", "pictures"),
+)
+"""A part, a method with it, and the same without."""
+
+
 def ablation_cases(context: Context) -> list[StreamCase]:
-    """Ours and the published way, and each without one part, over the trace."""
-    return [context.case(s, m) for s in context.plan.scenes for m in context.plan.ablations]
+    """Ours and the published way, and each without one part."""
+    p = context.plan
+    return [context.case(s, m, mbps) for s in p.scenes for mbps in ABLATION_MBPS for m in p.ablations]
 
 
 def ablations(context: Context) -> Section:
     """What differences, the adaptive field of view and alignment each give."""
     rows: list[list[Cell]] = []
     for scene in context.plan.scenes:
-        for method in context.plan.ablations:
-            result = context.result(context.case(scene, method))
-            summary = result["summary"]
-            aligned, coverage = summary.get("psnr_aligned_db"), covered_share(result["frames"])
-            title = METHODS[method].title
-            rows.append([scene, title, summary[PSNR], summary[SSIM], summary.get(FLICKER), aligned, coverage])
+        for mbps in ABLATION_MBPS:
+            for method in context.plan.ablations:
+                result = context.result(context.case(scene, method, mbps))
+                summary = result["summary"]
+                aligned, coverage = summary.get("psnr_aligned_db"), covered_share(result["frames"])
+                figures = [summary[PSNR], summary[SSIM], summary.get(FLICKER), aligned, coverage]
+                rows.append([scene, _link(mbps), METHODS[method].title, *figures])
     return Section(
         name="ablations",
         title="Pictures alone, without the adaptive field of view, without alignment",
-        paper="The ablations of figures 'fixed' and 'dynamic bandwidth', over the fluctuating trace.",
+        paper="The ablations of figures 'fixed' and 'dynamic bandwidth', at 30 and 60 Mbps and over the trace.",
         columns=(
             "scene",
+            "link",
             "method",
             "PSNR [dB]",
             "SSIM",
@@ -146,7 +161,22 @@ def ablations(context: Context) -> Section:
         ),
         rows=rows,
         notes=[f"{METHODS[m].title}: {METHODS[m].note}." for m in context.plan.ablations],
+        checks=[_brings(context, *part) for part in PARTS],
     )
+
+
+def _brings(context: Context, part: str, with_it: str, without: str) -> JsonObject:
+    """Whether ``part`` is sure to bring something at 30 Mbps, over all scenes."""
+    differences = []
+    for scene in context.plan.scenes:
+        frames = [context.result(context.case(scene, m, ABLATION_MBPS[0]))["frames"] for m in (with_it, without)]
+        differences.append([float(a[PSNR]) - float(b[PSNR]) for a, b in zip(*frames, strict=True)])
+    found = pooled(differences)
+    return check(f"{part} brings something at {_link(ABLATION_MBPS[0])}", "> 0 dB", f"{found}", found.above(0.0))
+
+
+def _link(mbps: float | None) -> str:
+    return "fluctuating" if mbps is None else f"{mbps:g} Mbps"
 
 
 def covered_share(frames: Sequence[JsonObject]) -> float | None:

@@ -16,7 +16,7 @@ def network_of(weights: Weights) -> nn.Module:
     """The network of ``weights``, filled with them. Raises :class:`ConfigError` where they do not fit."""
     import torch
 
-    network = _new(weights.network)
+    network = _new(weights.network, gated=any(name.startswith("gate.") for name in weights.arrays))
     wanted = {name: tuple(p.shape) for name, p in network.named_parameters()}
     given = {name: array.shape for name, array in weights.arrays.items()}
     if wanted != given:
@@ -26,11 +26,11 @@ def network_of(weights: Weights) -> nn.Module:
     return network
 
 
-def _new(name: str) -> nn.Module:
+def _new(name: str, *, gated: bool) -> nn.Module:
     from cags_research.restore.networks.srresnet import Sees, SrResNet
 
     makers: Mapping[str, Callable[[], nn.Module]] = {
-        "srresnet": lambda: SrResNet(Sees.BOTH),
+        "srresnet": lambda: SrResNet(Sees.BOTH, gated=gated),
         "sr-align-ref": lambda: SrResNet(Sees.REFERENCE),
         "cr-no-ref": lambda: SrResNet(Sees.DISTORTED),
     }

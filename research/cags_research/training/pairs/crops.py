@@ -37,6 +37,7 @@ class Crops:
     confidence: Bytes  # [N, S, S]
     truth: Bytes  # [N, S, S, 3]
     covered: Bytes  # [N, S, S] alpha of the truth
+    level: F32  # [N] mean LoD of the tiles in their view's frame, as a share of the ladder
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -70,23 +71,28 @@ def make_crops(
     Views that hardly show the scene are drawn again, at most as often as there are views.
     """
     parts: list[Crops] = []
-    views = settings.views
+    views, done = settings.views, 0
     for _ in range(2 * views):
-        pair = maker.draw(rng)
-        if (pair.truth_alpha > COVERED_ALPHA).mean() >= SHOWN_SHARE:
-            parts.append(crops_of(pair, settings, rng))
-            tell(len(parts), views)
-        if len(parts) == views:
+        pairs = maker.draw_levels(rng, settings.level_list) if settings.level_list else [maker.draw(rng)]
+        if (pairs[0].truth_alpha > COVERED_ALPHA).mean() >= SHOWN_SHARE:
+            parts += crops_of(pairs, settings, rng)
+            done += 1
+            tell(done, views)
+        if done == views:
             break
     if not parts:
         raise SceneError("no view of the scene shows it; give walks that look at it, or another focus")
     return Crops.concatenate(parts)
 
 
-def crops_of(pair: Pair, settings: PairSettings, rng: np.random.Generator) -> Crops:
-    """``settings.crops`` crops of a pair at drawn places that show something of the scene."""
-    places = [_place(pair.truth_alpha, settings.crop, rng) for _ in range(settings.crops)]
+def crops_of(pairs: Sequence[Pair], settings: PairSettings, rng: np.random.Generator) -> list[Crops]:
+    """``settings.crops`` crops of each of some pairs of one view, at the same drawn places that show the scene."""
+    places = [_place(pairs[0].truth_alpha, settings.crop, rng) for _ in range(settings.crops)]
     areas = [np.s_[top : top + settings.crop, left : left + settings.crop] for top, left in places]
+    return [_crops_at(areas, pair) for pair in pairs]
+
+
+def _crops_at(areas: Sequence[tuple[slice, slice]], pair: Pair) -> Crops:
     inputs = pair.inputs
     return Crops(
         distorted=_cut(inputs.distorted, areas),
@@ -94,6 +100,7 @@ def crops_of(pair: Pair, settings: PairSettings, rng: np.random.Generator) -> Cr
         confidence=_cut(inputs.aligned.confidence, areas),
         truth=_cut(pair.truth, areas),
         covered=_cut(pair.truth_alpha, areas),
+        level=np.full(len(areas), pair.level, np.float32),
     )
 
 

@@ -28,6 +28,7 @@ class Pair:
     inputs: RestoreInput
     truth: F32  # [H, W, 3] in [0, 1]
     truth_alpha: F32  # [H, W]
+    level: float  # mean LoD of the tiles, as a share of the ladder
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,15 @@ class PairMaker:
         before = [nudged(rng, view.reference, manifest) for _ in range(int(rng.integers(0, s.frames_before + 1)))]
         return self.make(view, lods, crf=float(crf), plain=bool(plain), before=before, tint=Tint.draw(rng))
 
+    def draw_levels(self, rng: np.random.Generator, levels: Sequence[float]) -> list[Pair]:
+        """A drawn view with all tiles at each of ``levels``, shares of the ladder; in the scene's own colours."""
+        s, manifest = self._settings, self.ladder.manifest
+        view = draw_view(rng, manifest, self._walks, s)
+        crf = float(rng.uniform(s.crf_low, s.crf_high))
+        before = [nudged(rng, view.reference, manifest) for _ in range(int(rng.integers(0, s.frames_before + 1)))]
+        lods = [np.full(self.ladder.tiles, round(level * self.ladder.top)) for level in levels]
+        return [self.make(view, held, crf=crf, before=before) for held in lods]
+
     def make(
         self,
         view: View,
@@ -98,7 +108,8 @@ class PairMaker:
         assert distorted.depth is not None
         aligned = self._aligner.align(reference, distorted.depth, view.client)
         inputs = RestoreInput(colours.of(distorted.rgb), aligned)
-        return Pair(inputs, truth=colours.of(truth.rgb), truth_alpha=truth.alpha)
+        level = float(np.mean(lods)) / max(self.ladder.top, 1)
+        return Pair(inputs, truth=colours.of(truth.rgb), truth_alpha=truth.alpha, level=level)
 
     def _render(self, scene: RasterScene, camera: Camera) -> RenderedView:
         return scene.render(camera, RenderOptions(threads=self._threads))

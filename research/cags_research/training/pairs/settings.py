@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cags_common.errors import ConfigError
 from cags_common.settings import check_settings, setting
 from cags_encoder.settings import EncodeSettings
 
@@ -23,6 +24,9 @@ class PairSettings:
     plain_share: float = setting(0.0, "share of views whose reference has no client footprint", low=0, high=1)
     frames_before: int = setting(6, "largest number of references before this one in the video", low=0, high=100)
     top_share: float = setting(0.1, "share of views with all tiles around the top of the ladder", low=0, high=1)
+    levels: str = setting(
+        "", "draw each view at all of these shares of the ladder, untinted, instead of drawing them (0 0.3 0.6 1)"
+    )
     reference_width: int = setting(400, "reference width in pixels", low=16, high=4096)
     reference_height: int = setting(300, "reference height in pixels", low=16, high=4096)
     seed: int = setting(0, "seed of everything that is drawn", low=0, high=2**31 - 1)
@@ -31,8 +35,20 @@ class PairSettings:
         check_settings(self)
         for name in self.quantiser_list:
             EncodeSettings(quantiser=name)  # refuses unknown ones
+        if any(not 0 <= level <= 1 for level in self.level_list):
+            raise ConfigError(f"levels = {self.levels!r} are not all shares of the ladder; give numbers of 0 to 1")
 
     @property
     def quantiser_list(self) -> list[str]:
         """Names of quantiser configurations."""
         return [word.strip() for word in self.quantisers.split(",")]
+
+    @property
+    def level_list(self) -> list[float]:
+        """Shares of the ladder at which every view is drawn. Raises :class:`ConfigError`."""
+        try:
+            return [float(word) for word in self.levels.split()]
+        except ValueError as error:
+            raise ConfigError(
+                f"levels = {self.levels!r} are no numbers; give shares of 0 to 1, as '0 0.3 1'"
+            ) from error

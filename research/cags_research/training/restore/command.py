@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import shlex
+import subprocess
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,11 +25,14 @@ if TYPE_CHECKING:
 EXAMPLES = """\
   cags-train restore --scene procedural:seed=5 --held-out procedural:seed=9 --out srresnet/
   cags-train restore --scene a.ply --scene b.splat --held-out c.sog --poses walk.csv --steps 12000 --out srresnet/
-  cags-train restore --network sr-align-ref --patch 96 --batch 8 --scene a.ply --held-out c.sog --out alone/
+  cags-train restore --network sr-align-ref --patch 96 --scene a.ply --held-out c.sog --out alone/
   cags-train restore --bundle mine.cags --rate 3e-4 --steps 800 --out fine/   # fine-tune; clients fetch the weights
   cags-train restore --start srresnet/srresnet.npz --rate 3e-4 --scene mine.ply --held-out mine.ply --out fine/"""
 
-HELD_OUT_VIEWS_SHARE = 0.5
+HELD_OUT_VIEWS_SHARE = 0.2
+
+HELD_OUT_LEVELS = "0 0.3 0.6 1"
+"""Shares of the ladder at which held-out views are scored."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--poses", action="append", default=[], metavar="FILE", help="head-motion trace to look along; repeatable"
     )
+    parser.add_argument(
+        "--held-out-poses",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="trace to look along in held-out scenes; repeatable (default: those of --poses)",
+    )
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of weights, checkpoint and report")
     parser.add_argument("--pairs", default=None, metavar="DIR", help="folder of made pairs (default: OUT/pairs)")
     parser.add_argument("--start", default=None, metavar="FILE", help="weights to start from (fine-tuning)")
@@ -58,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Make what pairs are missing, train, and write ``NETWORK.npz``, ``report.md`` and ``curves.png``."""
     from cags_research.training.restore.trainer import Trainer
 
+    _commit()  # now: files may change while it trains
     settings = load_settings(TrainSettings, arguments, PairSettings)
     pairs = load_settings(PairSettings, arguments, TrainSettings)
     if arguments.bundle:
@@ -92,8 +105,8 @@ def _store(weights: Weights, trainer: Trainer, bundle: str) -> None:
     """Put the weights into the bundle, if they are better than those that training began with."""
     from cags_common.bundle.weights import store_weights
 
-    if trainer.best_line.step == 0:
-        print(f"{bundle}: no step was better than the weights at the start; nothing is stored", file=sys.stderr)
+    if trainer.history[-1].gain_db <= trainer.history[0].gain_db:
+        print(f"{bundle}: training made the weights no better than at its start; nothing is stored", file=sys.stderr)
         return
     store_weights(bundle, weights.to_bytes())
     print(f"{bundle}: holds the weights now; servers that open it offer them", file=sys.stderr)
@@ -104,10 +117,13 @@ def _data(arguments: argparse.Namespace, pairs: PairSettings, out: Path) -> tupl
     from cags_research.training.restore.data import crops_of_scenes
 
     folder = Path(arguments.pairs) if arguments.pairs else out / "pairs"
-    fewer = replace(pairs, views=max(1, int(pairs.views * HELD_OUT_VIEWS_SHARE)), seed=pairs.seed + 1)
+    fewer = replace(
+        pairs, views=max(1, int(pairs.views * HELD_OUT_VIEWS_SHARE)), seed=pairs.seed + 1, levels=HELD_OUT_LEVELS
+    )
+    others = arguments.held_out_poses or arguments.poses
     with progress_bar() as tell:
         train = crops_of_scenes(arguments.scene, arguments.poses, pairs, folder, tell)
-        held_out = crops_of_scenes(arguments.held_out, arguments.poses, fewer, folder, tell)
+        held_out = crops_of_scenes(arguments.held_out, others, fewer, folder, tell)
     return train, held_out
 
 
@@ -142,23 +158,37 @@ def _finish(trainer: Trainer, settings: TrainSettings, arguments: argparse.Names
     from cags_research.restore.networks.weights import Weights
     from cags_research.training.restore.report import write_report
 
-    best = trainer.best_line
+    last = trainer.history[-1]
     about = {
         "network": settings.network,
         "command": "cags-train " + shlex.join(sys.argv[1:]),
         "scenes": arguments.scene,
         "held_out": arguments.held_out,
         "poses": [Path(walk).name for walk in arguments.poses],
+        "held_out_poses": [Path(walk).name for walk in arguments.held_out_poses or arguments.poses],
+        "commit": _commit(),
+        "seed": trainer.seed,
         "training": asdict(settings),
-        "best": asdict(best),
+        "last": asdict(last),
         "crops": {"train": len(trainer.train), "held_out": len(trainer.held_out)},
     }
-    weights = Weights(settings.network, trainer.best, {k: v for k, v in about.items() if k != "network"})
+    weights = Weights(settings.network, trainer.weights, {k: v for k, v in about.items() if k != "network"})
     weights.save(out / f"{settings.network}.npz")
     page = write_report(out, trainer.history, about)
     print(
-        f"{out / settings.network}.npz: {best.gain_db:+.2f} dB over the distorted picture on held-out crops "
-        f"(step {best.step}); {page}",
+        f"{out / settings.network}.npz: {last.gain_db:+.2f} dB over the distorted picture on held-out crops "
+        f"(step {last.step}); {page}",
         file=sys.stderr,
     )
     return weights
+
+
+@functools.cache
+def _commit() -> str | None:
+    """Commit of the program's working tree, "+" behind it where files differ; None outside of one."""
+    words = ["git", "describe", "--always", "--dirty=+"]
+    try:
+        said = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return said.stdout.strip()

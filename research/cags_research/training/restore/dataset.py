@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_common.geometry import F32
+from cags_common.geometry import F32, F64
 from cags_research.training.pairs.crops import Crops
 
 
@@ -22,10 +22,39 @@ class Batch:
     covered: F32  # [B, S, S, 1]
 
 
-def draw_batch(crops: Crops, size: int, patch: int, seed: int, step: int) -> Batch:
-    """``size`` patches of random crops, each turned and mirrored at random."""
-    rng = np.random.default_rng((seed, step))
-    rows = rng.integers(len(crops), size=size)
+CLASSES_DB = (24.0, 28.0, 32.0, 36.0, 40.0, 45.0)
+"""Bounds of the classes of crops, by the PSNR of the distorted picture."""
+
+
+def even_chances(crops: Crops) -> F64:
+    """Chance of each crop [N], so that every class of :data:`CLASSES_DB` that there is comes as often as the others.
+
+    Drawn evenly, most crops would be nearly perfect: a network does best to learn to leave them alone.
+    """
+    classes = np.digitize(distorted_psnr(crops), CLASSES_DB)
+    sizes = np.bincount(classes)
+    chances: F64 = 1.0 / (sizes[classes] * np.count_nonzero(sizes))
+    return chances
+
+
+def distorted_psnr(crops: Crops) -> F64:
+    """PSNR of the distorted pictures [N] in dB over covered pixels, at most 60."""
+    return np.array([_psnr(crops, row) for row in range(len(crops))])
+
+
+def _psnr(crops: Crops, row: int) -> float:
+    covered = crops.covered[row] >= 128
+    off = (crops.distorted[row][covered].astype(np.float64) - crops.truth[row][covered]) / 255
+    return -10 * float(np.log10(max(np.mean(off**2), 1e-6))) if covered.any() else 60.0
+
+
+def draw_batch(crops: Crops, size: int, patch: int, at: tuple[int, int], chances: F64 | None = None) -> Batch:
+    """``size`` patches of random crops, each turned and mirrored at random, at seed and step ``at``.
+
+    ``chances`` [N] are those of the crops; None: equal.
+    """
+    rng = np.random.default_rng(at)
+    rows = rng.choice(len(crops), size=size, p=chances)
     return _stacked([_turned(_patch(crops, int(row), patch, rng), rng) for row in rows])
 
 

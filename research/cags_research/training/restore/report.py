@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ from cags_research.training.restore.trainer import Progress
 
 
 def write_report(folder: Path, history: Sequence[Progress], about: Mapping[str, Any]) -> Path:
-    """Write ``curves.png`` and ``report.md`` into ``folder``; returns the page's path."""
+    """Write ``curves.png``, ``history.jsonl`` and ``report.md`` into ``folder``; returns the page's path."""
     _curves(history).savefig(folder / "curves.png", dpi=110)
     rows = [
-        f"| {p.step} | {p.loss:.3f} | {p.gain_db:+.2f} | {p.lowest_gain_db:+.2f} | {p.worst_gain_db:+.2f} |"
-        for p in history
+        f"| {p.step} | {p.loss:.3f} | {p.gain_db:+.2f} | {_by_level(p)} | {p.worst_gain_db:+.2f} |" for p in history
     ]
+    levels = list(history[-1].gains_db)
+    (folder / "history.jsonl").write_text("".join(json.dumps(asdict(p)) + "\n" for p in history), encoding="utf-8")
     page = folder / "report.md"
     page.write_text(
         "\n".join(
@@ -29,11 +31,11 @@ def write_report(folder: Path, history: Sequence[Progress], about: Mapping[str, 
                 "",
                 "![curves](curves.png)",
                 "",
-                "Gains are over the distorted picture on held-out scenes, covered pixels; the top is the tenth of the",
-                "crops where the distorted picture is best already (no gain is expected, a loss would be bad).",
+                "Gains are over the distorted picture on held-out scenes, covered pixels, by level (the share of the",
+                "ladder that all tiles have; at 1 none is expected, a loss would be bad). The last weights are kept.",
                 "",
-                "| step | loss | gain, dB | gain at the top, dB | worst crop, dB |",
-                "|---|---|---|---|---|",
+                "| step | loss | gain, dB | " + " | ".join(f"at {level}" for level in levels) + " | worst crop, dB |",
+                "|---|---|---|" + "---|" * len(levels) + "---|",
                 *rows,
                 "",
             ]
@@ -41,6 +43,10 @@ def write_report(folder: Path, history: Sequence[Progress], about: Mapping[str, 
         encoding="utf-8",
     )
     return page
+
+
+def _by_level(line: Progress) -> str:
+    return " | ".join(f"{gain:+.2f}" for gain in line.gains_db.values())
 
 
 def _curves(history: Sequence[Progress]) -> Any:
@@ -51,8 +57,8 @@ def _curves(history: Sequence[Progress]) -> Any:
     steps = [p.step for p in history]
     left.plot(steps, [p.loss for p in history], color="C0")
     left.set(xlabel="step", ylabel="loss (mean log squared error)", title="training scenes")
-    right.plot(steps, [p.gain_db for p in history], color="C1", label="all crops")
-    right.plot(steps, [p.lowest_gain_db for p in history], color="C2", label="best tenth before")
+    for number, level in enumerate(history[-1].gains_db):
+        right.plot(steps, [p.gains_db[level] for p in history], color=f"C{number + 1}", label=f"level {level}")
     right.axhline(0, color="0.6", linewidth=0.8)
     right.set(xlabel="step", ylabel="gain over distorted, dB", title="held-out scenes")
     right.legend(frameon=False)

@@ -14,13 +14,12 @@ class TrainSettings:
     """How a network is trained; names are flags and TOML keys."""
 
     network: str = setting("srresnet", "network to train", choices=NETWORKS)
-    steps: int = setting(10_000, "steps of the optimiser", low=1, high=10_000_000)
-    batch: int = setting(16, "crops a step", low=1, high=1024)
-    patch: int = setting(128, "side of the patch used of each crop, client pixels", low=16, high=1024)
-    rate: float = setting(2e-3, "highest learning rate; it rises over 2 % of the steps and falls as a cosine", low=0)
+    steps: int = setting(50_000, "steps of the optimiser", low=1, high=10_000_000)
+    batch: int = setting(8, "crops a step", low=1, high=1024)
+    patch: int = setting(64, "side of the patch used of each crop, client pixels", low=16, high=1024)
+    rate: float = setting(1e-3, "highest learning rate; it rises over 2 % of the steps and falls as a cosine", low=0)
     average: float = setting(0.998, "decay of the running average of weights that is kept", low=0, high=0.99999)
-    evaluate_every: int = setting(500, "steps between evaluations on held-out scenes", low=1)
-    patience: int = setting(20, "evaluations without a better score after which training stops", low=1)
+    evaluate_every: int = setting(1000, "steps between checkpoints, with an evaluation on held-out scenes", low=1)
     threads: int = setting(1, "threads of the arithmetic", low=1, high=256)
     device: str = setting("cpu", "torch device to train on")
 

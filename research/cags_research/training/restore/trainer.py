@@ -1,7 +1,8 @@
-"""The training loop: resumable, stops early, keeps the running average that scored best on held-out scenes."""
+"""The training loop: resumable; what it ends with is kept, and never what happened to score best on held-out scenes."""
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field
@@ -17,9 +18,9 @@ from cags_research.restore.networks import Weights, network_of
 from cags_research.restore.networks.runtimes.torch_eager import channels_last
 from cags_research.training.pairs.crops import Crops
 from cags_research.training.restore.checkpoint import Checkpoint
-from cags_research.training.restore.dataset import Batch, draw_batch, plain_batch
+from cags_research.training.restore.dataset import Batch, draw_batch, even_chances, plain_batch
 from cags_research.training.restore.settings import TrainSettings
-from cags_research.training.restore.tasks import NETWORKS, batch_loss, covered_psnr
+from cags_research.training.restore.tasks import NETWORKS, as_used, batch_loss, covered_psnr
 
 WARM_UP = 0.02
 """Share of the steps over which the learning rate rises."""
@@ -37,7 +38,7 @@ class Progress:
     step: int
     loss: float  # mean since the line before
     gain_db: float  # mean gain over the distorted picture on held-out crops
-    lowest_gain_db: float  # mean gain of the tenth of them where the distorted picture is best
+    gains_db: dict[str, float]  # the same by level, a share of the ladder
     worst_gain_db: float  # the least gain of any held-out crop
 
 
@@ -50,15 +51,13 @@ class Trainer:
     held_out: Crops
     seed: int
     history: list[Progress] = field(default_factory=list)
-    best: dict[str, F32] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         torch.manual_seed(self.seed)
         self._device = torch.device(self.settings.device)
         make, self._task = NETWORKS[self.settings.network]
-        self._network = channels_last(make(), self._device)
-        self._average = {name: p.detach().clone() for name, p in self._network.named_parameters()}
-        self._optimiser = torch.optim.Adam(self._network.parameters(), lr=self.settings.rate)
+        self._begin_with(make())
+        self._chances = even_chances(self.train)
         self._step = 0
         self._losses: list[float] = []
         self._started = False
@@ -67,9 +66,13 @@ class Trainer:
         """Begin with known weights (fine-tuning). Raises :class:`ConfigError` where they are of another network."""
         if weights.network != self.settings.network:
             raise ConfigError(f"weights are of {weights.network!r}, training is of {self.settings.network!r}")
-        self._network.load_state_dict(network_of(weights).state_dict())
+        self._begin_with(network_of(weights))
         self._started = True
+
+    def _begin_with(self, network: nn.Module) -> None:
+        self._network = channels_last(network, self._device)
         self._average = {name: p.detach().clone() for name, p in self._network.named_parameters()}
+        self._optimiser = torch.optim.Adam(self._network.parameters(), lr=self.settings.rate)
 
     @property
     def step(self) -> int:
@@ -78,16 +81,13 @@ class Trainer:
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are done, or no evaluation of the last ``patience`` was the best."""
-        if self._step >= self.settings.steps:
-            return True
-        gains = [line.gain_db for line in self.history]
-        return bool(gains) and len(gains) - 1 - int(np.argmax(gains)) >= self.settings.patience
+        """Whether all steps are done."""
+        return self._step >= self.settings.steps
 
     @property
-    def best_line(self) -> Progress:
-        """The evaluation whose weights are kept."""
-        return max(self.history, key=lambda line: line.gain_db)
+    def weights(self) -> dict[str, F32]:
+        """The running average of the weights, as it is now."""
+        return {name: p.cpu().numpy().copy() for name, p in self._average.items()}
 
     def run(self, tell: Callable[[int, int, Progress | None], None], save: Callable[[Checkpoint], None]) -> None:
         """Train to the end; ``save`` is called after each evaluation, ``tell`` after each step."""
@@ -104,7 +104,7 @@ class Trainer:
 
     def _advance(self) -> None:
         s = self.settings
-        batch = draw_batch(self.train, s.batch, s.patch, self.seed, self._step)
+        batch = draw_batch(self.train, s.batch, s.patch, (self.seed, self._step), self._chances)
         for group in self._optimiser.param_groups:
             group["lr"] = s.rate * _schedule(self._step / s.steps)
         value = batch_loss(self._task(self._network, batch, self._device), batch, self._device)
@@ -120,31 +120,30 @@ class Trainer:
         self._step += 1
 
     def _evaluated(self) -> Progress:
-        network = channels_last(NETWORKS[self.settings.network][0](), self._device)
+        network = copy.deepcopy(self._network)
         network.load_state_dict(self._average)
         after, before = self._scores(network.eval())
-        gains, top = after - before, before >= np.quantile(before, 0.9)
+        gains, levels = after - before, np.round(self.held_out.level, 1)
         line = Progress(
             step=self._step,
             loss=float(np.mean(self._losses)) if self._losses else math.nan,
             gain_db=float(gains.mean()),
-            lowest_gain_db=float(gains[top].mean()),
+            gains_db={f"{level:g}": float(gains[levels == level].mean()) for level in np.unique(levels)},
             worst_gain_db=float(gains.min()),
         )
-        if not self.history or line.gain_db > max(known.gain_db for known in self.history):
-            self.best = {name: p.cpu().numpy().copy() for name, p in self._average.items()}
         self.history.append(line)
         self._losses.clear()
         return line
 
     def _scores(self, network: nn.Module) -> F32:
-        """PSNR of every held-out crop [2, N] in dB: restored and distorted."""
+        """PSNR of every held-out crop [2, N] in dB: restored, as the restorer shows it, and distorted."""
         scores = []
         with torch.inference_mode():
             for start in range(0, len(self.held_out), self.settings.batch):
                 rows = np.arange(start, min(start + self.settings.batch, len(self.held_out)))
-                batch = plain_batch(self.held_out, rows, self.settings.patch)
-                pictures = (self._task(network, batch, self._device), self._tensor(batch.distorted))
+                batch = plain_batch(self.held_out, rows, self.held_out.truth.shape[1])
+                restored = self._task(network, batch, self._device)
+                pictures = (as_used(self.settings.network, restored, batch), self._tensor(batch.distorted))
                 scores.append(np.stack([self._psnr(picture, batch) for picture in pictures]))
         return np.concatenate(scores, axis=1)
 
@@ -167,7 +166,6 @@ class Trainer:
             for moment in ("exp_avg", "exp_avg_sq"):
                 if moment in state:
                     arrays[f"{moment}/{name}"] = state[moment].cpu().numpy().copy()
-        arrays |= {f"best/{name}": array for name, array in self.best.items()}
         history = [list(astuple(line)) for line in self.history]
         facts: dict[str, Any] = {"step": self._step, "history": history, "key": self._key()}
         return Checkpoint(arrays, facts)
@@ -181,7 +179,6 @@ class Trainer:
         arrays = checkpoint.arrays
         self._step = int(checkpoint.facts["step"])
         self.history[:] = [Progress(int(step), *scores) for step, *scores in checkpoint.facts["history"]]
-        self.best = {name.removeprefix("best/"): a for name, a in arrays.items() if name.startswith("best/")}
         for name, parameter in self._network.named_parameters():
             parameter.data.copy_(torch.from_numpy(arrays[f"network/{name}"]))
             self._average[name].copy_(torch.from_numpy(arrays[f"average/{name}"]))

@@ -73,6 +73,43 @@ def test_the_papers_network_starts_from_a_picture(sees, shown):
         assert torch.allclose(SrResNet(sees)(*pictures), pictures[shown], atol=1e-6)
 
 
+@pytest.mark.parametrize(("gated", "share"), [(False, 1.0), (True, 0.5)])
+def test_training_starts_from_the_blurred_difference(gated, share):
+    """The detail of the client's picture in the colours of the reference; a gate that has learnt nothing halves it."""
+    torch = pytest.importorskip("torch")
+    aligned, distorted = torch.rand(2, 1, 21, 26, 3, generator=torch.Generator().manual_seed(0))
+    network = SrResNet(gated=gated)
+    network.start_at_blurred()
+    blurred = (aligned - distorted).permute(0, 3, 1, 2)
+    for _ in range(6):
+        blurred = torch.nn.functional.avg_pool2d(blurred, 3, 1, 1)
+    with torch.no_grad():
+        shown = network(aligned, distorted)
+    assert torch.allclose(shown, distorted + share * blurred.permute(0, 2, 3, 1), atol=1e-6)
+
+
+def test_a_gate_shows_what_it_is_told_to():
+    torch = pytest.importorskip("torch")
+    aligned, distorted = torch.rand(2, 1, 13, 22, 3, generator=torch.Generator().manual_seed(1))
+    network = SrResNet(gated=True)
+    torch.nn.init.normal_(network.tail.weight, std=0.1)
+    for bias, shows in ((-30.0, "distorted"), (30.0, "restored")):
+        network.gate.last.bias.data.fill_(bias)
+        with torch.no_grad():
+            shown = network(aligned, distorted)
+            gate, network.gate = network.gate, None
+            restored, network.gate = network(aligned, distorted), gate
+        assert torch.allclose(shown, distorted if shows == "distorted" else restored, atol=1e-6)
+    with pytest.raises(ValueError, match="reference alone has none"):
+        SrResNet(Sees.REFERENCE, gated=True)
+
+
+def test_weights_say_whether_their_network_has_a_gate():
+    for gated in (False, True):
+        network = network_of(weights_of(SrResNet(gated=gated), "srresnet"))
+        assert (network.gate is not None) == gated
+
+
 def test_one_input_variants_look_at_one_input():
     inputs, _ = scene()
     other = replace(inputs, distorted=inputs.distorted[::-1] * np.float32(0.5))
@@ -82,16 +119,19 @@ def test_one_input_variants_look_at_one_input():
     np.testing.assert_array_equal(distorted_only.restore(inputs), inputs.distorted)
 
 
+@pytest.mark.parametrize("gated", [False, True])
 @pytest.mark.parametrize("name", ["openvino", "onnxruntime"])
-def test_every_runtime_says_the_same(name):
+def test_every_runtime_says_the_same(name, gated):
     pytest.importorskip(name, reason=f"needs {name}: pip install cags-stream[runtimes]")
     torch = pytest.importorskip("torch")
     torch.manual_seed(1)
-    made = SrResNet()
+    made = SrResNet(gated=gated)
     torch.nn.init.normal_(made.tail.weight, std=0.1)
+    if gated:
+        torch.nn.init.normal_(made.gate.last.weight, std=0.5)
     rng = np.random.default_rng(2)
     weights = weights_of(made, "srresnet")
-    for shape in ((24, 32), (16, 8)):
+    for shape in ((24, 32), (16, 8), (19, 29)):
         images = [rng.uniform(size=(*shape, 3)).astype(np.float32) for _ in range(2)]
         expected = runtimes.create("torch", weights).run(*images)
         np.testing.assert_allclose(runtimes.create(name, weights, threads=1).run(*images), expected, atol=1e-3)

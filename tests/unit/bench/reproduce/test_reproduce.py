@@ -11,6 +11,7 @@ from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner, StreamCase
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.experiments.streaming import covered_share
+from cags_bench.reproduce.marking import marked
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
 from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Context, Plan
@@ -92,10 +93,24 @@ def test_page_and_data_hold_the_section(tmp_path):
     page = (tmp_path / "index.html").read_text()
     assert "Quality &lt;under&gt; load" in page
     assert "31.25" in page
+    assert page.index("1 of 1 claims hold") < page.index("Quality &lt;under&gt; load"), "the summary comes first"
     assert "data:image/png;base64," in page
     lines = [json.loads(line) for line in (tmp_path / "fixed.jsonl").read_text().splitlines()]
     assert [line["PSNR [dB]"] for line in lines] == [31.25, None]
     assert len((tmp_path / "fixed.csv").read_text().splitlines()) == 3
+
+
+def test_rows_of_what_was_trained_on_are_marked():
+    seen, unseen = "shared/plant.splat", "new/violin.ply"
+    plan = replace(PLAN, scenes=(seen, unseen), poses="walks/room_user10.csv", trace="links/lte.csv")
+    section = Section(
+        "x", "X", "p", ("scene", "dB"), [[seen, 1.0], [f"{unseen}, default", 2.0], [f"paper-66, {seen}", 3.0]]
+    )
+    found = marked(section, plan)
+    assert [row[0] for row in found.rows] == [f"{seen} †", f"{unseen}, default", f"paper-66, {seen} †"]
+    assert len(found.notes) == 1
+    assert "plant.splat was seen before: training of srresnet" in found.notes[0]
+    assert len(marked(section, PLAN).notes) == 2, "walk and trace"
 
 
 @pytest.mark.parametrize("name", METHODS)

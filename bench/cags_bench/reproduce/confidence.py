@@ -1,0 +1,66 @@
+"""How sure a difference between two plays of the same walk is: 95 % intervals of paired means."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+BLOCK_FRAMES = 9
+"""Frames that count as one observation: neighbours are alike, 0.3 s apart they hardly are."""
+
+_T_95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18, 2.16, 2.14, 2.13, 2.12, 2.11, 2.10)
+_T_MANY = 1.98
+"""Student's t of 95 %, two-sided, by degrees of freedom from 1; and beyond the table."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and the bounds within which the true one lies with 95 %."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.mean:+.2f} [{self.low:+.2f}, {self.high:+.2f}]"
+
+    def above(self, bound: float) -> bool:
+        """Whether it is sure that the mean is more than ``bound``."""
+        return self.low > bound
+
+
+def interval(values: Sequence[float]) -> Interval:
+    """Of the mean of independent ``values``; without bounds where there is but one."""
+    found = np.asarray(values, np.float64)
+    if not len(found) or not np.isfinite(found).all():
+        return Interval(math.nan, -math.inf, math.inf)
+    mean = float(found.mean())
+    if len(found) < 2:
+        return Interval(mean, -math.inf, math.inf)
+    t = _T_95[len(found) - 2] if len(found) - 2 < len(_T_95) else _T_MANY
+    spread = t * float(found.std(ddof=1)) / math.sqrt(len(found))
+    return Interval(mean, mean - spread, mean + spread)
+
+
+def paired(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
+    """Of the mean of ``ours`` less ``theirs``, frame by frame of the same walk, in blocks of :data:`BLOCK_FRAMES`.
+
+    Frames of one play are no independent observations, blocks nearly are. The interval is that of this walk over this
+    link: others differ by more.
+    """
+    if len(ours) != len(theirs):
+        raise ValueError(f"{len(ours)} frames of ours and {len(theirs)} of theirs are no pairs")
+    return interval(_blocks(np.asarray(ours, np.float64) - np.asarray(theirs, np.float64)))
+
+
+def pooled(differences: Sequence[Sequence[float]]) -> Interval:
+    """Of the mean over plays of paired differences, each a series of frames: blocks of all of them together."""
+    return interval([value for series in differences for value in _blocks(np.asarray(series, np.float64))])
+
+
+def _blocks(series: np.ndarray) -> list[float]:
+    count = max(1, len(series) // BLOCK_FRAMES)
+    return [float(part.mean()) for part in np.array_split(series, count)] if len(series) else []

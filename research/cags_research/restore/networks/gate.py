@@ -1,0 +1,102 @@
+"""How much of a restored picture is shown: the error expected of the client's own picture, told from both pictures.
+
+At the base level a client's picture is 25 dB from the truth and an aligned reference 35; at the top of the ladder it
+is 50 dB. A network that sees twelve pixels around each has to restore the one and leave the other alone, and left to
+itself it does not learn when: it wins 7 dB at the base and loses 6 at the top. What tells the two apart is how the
+pictures differ over a region: wrong colours differ in patches, a reference's blur and misregistration around edges.
+The latter can be told from the client's own picture: a blurred and shifted copy of it differs from it by a mixture of
+its own sharp parts and slopes. What such a mixture does not explain is error, of the one picture or of the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+CELL_PX = 8
+"""Side of the cells over which differences are averaged, client pixels: at least a reference pixel."""
+
+WIDTH = 16
+FLOOR = 1e-6
+"""Mean square under which differences are nothing: 60 dB."""
+
+_MEASURES = 7
+_LOG_MIDDLE, _LOG_SPREAD = -9.0, 3.0
+"""Of the logarithms of mean squares between the floor and 1: about 0 in the middle, within two either way."""
+
+
+class ErrorGate(nn.Module):
+    """Share [B, H, W, 1] in (0, 1) of a restored picture, from the aligned reference and the client's own picture.
+
+    Seven mean squares a cell (of the difference: its part that the client's picture does not explain, its means over 7,
+    15 and 31 pixels, its sharp part; of either picture: the sharp part) go through two 3x3 convolutions of 16 channels
+    and one 1x1.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(_MEASURES, WIDTH, 3, padding=1)
+        self.second = nn.Conv2d(WIDTH, WIDTH, 3, padding=2, dilation=2)
+        self.last = nn.Conv2d(WIDTH, 1, 1)
+        nn.init.zeros_(self.last.weight)  # untrained, it halves everywhere
+        assert self.last.bias is not None
+        nn.init.zeros_(self.last.bias)
+
+    def forward(self, aligned: Tensor, distorted: Tensor) -> Tensor:
+        """Images are [B, H, W, 3] of any size."""
+        height, width = aligned.shape[1], aligned.shape[2]
+        spare = (0, -width % CELL_PX, 0, -height % CELL_PX)
+        a, d = (functional.pad(image.permute(0, 3, 1, 2), spare, mode="replicate") for image in (aligned, distorted))
+        features = functional.leaky_relu(self.first(_measures(a, d)), 0.1)
+        features = functional.leaky_relu(self.second(features), 0.1)
+        shares = torch.sigmoid(self.last(features))
+        full = functional.interpolate(shares, scale_factor=CELL_PX, mode="bilinear", align_corners=False)
+        return full[:, :, :height, :width].permute(0, 2, 3, 1)
+
+
+def _measures(aligned: Tensor, distorted: Tensor) -> Tensor:
+    """Logarithms [B, 7, H/8, W/8] of what the cells of pictures [B, 3, H, W] hold."""
+    difference = aligned - distorted
+    smooth, detail = _blurred(difference, 7), distorted - _blurred(distorted, 7)
+    means = (smooth, _blurred(difference, 15), _blurred(difference, 31))
+    sharp = (difference - smooth, aligned - _blurred(aligned, 7), detail)
+    cells = [_over_cells(part * part) for part in (*means, *sharp)]
+    ways = (distorted - _blurred(distorted, 3), detail, *_slopes(_blurred(distorted, 3)))
+    measured = torch.cat([_unexplained(difference, ways), *cells], dim=1)
+    return (torch.log(measured + FLOOR) - _LOG_MIDDLE) / _LOG_SPREAD
+
+
+def _unexplained(difference: Tensor, ways: Sequence[Tensor]) -> Tensor:
+    """Mean square [B, 1, H/8, W/8] of what no mixture of ``ways`` [B, 3, H, W] makes of ``difference``, over 3x3 cells.
+
+    Least squares by elimination in the table of mean products, so that it runs wherever the network does.
+    """
+    parts = (*ways, difference)
+    last = len(parts) - 1
+    table = {(i, j): _blurred(_over_cells(parts[i] * parts[j]), 3) for i in range(last + 1) for j in range(i, last + 1)}
+    for k in range(last):
+        for i in range(k + 1, last + 1):
+            share = table[k, i] / (table[k, k] + FLOOR)
+            for j in range(i, last + 1):
+                table[i, j] = table[i, j] - share * table[k, j]
+    return table[last, last].clamp(min=0.0)
+
+
+def _slopes(image: Tensor) -> tuple[Tensor, Tensor]:
+    """Half the difference of each pixel's neighbours, across and down."""
+    wide = functional.pad(image, (1, 1, 1, 1), mode="replicate")
+    across = wide[:, :, 1:-1, 2:] - wide[:, :, 1:-1, :-2]
+    return across / 2, (wide[:, :, 2:, 1:-1] - wide[:, :, :-2, 1:-1]) / 2
+
+
+def _over_cells(image: Tensor) -> Tensor:
+    """Mean [B, 1, H/8, W/8] over colours and cells."""
+    return functional.avg_pool2d(image.mean(dim=1, keepdim=True), CELL_PX)
+
+
+def _blurred(image: Tensor, side: int) -> Tensor:
+    """A box of an odd ``side`` over ``image`` [B, C, H, W], its border repeated."""
+    return functional.avg_pool2d(functional.pad(image, (side // 2,) * 4, mode="replicate"), side, stride=1)

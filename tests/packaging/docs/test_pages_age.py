@@ -1,0 +1,31 @@
+"""Committed figures name a commit of this history, and say so where the code has moved on."""
+
+from __future__ import annotations
+
+import pytest
+
+from support.page_age import ROOT, History, Page, check_page, check_told, listed, pages
+
+OLD = listed((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def history() -> History:
+    found = History()
+    if not found.whole:
+        pytest.skip("needs a checkout with its whole history")
+    return found
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.file)
+def test_figures_are_as_old_as_the_changelog_says(page: Page, history: History) -> None:
+    check_page(page, OLD, history)
+
+
+def test_what_is_listed_is_there() -> None:
+    assert OLD
+    assert set(OLD) <= {page.file for page in pages()}
+
+
+def test_the_page_says_which_of_its_figures_are_older() -> None:
+    check_told((ROOT / "docs/evaluation.md").read_text(encoding="utf-8"), OLD)
