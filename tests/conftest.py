@@ -21,7 +21,7 @@ QUICK = [
 ]
 """The core without renders, encoders, processes or networks: under 30 s of one processor, everything included."""
 
-NOT_QUICK = {"slow", "nightly", "gpu", "siege"}
+NOT_QUICK = {"slow", "nightly", "gpu", "siege", "faults"}
 
 
 def is_quick(path: Path) -> bool:

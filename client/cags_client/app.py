@@ -17,7 +17,7 @@ from typing import Any
 
 from cags_client.frame.presented import PresentedFrame
 from cags_client.interrupts import interrupts
-from cags_client.net.connection import Connection
+from cags_client.net.connection import FAREWELL_S, LEISURELY_S, Connection
 from cags_client.net.endpoints import Endpoints
 from cags_client.output.report import frame_stats
 from cags_client.output.sinks import FrameSink, LiveSink
@@ -121,6 +121,7 @@ class Shell:
         self._backlog = asyncio.Semaphore(SINK_BACKLOG)
         self._tasks: set[asyncio.Task[None]] = set()
         self._failure: BaseException | None = None
+        self._closing = False
 
     async def run(self) -> None:
         """Until the player has finished, the connection is gone, or a sink fails."""
@@ -133,7 +134,9 @@ class Shell:
             self._reader.cancel()
             if self._coming_back is not None:
                 self._coming_back.cancel()
-            await asyncio.gather(self._reader, *self._tasks, self._line.close(), return_exceptions=True)
+            self._closing = True
+            farewell = self._line.close(LEISURELY_S if self.ended_by is None else FAREWELL_S)
+            await asyncio.gather(self._reader, *self._tasks, farewell, return_exceptions=True)
         if self._failure is not None:
             raise self._failure
 
@@ -142,6 +145,8 @@ class Shell:
         self.ended_by = number
         self.player.leave(now_us())
         self.wake()
+        if self._closing:
+            self._line.hurry()
 
     def wake(self) -> None:
         """The player has been told something: look what follows from it."""

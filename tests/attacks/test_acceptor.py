@@ -21,7 +21,6 @@ from cags_server.http import acceptor as acceptor_module
 from cags_server.http.acceptor import Acceptor
 from cags_server.http.admission import tls_context
 from integration.server.test_app import self_signed
-from support.siege import assert_others_are_well, keep
 
 
 async def ok(request: web.Request) -> web.Response:
@@ -146,16 +145,3 @@ async def test_descriptors_that_run_out_cost_a_line_and_not_the_door(caplog: pyt
     listener.close()
     assert relieved == 3
     assert caplog.text.count("no more connections can be accepted") == 1
-
-
-@pytest.mark.siege
-def test_half_requests_garbage_and_resets_together(bundle: Path, tmp_path: Path) -> None:
-    """1,100 half requests against 1,024 descriptors, requests that are none, and connections that are reset."""
-    with keep(bundle, tmp_path, descriptors=1024) as server:
-        assert_others_are_well(server, ["half-requests", "garbage", "connection-storm"], offenders=3)
-
-
-@pytest.mark.siege
-def test_silent_websockets_do_not_keep_holders_of_the_token_out(bundle: Path, tmp_path: Path) -> None:
-    with keep(bundle, tmp_path, "--token", "secret", "--max-clients", "8", descriptors=1024) as server:
-        assert_others_are_well(server, ["silent-sockets:200"], offenders=1, token="secret")

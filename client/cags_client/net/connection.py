@@ -18,7 +18,11 @@ MAX_UNSENT_BYTES = 512 * 1024
 """What waits for a link that takes nothing: poses and acknowledgements of about a minute."""
 
 FAREWELL_S = 0.3
-"""How long an end waits for the last words to be written, and again for the connection to be closed in order."""
+"""How long an end that is asked for waits for the last words to be written, and again for an end in order."""
+
+LEISURELY_S = 3.0
+"""The same where nobody waits for the end: a busy server reads the last words later, and would lose them with a
+connection that is ended by force (its own next write meets the reset first)."""
 
 
 class Connection:
@@ -32,6 +36,7 @@ class Connection:
         self._unsent_bytes = 0
         self._more, self._empty = asyncio.Event(), asyncio.Event()
         self._empty.set()
+        self._hurried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._lost = False
         self._writing = watched(self._write(), lambda error: self._end(str(error)))
 
@@ -47,10 +52,13 @@ class Connection:
         if self._unsent_bytes > MAX_UNSENT_BYTES:
             self._end("the link takes nothing any more")
 
-    async def close(self) -> None:
-        """Write what is left, and end the connection; by force where the link does not take part."""
+    async def close(self, farewell_s: float = FAREWELL_S) -> None:
+        """Write what is left, and end the connection; by force where the link does not take part.
+
+        It waits ``farewell_s`` seconds twice at most, or until :meth:`hurry`.
+        """
         try:
-            async with asyncio.timeout(FAREWELL_S):
+            async with asyncio.timeout(farewell_s):
                 if not self._lost:
                     await self._empty.wait()
         except TimeoutError:
@@ -58,11 +66,18 @@ class Connection:
         finally:
             self._writing.cancel()
             await asyncio.gather(self._writing, return_exceptions=True)
-        try:
-            async with asyncio.timeout(FAREWELL_S):
-                await self.transport.close()
-        except TimeoutError:
+        closing = asyncio.ensure_future(self.transport.close())
+        await asyncio.wait([closing, self._hurried], timeout=farewell_s, return_when=asyncio.FIRST_COMPLETED)
+        if not closing.done():
             self.transport.abort()
+            closing.cancel()
+        await asyncio.gather(closing, return_exceptions=True)
+
+    def hurry(self) -> None:
+        """Whoever closes this connection waits no longer."""
+        if not self._hurried.done():
+            self._hurried.set_result(None)
+        self._empty.set()
 
     async def _write(self) -> None:
         while True:

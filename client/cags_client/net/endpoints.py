@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
 import ssl
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from urllib.parse import urlencode, urlsplit
 
 from cags_common.bundle.manifest import MAX_MANIFEST_BYTES, Manifest
@@ -116,9 +120,11 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
         connection = http.client.HTTPSConnection(str(parts.hostname), parts.port, timeout=INFO_TIMEOUT_S, context=tls)
     try:
         path = f"/bundle?{parts.query}" if parts.query else "/bundle"
-        connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
-        response = connection.getresponse()
-        data = response.read(MAX_MANIFEST_BYTES + 1)
+        connection.connect()
+        with _hung_up_after(INFO_TIMEOUT_S, connection.sock, url):
+            connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
+            response = connection.getresponse()
+            data = response.read(MAX_MANIFEST_BYTES + 1)
     except ssl.SSLError as error:
         raise NetworkError(f"{url}: {websocket.tls_fault(error)}") from error
     except http.client.RemoteDisconnected as error:
@@ -138,11 +144,36 @@ def _info(url: str, token: str, tls: ssl.SSLContext | None) -> Manifest:
     return Manifest.from_json(data)
 
 
+@contextmanager
+def _hung_up_after(seconds: float, sock: socket.socket, url: str) -> Iterator[None]:
+    """End the conversation over ``sock`` after so long, however little comes at a time: a socket's own timeout begins
+    anew with every byte. Raises :class:`NetworkError` then.
+    """
+    late = threading.Event()
+
+    def hang_up() -> None:
+        late.set()
+        socket.socket.shutdown(sock, socket.SHUT_RDWR)  # of TLS, too: what reads meets the end
+
+    timer = threading.Timer(seconds, hang_up)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    except (OSError, http.client.HTTPException):
+        if not late.is_set():
+            raise
+    finally:
+        timer.cancel()
+    if late.is_set():
+        raise NetworkError(f"{url}: the server takes longer than {seconds:g} s to describe its bundle; try again later")
+
+
 def _reason(data: bytes) -> str:
     """What a server says of a refusal, in a line; empty where it says nothing."""
     try:
         table = json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         return ""
     reason = table.get("error") if isinstance(table, dict) else None
     return reason[:500] if isinstance(reason, str) and reason.isprintable() else ""

@@ -11,15 +11,20 @@ JITTER = 0.25
 """Share by which a wait is shortened at random, so that the clients of a fallen server do not come back in step."""
 
 
+LASTING_US = 2_000_000
+"""A session that ends sooner was none: a server that lets in and hangs up is not asked again at once."""
+
+
 class Reconnect:
     """The attempts after one loss. Times are the client's clock."""
 
     def __init__(self, patience_us: int, rng: random.Random) -> None:
         """Attempts go on for ``patience_us`` after a loss; 0: there are none."""
         self.attempts = 0
-        """Attempts since the connection was lost."""
+        """Attempts since a connection that lasted was lost."""
         self._patience_us, self._rng = patience_us, rng
         self._lost_us: int | None = None
+        self._restored_us: int | None = None
         self._due_us: int | None = None  # None while connected and while an attempt is under way
 
     @property
@@ -40,7 +45,9 @@ class Reconnect:
     def lost(self, now_us: int) -> None:
         """The connection is gone, or the attempt under way has failed."""
         if self._lost_us is None:
-            self._lost_us, self.attempts = now_us, 0
+            self._lost_us = now_us
+            if self._restored_us is None or now_us - self._restored_us >= LASTING_US:
+                self.attempts = 0
         delay_us = 0.0 if self.attempts == 0 else FIRST_DELAY_US * GROWTH ** (self.attempts - 1)
         self._due_us = now_us + round(min(delay_us, MAX_DELAY_US) * (1 - JITTER * self._rng.random()))
 
@@ -52,9 +59,10 @@ class Reconnect:
         self.attempts += 1
         return True
 
-    def restored(self) -> None:
+    def restored(self, now_us: int) -> None:
         """The session goes on."""
         self._lost_us = self._due_us = None
+        self._restored_us = now_us
 
     def expired(self, now_us: int) -> bool:
         """Whether patience has ended."""

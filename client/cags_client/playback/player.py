@@ -292,7 +292,7 @@ class Player:
             self._fail(NetworkError("the server streams another scene now; start the client again"))
             return
         if self._reconnect.away:
-            self._reconnect.restored()
+            self._reconnect.restored(now_us)
             if not welcome.resumed:  # everything comes again
                 self._decode_queue.add(Restarted())
             self.stats.reconnects += 1

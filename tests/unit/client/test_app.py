@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -187,7 +188,7 @@ async def test_a_link_that_stalls_keeps_nothing_from_being_read(monkeypatch: pyt
         await server.send(bytes([number]))
         await asyncio.sleep(0.02)
     client.leave(signal.SIGTERM)
-    async with asyncio.timeout(1.0):
+    async with asyncio.timeout(5.0):  # of which it waits 0.6: the rest is a busy machine's
         await running
     client.close()
     assert read == [bytes([number]) for number in range(5)]
@@ -213,6 +214,59 @@ async def test_what_waits_is_written_before_the_end() -> None:
     made.send([b"one", b"two"])
     await made.close()
     assert [await theirs.recv(), await theirs.recv()] == [b"one", b"two"]
+
+
+class Slow(MemoryTransport):
+    """A link whose other end answers a close after a second, as a busy server does."""
+
+    def __init__(self) -> None:
+        self.closed, self.aborted = False, False
+
+    async def send(self, data: bytes) -> None:
+        pass
+
+    async def recv(self) -> bytes:
+        return await asyncio.Event().wait()  # type: ignore[return-value]
+
+    async def close(self, reason: str = "") -> None:
+        await asyncio.sleep(1.0)
+        self.closed = True
+
+    def abort(self) -> None:
+        self.aborted = True
+
+
+async def ended(link: Slow, player_ends: bool, then: Callable[[Shell], None] = lambda shell: None) -> None:
+    """Run a shell to its end, by itself or by a signal; ``then`` a moment later."""
+    player = Player(ClientSession(now_us=now_us()), ClientSettings(), Still(), now_us=now_us())
+    client = Shell(link, player, (), None, nowhere)
+    running = asyncio.create_task(client.run())
+    await asyncio.sleep(0.05)
+    if player_ends:
+        player.leave(now_us())
+        client.wake()
+    else:
+        client.leave(signal.SIGTERM)
+    await asyncio.sleep(0.05)
+    then(client)
+    async with asyncio.timeout(20):
+        await running
+    client.close()
+
+
+async def test_a_busy_server_is_left_time_to_hear_goodbye() -> None:
+    link = Slow()
+    await ended(link, player_ends=True)
+    assert link.closed
+    assert not link.aborted, "a reset overtakes the goodbye: the server would call this viewer lost"
+
+
+@pytest.mark.parametrize("player_ends", [True, False])
+async def test_a_signal_does_not_wait_for_a_busy_server(player_ends: bool) -> None:
+    link = Slow()
+    await ended(link, player_ends, (lambda shell: shell.leave(signal.SIGINT)) if player_ends else lambda shell: None)
+    assert link.aborted
+    assert not link.closed
 
 
 class File:

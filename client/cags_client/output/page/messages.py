@@ -86,7 +86,7 @@ def parse(text: str) -> PageMessage:
         raise ProtocolError(f"page message of {len(text)} characters is longer than {MAX_TEXT_BYTES}")
     try:
         fields = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # not JSON, a number of too many digits, or lists in lists in lists
         raise ProtocolError(f"page message is not JSON ({error})") from error
     kind = fields.get("type") if isinstance(fields, dict) else None
     parser = _PARSERS.get(kind) if isinstance(kind, str) else None

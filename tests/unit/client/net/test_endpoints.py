@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -56,3 +62,47 @@ def test_a_scene_is_named_to_every_server() -> None:
     assert endpoints.of_scene(f"{A}, {B}", "a b&c") == f"{A}?scene=a+b%26c,{B}?scene=a+b%26c"
     with pytest.raises(NetworkError, match="is no stream address"):
         endpoints.of_scene("nonsense", "room")
+
+
+@contextmanager
+def answering(head: bytes, drop: bytes) -> Iterator[int]:
+    """A server of one connection that says ``head``, then ``drop`` ten times a second; yields its port."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    over = threading.Event()
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            sock, _ = listener.accept()
+            with sock:
+                sock.sendall(head)
+                while not over.wait(0.1):
+                    sock.sendall(drop)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield listener.getsockname()[1]
+    finally:
+        over.set()
+        listener.close()
+        thread.join()
+
+
+HEAD = b"HTTP/1.1 200 OK\r\nContent-Length: 5000\r\n\r\n"
+
+
+@pytest.mark.parametrize(("head", "drop"), [(HEAD, b"x"), (b"HTTP/1.1 200 OK\r\nX-Long: ", b"y")])
+def test_a_server_that_answers_a_byte_at_a_time_is_given_up(
+    monkeypatch: pytest.MonkeyPatch, head: bytes, drop: bytes
+) -> None:
+    monkeypatch.setattr(endpoints, "INFO_TIMEOUT_S", 0.5)
+    began = time.monotonic()
+    with answering(head, drop) as port, pytest.raises(NetworkError, match="takes longer than"):
+        endpoints.fetch_info(f"ws://127.0.0.1:{port}/stream")
+    assert time.monotonic() - began < 10
+
+
+def test_a_refusal_of_lists_in_lists_in_lists_is_a_refusal() -> None:
+    head = b"HTTP/1.1 404 Not Found\r\nContent-Length: 90000\r\n\r\n" + b"[" * 90_000
+    with answering(head, b"") as port, pytest.raises(NetworkError, match="404"):
+        endpoints.fetch_info(f"ws://127.0.0.1:{port}/stream")

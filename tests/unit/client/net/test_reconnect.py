@@ -8,7 +8,7 @@ import random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cags_client.net.reconnect import JITTER, MAX_DELAY_US, Reconnect
+from cags_client.net.reconnect import JITTER, LASTING_US, MAX_DELAY_US, Reconnect
 
 SECOND = 1_000_000
 
@@ -66,6 +66,23 @@ def test_an_attempt_is_under_way_until_it_is_answered() -> None:
     assert reconnect.trying
     assert not reconnect.begin(6)
     assert reconnect.next_timer_us() == 5 + SECOND, "patience ends meanwhile too"
-    reconnect.restored()
+    reconnect.restored(6)
     assert not reconnect.away
     assert reconnect.next_timer_us() is None
+
+
+def test_a_server_that_lets_in_and_hangs_up_is_asked_ever_more_seldom() -> None:
+    reconnect, now_us, times = Reconnect(10 * SECOND, random.Random(2)), 0, []
+    reconnect.lost(now_us)
+    while now_us < 20 * SECOND:
+        timer_us = reconnect.next_timer_us()
+        assert timer_us is not None
+        now_us = max(now_us, timer_us)
+        assert reconnect.begin(now_us)
+        times.append(now_us)
+        reconnect.restored(now_us)
+        reconnect.lost(now_us + 1000)
+    assert len([t for t in times if t >= 10 * SECOND]) <= 14, "about one a second in the end"
+    reconnect.restored(now_us)
+    reconnect.lost(now_us + LASTING_US)
+    assert reconnect.begin(now_us + LASTING_US), "a session that lasted is taken up at once"

@@ -16,7 +16,7 @@ from cags_research.training.restore.checkpoint import Checkpoint  # noqa: E402
 from cags_research.training.restore.dataset import distorted_psnr, draw_batch, even_chances, plain_batch  # noqa: E402
 from cags_research.training.restore.report import write_report  # noqa: E402
 from cags_research.training.restore.settings import TrainSettings  # noqa: E402
-from cags_research.training.restore.tasks import NETWORKS, covered_psnr, loss  # noqa: E402
+from cags_research.training.restore.tasks import HARM, NETWORKS, batch_loss, covered_psnr, loss  # noqa: E402
 from cags_research.training.restore.trainer import Trainer  # noqa: E402
 
 SIDE = 32
@@ -82,6 +82,18 @@ def test_the_loss_pulls_back_what_is_beyond_the_displayed_range():
     restored = torch.full((1, 4, 4, 3), 1.5, requires_grad=True)
     loss(restored, torch.full((1, 4, 4, 3), 0.9), torch.ones(1, 4, 4, 1)).backward()
     assert (restored.grad > 0).all()
+
+
+def test_a_decibel_that_is_lost_counts_more_than_one_that_is_won():
+    """Or a network that cannot tell which of the two it will be wins the one and loses the other."""
+    batch = replace(plain_batch(crops(1), np.arange(1), 16), distorted=np.full((1, 16, 16, 3), 0.5, np.float32))
+    truth = torch.full((1, 16, 16, 3), 0.5 + 0.05)
+    batch = replace(batch, truth=truth.numpy())
+    same, worse, better = (
+        float(batch_loss(truth - off, batch, torch.device("cpu"))) for off in (0.05, 0.05 * 1.1, 0.05 / 1.1)
+    )
+    assert same == pytest.approx(float(loss(truth - 0.05, truth, torch.from_numpy(batch.covered))), abs=1e-5)
+    assert (worse - same) == pytest.approx((1 + HARM) * (same - better), rel=1e-2)
 
 
 def test_void_counts_less_than_what_is_covered():

@@ -1,0 +1,57 @@
+"""Damaged texts of the page are understood or refused by ProtocolError, never more."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from cags_client.output.page.messages import parse
+from cags_common.errors import ProtocolError
+from support.mutation import mutate
+
+TEXTS = [
+    json.dumps(fields).encode()
+    for fields in (
+        {"type": "hello", "h264": True, "raw": False},
+        {"type": "pose", "number": 7, "position": [0.5, -1.25, 3], "rotation": [0, 0.6, 0, 0.8]},
+        {"type": "look", "pictures": ["restored"], "overlays": ["tiles", "score"]},
+        {"type": "action", "action": "seek", "value": 12},
+        {"type": "setting", "name": "cap_mbps", "value": 4.5},
+        {"type": "shown", "number": 4, "key": False},
+    )
+]
+
+
+def understood(data: bytes) -> bool:
+    try:
+        parse(data.decode("utf-8", "replace"))
+    except ProtocolError:
+        return False
+    return True
+
+
+def fuzz(cases: int, seed: int) -> int:
+    """Parse ``cases`` damaged texts; how many were understood all the same."""
+    rngs = (np.random.default_rng((seed, case)) for case in range(cases))
+    return sum(understood(mutate(TEXTS[case % len(TEXTS)], rng)) for case, rng in enumerate(rngs))
+
+
+def test_whole_texts_are_understood() -> None:
+    assert all(map(understood, TEXTS))
+
+
+def test_damaged_texts() -> None:
+    assert 0 < fuzz(2_000, seed=1) < 2_000
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_damaged_texts_at_length() -> None:
+    fuzz(100_000, seed=2)
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_a_number_of_many_digits_is_refused(digits: int) -> None:
+    assert not understood(b'{"type": "shown", "key": true, "number": 1' + b"0" * digits + b"}")
