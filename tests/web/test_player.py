@@ -9,3 +9,7 @@ from support.node import run_tests
 
 def test_the_player(tmp_path: Path) -> None:
     run_tests("player", tmp_path)
+
+
+def test_references(tmp_path: Path) -> None:
+    run_tests("references", tmp_path)

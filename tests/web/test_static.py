@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import zlib
 from collections.abc import AsyncIterator
@@ -55,6 +56,7 @@ def test_files_are_named_by_what_they_hold_and_the_page_says_where_its_scene_is(
     page = tmp_path / "page"
     page.mkdir()
     (page / "index.html").write_text("<!doctype html><html><head></head></html>")
+    (page / "page.js").write_text("let a;")
     (page / "stamp").write_text("x")
     found = publish(str(tmp_path / "clip.cags"), tmp_path / "site", page)
     names = sorted(path.name for path in (tmp_path / "site").iterdir())
@@ -62,7 +64,12 @@ def test_files_are_named_by_what_they_hold_and_the_page_says_where_its_scene_is(
     assert SOURCE_TAG in (tmp_path / "site" / "index.html").read_text()
     table = json.loads((tmp_path / "site" / "manifest.json").read_text())
     named = {table["published"]["codebooks"], *(group["tiles"]["name"] for group in table["gofs"])}
-    assert set(names) == named | {"index.html", "manifest.json"}
+    plain = ("index.html", "page.js", "manifest.json")
+    assert set(names) == named | {*plain, *(f"{name}.gz" for name in plain)}
+    for name in plain:
+        assert (
+            gzip.decompress((tmp_path / "site" / f"{name}.gz").read_bytes()) == (tmp_path / "site" / name).read_bytes()
+        )
     for name in named:
         data = (tmp_path / "site" / name).read_bytes()
         assert name.endswith(f"-{zlib.crc32(data):08x}-{len(data):x}.bin")

@@ -14,6 +14,9 @@ interface Host {
 }
 
 const host = self as unknown as Host;
+/** Fetched at once: the page looks up the scene, and makes its device, meanwhile. */
+const loading = load();
+loading.catch(() => undefined); // told when they are needed
 let source: SceneSource | undefined;
 let starting: Promise<void> = Promise.resolve();
 
@@ -39,7 +42,7 @@ function tell(answer: Answer): void {
 
 async function connect(request: Extract<Request, { ask: "connect" }>): Promise<void> {
   try {
-    const decoders = await load();
+    const decoders = await loading;
     source = /^wss?:/.test(request.url) ? new LiveSource(decoders) : new StaticSource(decoders);
     source.connect(request.url, request.options, (event) => tell({ tell: "event", event }));
   } catch (error) {

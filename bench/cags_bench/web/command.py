@@ -27,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """One line a link and source, then a summary with its checks. Raises :class:`CagsError`."""
+    """One line a link and source, one a link of both beside each other, then a summary with its checks.
+
+    Raises :class:`CagsError`.
+    """
     settings = load_settings(WebBenchSettings, arguments)
     from cags_bench.web.experiment import plays
 

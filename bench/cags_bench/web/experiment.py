@@ -16,7 +16,7 @@ from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import JsonObject, check, provenance, summary
 from cags_bench.web import hosts
 from cags_bench.web.browser import chromium, programs
-from cags_bench.web.settings import PUBLISHED, WebBenchSettings
+from cags_bench.web.settings import PUBLISHED, SERVER, SOURCES, WebBenchSettings
 from cags_bench.web.watch import Picture, Watched, watch
 from cags_common import raster
 from cags_common.errors import ConfigError
@@ -49,6 +49,7 @@ def plays(settings: WebBenchSettings) -> Iterator[JsonObject]:
                 line = _play(settings, folder, bundle, truth, source=source, link=link)
                 lines.append(line)
                 yield {**line, **provenance()}
+    yield from beside(lines)
     yield summary("web", _checks(lines), scene=settings.scene)
 
 
@@ -119,6 +120,24 @@ def figures(play: Watched, truth: Truth) -> JsonObject:
         "bytes_other": status.get("bytesOther", 0),
         "complaints": play.complaints,
     }
+
+
+COMPARED = ("first_picture_s", "data_s", "stalls", "stalled_ms", "frames_displayed", "psnr_db", "bytes")
+
+
+def beside(lines: list[JsonObject]) -> list[JsonObject]:
+    """One line a link that both sources were played over: the published folder's figures and the server's, in pairs."""
+    by_link: dict[str, dict[str, JsonObject]] = {}
+    for line in lines:
+        total = sum(line[name] for name in ("bytes_tiles", "bytes_reference", "bytes_other"))
+        by_link.setdefault(line["link"], {})[line["source"]] = {**line, "bytes": total}
+    return [
+        {"case": "beside", "link": link}
+        | {name: {source: of[source][name] for source in SOURCES} for name in COMPARED}
+        | {"psnr_gain_of_server_db": of[SERVER]["psnr_db"] - of[PUBLISHED]["psnr_db"]}
+        for link, of in by_link.items()
+        if of.keys() >= set(SOURCES)
+    ]
 
 
 def _fetched(port: int, name: str) -> int:

@@ -31,15 +31,14 @@ http {{
   fastcgi_temp_path {work}/fastcgi;
   uwsgi_temp_path {work}/uwsgi;
   scgi_temp_path {work}/scgi;
-  gzip on;
-  gzip_types text/css text/javascript application/javascript application/json application/wasm image/svg+xml;
+  gzip_static on;
   server {{
     listen 127.0.0.1:{port};
     root {folder};
   }}
 }}
 """
-"""As a distribution ships it, but for the folder, the port and what is compressed."""
+"""As a distribution ships it, but for the folder, the port and ``gzip_static`` (``docs/how-to/operate.md``)."""
 
 
 def free_port() -> int:

@@ -18,7 +18,7 @@ POLL_S = 0.25
 WATCH = """
 window.watched = { shown: [], at: {} };
 setInterval(() => {
-  const { player, renderer } = window.cags ?? {};
+  const { player } = window.cags ?? {};
   if (!player || player.isWatched) return;
   player.isWatched = true;
   const { shown, at } = window.watched, since = (name) => (at[name] ??= performance.now());
@@ -37,7 +37,7 @@ setInterval(() => {
       shown.push(row);
       if (!share && now - kept >= EVERY) {
         kept = now;
-        renderer.pixels().then(({ rgba }) => {
+        window.cags.renderer.pixels().then(({ rgba }) => {
           let text = "";
           for (const byte of rgba) text += String.fromCharCode(byte);
           row.pixels = btoa(text);

@@ -13,7 +13,7 @@ import numpy as np
 from cags_common.geometry import F64
 
 EVEN_MS = 50.0
-"""A picture that follows the one before within this time follows evenly: one and a half frames at 30 frames a second."""
+"""A picture that follows the one before within this time follows evenly: one and a half frames at 30 a second."""
 
 FREEZE_FACTOR, FREEZE_EXTRA_MS = 3.0, 150.0
 """A gap is a freeze where it is at least so many times the mean gap and so much longer (W3C webrtc-stats,

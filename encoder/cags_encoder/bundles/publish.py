@@ -1,11 +1,14 @@
 """A bundle as a folder for any web host: the viewer's page, a manifest, and files whose names say what they hold.
 
 Files are named by their CRC-32, so that hosts and browsers may keep them for ever; only ``index.html`` and
-``manifest.json`` are looked at anew. Source frames, which no player needs, stay behind. Layout: ``docs/bundle.md``.
+``manifest.json`` are looked at anew. Text and programs have a compressed copy beside them, for hosts that hand such out
+(nginx: ``gzip_static on``); tiles, which are read by ranges, have none. Source frames, which no player needs, stay
+behind. Layout: ``docs/bundle.md``.
 """
 
 from __future__ import annotations
 
+import gzip
 import json
 import shutil
 import zlib
@@ -20,6 +23,7 @@ from cags_common.errors import ConfigError
 
 MAX_BLOB_BYTES = 2**28
 PAGE_SUFFIXES = {".html", ".js", ".css", ".svg", ".wasm"}
+COMPRESSED_SUFFIXES = PAGE_SUFFIXES | {".json"}
 
 SOURCE_TAG = '<meta name="cags-source" content="./" />'
 """Tells the page where its scene is: beside it, and not behind a server's WebSocket."""
@@ -57,6 +61,7 @@ def publish(url: str, folder: Path, page: Path | None) -> Published:
     if page is not None:
         _copy_page(page, folder)
     (folder / "manifest.json").write_text(json.dumps(table, separators=(",", ":"), sort_keys=True))
+    _compress(folder)
     written = [path for path in folder.rglob("*") if path.is_file()]
     return Published(str(folder), len(written), sum(path.stat().st_size for path in written), page is not None)
 
@@ -66,6 +71,13 @@ def _named(data: bytes, kind: str, folder: Path) -> str:
     name = f"{kind}-{zlib.crc32(data):08x}-{len(data):x}.bin"
     (folder / name).write_bytes(data)
     return name
+
+
+def _compress(folder: Path) -> None:
+    """Write NAME.gz beside what a host would compress for each visitor; equal files give equal bytes."""
+    for path in sorted(folder.iterdir()):
+        if path.suffix in COMPRESSED_SUFFIXES:
+            path.with_name(f"{path.name}.gz").write_bytes(gzip.compress(path.read_bytes(), 9, mtime=0))
 
 
 def built_page() -> Path | None:

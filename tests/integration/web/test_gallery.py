@@ -118,4 +118,6 @@ def test_a_scene_that_is_not_there_is_said(tmp_path: Path, server: Server) -> No
     with page(tmp_path) as viewer:
         viewer.browser.get(f"{server.url}?scene=nowhere")
         viewer.until_true(lambda: "no scene 'nowhere' here" in viewer.words, "so it says")
+        viewer.browser.find_element("link text", "All scenes").click()
+        viewer.until_true(lambda: viewer.browser.find_elements("css selector", "#scenes a h2"), "the list")
         viewer.complaints()

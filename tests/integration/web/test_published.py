@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -50,6 +51,14 @@ def test_its_pictures_are_pythons_byte_for_byte_after_seeks_too(viewer: Page, ho
     viewer.until(f"player.shown.frame === 13 && {WHOLE}")
     same_as_python(viewer, room)
     assert viewer.ask("player.status.bytesReference") == 0
+
+
+def test_what_is_compressed_already_is_handed_out(host: int) -> None:
+    for name in ("page.js", "worker.js", "kernels.wasm", "manifest.json"):
+        request = urllib.request.Request(f"http://127.0.0.1:{host}/{name}", headers={"Accept-Encoding": "gzip"})
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            assert answer.headers["Content-Encoding"] == "gzip"
+            assert int(answer.headers["Content-Length"]) == len(answer.read()), "known beforehand: it lies there"
 
 
 def test_over_a_thin_link_it_plays_every_frame_whole(viewer: Page, host: int, room: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cags_bench.web import hosts
-from cags_bench.web.experiment import Truth, figures
+from cags_bench.web.experiment import COMPARED, Truth, beside, figures
 from cags_bench.web.settings import WebBenchSettings
 from cags_bench.web.watch import Picture, Watched
 from cags_common.errors import CagsError, ConfigError
@@ -51,6 +51,16 @@ def test_a_play_that_never_showed_anything_has_no_figures_and_its_reason(truth: 
     out = figures(Watched({"join": 1.0}, [], 0, 0.0, 0, {}, ["no picture within 1 s"], []), truth)
     assert out["pictures"] == 0 and out["complaints"] == ["no picture within 1 s"]
     assert all(np.isnan(out[name]) for name in ("first_picture_s", "psnr_db", "lod_first", "drawing_ms"))
+
+
+def test_both_sources_of_a_link_stand_beside_each_other() -> None:
+    def play(source: str, link: str, psnr_db: float) -> dict[str, object]:
+        counted = dict.fromkeys(("bytes_tiles", "bytes_reference", "bytes_other"), 5)
+        return {**dict.fromkeys(COMPARED, 1.0), **counted, "source": source, "link": link, "psnr_db": psnr_db}
+
+    (line,) = beside([play("published", "a", 30.0), play("published", "b", 31.0), play("server", "b", 33.0)])
+    assert (line["case"], line["link"], line["psnr_gain_of_server_db"]) == ("beside", "b", 2.0)
+    assert line["psnr_db"] == {"published": 31.0, "server": 33.0} and line["bytes"]["server"] == 15
 
 
 def test_a_plain_host_answers_ranges(tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ export interface FrameTimes {
 const SHOWN = { floats: false, confidence: false } as const;
 
 /** What the buffers of the reference hold, and what it was made under. */
-type Held = { readonly reference: CodedReference; readonly under: string } | null;
+type HeldReference = { readonly reference: CodedReference; readonly under: string } | null;
 
 /** Draws on one canvas. One frame at a time. */
 export class Renderer {
@@ -75,7 +75,7 @@ export class Renderer {
   #scene: ResidentScene | null = null;
   #sceneNumber = -1;
   #uploaded = 0;
-  #held: Held = null;
+  #held: HeldReference = null;
   #shown: { target: Target; width: number; height: number } | null = null;
 
   /** Settles once the shaders are compiled, which goes on while a scene is fetched: before it frames take longer. */
@@ -163,7 +163,7 @@ export class Renderer {
     scene: ResidentScene,
     camera: Camera,
     options: FrameOptions,
-  ): Promise<{ target: Target; wanted: number; held: Held }> {
+  ): Promise<{ target: Target; wanted: number; held: HeldReference }> {
     const { device } = this.gpu;
     this.#workspace.reserve(scene.count, 0, options.exactness === "exact"); // before anything refers to its buffers
     const encoder = device.createCommandEncoder();
@@ -185,7 +185,7 @@ export class Renderer {
     target: Target,
     camera: Camera,
     options: FrameOptions,
-  ): Held {
+  ): HeldReference {
     const { reference } = options;
     const vetoed = (options.changed?.length ?? 0) > 0 || (options.stale ?? 0) > 0;
     this.gpu.device.queue.writeBuffer(target.correction, 0, correctionJob(camera, reference, vetoed));
@@ -237,7 +237,7 @@ export class Renderer {
     scene: ResidentScene,
     target: Target,
     made: { options: FrameOptions; reference: CodedReference; counts: Counts; named: Named },
-  ): Held {
+  ): HeldReference {
     const { options, reference, counts, named } = made;
     const seen = reference.picture ? JSON.stringify([scene.changes, options.display, options.exactness, options.maxShDegree]) : "";
     const under = `${scene.keptVersion} ${seen}`;

@@ -64,13 +64,17 @@ function figuresOf(player: Player, device: string, rate: number): Figure[] {
     ["Splats", shown ? shown.update.capacity.toLocaleString("en") : undefined],
     ["Picture", size && `${size.widthPx} × ${size.heightPx}`],
     ["Pictures a second", `${rate.toFixed(0)}${info ? ` (scene: ${info.fps})` : ""}`],
-    ["Time a picture", shown ? fresh(shown.atUs, `${shown.frameMs.toFixed(0)} ms`) : undefined],
+    ["Time a picture", shown ? fresh(shown.atUs, milliseconds(shown.frameMs)) : undefined],
     ["Decoding", shown ? fresh(shown.atUs, `${shown.update.workMs.toFixed(1)} ms`) : undefined],
     ["Upload", shown ? fresh(shown.atUs, `${(shown.times.uploadBytes / 1e3).toFixed(0)} kB`) : undefined],
     ["Frames late", String(player.missed)],
     ["Decoding errors", status ? String(status.decodeErrors + player.videoErrors) : undefined],
     ["Drawn by", device],
   ];
+}
+
+function milliseconds(ms: number): string {
+  return ms < 1000 ? `${ms.toFixed(0)} ms` : `${(ms / 1000).toFixed(1)} s`;
 }
 
 function megabytes(bytes: number): string {

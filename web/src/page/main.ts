@@ -8,7 +8,7 @@ import { type Mode, ViewCamera } from "../player/camera.ts";
 import { Gestures } from "../player/gestures.ts";
 import { Player } from "../player/player.ts";
 import { readManifest, sceneInfo } from "../decode/manifest.ts";
-import type { Chroma, Intrinsics, Pose, SceneInfo, SourceError } from "../seam.ts";
+import type { Chroma, Intrinsics, Pose, SceneInfo, SceneSource, SourceError } from "../seam.ts";
 import { connectWorker } from "../source/remote.ts";
 import { finestChroma } from "../video/decoder.ts";
 import { coloursOf, openedAs, savedView, titleOf } from "./author.ts";
@@ -39,10 +39,16 @@ const PUBLISHED = document.querySelector<HTMLMetaElement>('meta[name="cags-sourc
 /** The scene that the address names, of a server with several. */
 const SCENE = sceneOf(location.search);
 
+/** The server has no scene of the name in the address. */
+class MissingError extends Error {}
+
 class Viewer {
   player: Player | null = null;
   renderer: Renderer | null = null;
   camera: ViewCamera | null = null;
+  #rendering: Promise<Renderer> | undefined;
+  #source: SceneSource | undefined; // started, and of no scene yet
+  #attempts = 0;
   readonly #canvas = the<HTMLCanvasElement>("picture");
   readonly #stage = the("stage");
   readonly #light = the("light");
@@ -54,6 +60,7 @@ class Viewer {
   #place: Place = placeOf(location.hash);
   #angles: Angles = { tanX: 1, tanY: 1 };
   #chroma: Chroma | undefined;
+  #background: readonly [number, number, number] = [0, 0, 0];
   #scene: SceneInfo | undefined;
   #film: Film | null = null;
   #settled = 0;
@@ -85,23 +92,43 @@ class Viewer {
     requestAnimationFrame(tick);
   }
 
-  /** Join, from the beginning. */
+  /** Join, from the beginning. The scene is fetched while the worker loads and the device is made. */
   async begin(): Promise<void> {
     clearTimeout(this.#retry);
-    this.player?.close();
-    this.player = null;
+    this.#leave();
     this.#messages.say("Connecting");
+    const attempt = ++this.#attempts;
+    const rendering = (this.#rendering ??= this.#render());
+    this.#source ??= connectWorker(new Worker(new URL("worker.js", import.meta.url), { type: "module" }));
     try {
-      const scene = PUBLISHED ? undefined : await this.#bundle();
-      if (!PUBLISHED && !scene) return;
-      this.#chroma ??= await finestChroma();
-      this.renderer ??= await Renderer.make(this.#canvas, (reason) => this.#lostDevice(reason));
+      const [scene, chroma] = await Promise.all([PUBLISHED ? undefined : this.#bundle(), finestChroma()]);
+      if (attempt !== this.#attempts || (!PUBLISHED && !scene)) return;
+      this.#chroma = chroma;
+      await Promise.race([rendering, undefined]); // throws where it is known that nothing can be drawn
       this.#angles = anglesOf(...pixelsOf(innerWidth, innerHeight, devicePixelRatio, this.#place.size));
       if (scene) this.#stand(scene);
-      this.#join(scene);
+      this.#join(scene, rendering);
+      await rendering;
     } catch (error) {
+      if (attempt !== this.#attempts) return;
+      this.#leave();
       this.#cannot(error);
     }
+  }
+
+  #leave(): void {
+    this.player?.close();
+    this.player = null;
+  }
+
+  /** The renderer, once there is a device; another attempt makes another where there was none. */
+  #render(): Promise<Renderer> {
+    const made = Renderer.make(this.#canvas, (reason) => this.#lostDevice(reason)).then((renderer) => {
+      renderer.background = this.#background;
+      return (this.renderer = renderer);
+    });
+    made.catch(() => (this.#rendering = undefined));
+    return made;
   }
 
   setMode(mode: Mode): void {
@@ -133,17 +160,19 @@ class Viewer {
       this.#messages.askToken(token !== undefined);
       return undefined;
     }
+    if (answer.status === 404 && SCENE !== undefined) throw new MissingError(`There is no scene '${SCENE}' here.`);
     if (answer.status === 404) throw new Error(((await answer.json()) as { error: string }).error);
     if (!answer.ok) throw new Error(`the server answers ${answer.status} ${answer.statusText}`);
-    return sceneInfo(readManifest(new Uint8Array(await answer.arrayBuffer())));
+    return sceneInfo(readManifest(new Uint8Array(await answer.arrayBuffer())), false);
   }
 
   /** A published scene says what it is when it comes; until then the view is nowhere in particular. */
-  #join(scene: SceneInfo | undefined): void {
-    const source = connectWorker(new Worker(new URL("worker.js", import.meta.url), { type: "module" }));
+  #join(scene: SceneInfo | undefined, rendering: Promise<Renderer>): void {
+    const source = this.#source!;
+    this.#source = undefined;
     const startFrame = Math.floor((this.#place.seconds ?? 0) * (scene?.fps ?? DEFAULT_FPS) + 1e-6);
     const view = (): { pose: Pose; intrinsics: Intrinsics } => ({ pose: this.camera?.pose ?? NOWHERE, intrinsics: this.intrinsics });
-    const player = new Player(source, this.renderer!, view, this.#options(startFrame), {
+    const player = new Player(source, rendering, view, this.#options(startFrame), {
       changed: () => undefined,
       info: (info) => this.#onInfo(info),
       failed: (error) => this.#onFailure(player, error),
@@ -180,7 +209,8 @@ class Viewer {
   #stand(given: SceneInfo): void {
     const scene = (this.#scene = openedAs(given, this.#place));
     this.#title(titleOf(scene));
-    this.renderer!.background = coloursOf(scene.view.background);
+    this.#background = coloursOf(scene.view.background);
+    if (this.renderer) this.renderer.background = this.#background;
     the("stage").style.setProperty("background", scene.view.background ?? "");
     this.camera = new ViewCamera(scene);
     this.#home();
@@ -205,12 +235,14 @@ class Viewer {
   #cannot(error: unknown): void {
     const message = error instanceof Error ? error.message : String(error);
     embed.tell("error", { message });
-    if (error instanceof UnsupportedError) this.#messages.fail("This browser cannot show the scene", message, false);
+    if (error instanceof UnsupportedError) this.#messages.fail("This browser cannot show the scene", message, "none");
+    else if (error instanceof MissingError) this.#messages.fail("The scene is not there", message, "scenes");
     else this.#messages.fail("The scene cannot be shown", sentence(message));
   }
 
   #lostDevice(reason: string): void {
     this.renderer = null;
+    this.#rendering = undefined;
     this.#messages.toast(`The graphics processor was lost (${reason}); starting again`);
     this.#keepPlace();
     const fresh = this.#canvas.cloneNode() as HTMLCanvasElement;

@@ -9,6 +9,7 @@ export class Messages {
   readonly #headline = the("headline");
   readonly #hint = the("hint");
   readonly #again = the<HTMLButtonElement>("again");
+  readonly #all = the("all");
   readonly #token = the<HTMLFormElement>("token");
   readonly #toast = the("toast");
   #toastTimer = 0;
@@ -32,11 +33,12 @@ export class Messages {
     this.#stage.removeAttribute("data-failed");
   }
 
-  /** It has ended. */
-  fail(headline: string, hint: string, again = true): void {
+  /** It has ended; what may help is a new attempt, another scene, or nothing here. */
+  fail(headline: string, hint: string, way: "again" | "scenes" | "none" = "again"): void {
     this.#put(headline, hint, "data-failed");
     this.#stage.setAttribute("data-said", "");
-    this.#again.hidden = !again;
+    this.#again.hidden = way !== "again";
+    this.#all.hidden = way !== "scenes";
   }
 
   askToken(wrong: boolean): void {
@@ -55,7 +57,7 @@ export class Messages {
 
   #put(headline: string, hint: string, state: string): void {
     this.quiet();
-    this.#again.hidden = true;
+    this.#again.hidden = this.#all.hidden = true;
     this.#token.hidden = true;
     this.#headline.textContent = headline;
     this.#hint.textContent = hint;

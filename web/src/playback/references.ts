@@ -27,9 +27,12 @@ export class References<P> {
   private readonly toCome = new Set<number>();
   private mark = 0;
   private committed = 0;
+  /** References up to this order are of no use, should they still be decoded. */
+  private forgotten = 0;
 
   /** Take a decoded reference, or one that says nothing. */
   add(reference: Reference, picture: P): void {
+    if (reference.order <= this.forgotten) return;
     this.received.delete(reference.frame);
     this.received.set(reference.frame, { reference, picture });
     this.toCome.add(reference.frame);
@@ -87,9 +90,13 @@ export class References<P> {
   /** Another connection's video follows; what is there stays in use. */
   restart(): void {}
 
-  /** Forget everything: the viewer jumped. */
-  reset(): void {
-    this.received.clear();
-    this.toCome.clear();
+  /** Forget everything (the viewer jumped), or references up to the order `until`. */
+  reset(until = Infinity): void {
+    if (until < Infinity) this.forgotten = until;
+    for (const [frame, { reference }] of this.received) {
+      if (reference.order > until) continue;
+      this.received.delete(frame);
+      this.toCome.delete(frame);
+    }
   }
 }

@@ -13,6 +13,7 @@ import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, 
 import { ReferenceVideo } from "../video/stream.ts";
 import { Cadence } from "./cadence.ts";
 import { Resolution } from "./resolution.ts";
+import { Startup, STARTUP_US } from "./startup.ts";
 import { cellBoxes } from "./veto.ts";
 
 /** From asking to play to the first frame. */
@@ -96,13 +97,15 @@ export class Player {
   stalls = 0;
   stalledMs = 0;
   readonly #source: SceneSource;
-  readonly #renderer: Renderer;
+  #renderer!: Renderer; // there once `#ready`
   readonly #events: PlayerEvents;
   readonly #view: () => { pose: Pose; intrinsics: Intrinsics };
   readonly #video: ReferenceVideo;
   readonly #references: Decoded = new References<CodedReference | null>();
   readonly #cadence: Cadence;
   readonly #startFrame: number;
+  #startup: Startup;
+  #holdUs = STARTUP_US; // of the first frame, at most
   #resolution = new Resolution(1000 / 30);
   #samples: PoseSample[] = [];
   #anchor: readonly [number, number] = [0, 0];
@@ -118,13 +121,14 @@ export class Player {
   #takesUs = 0;
   #drawnView = "";
   #rested = false;
-  #ready = false; // the renderer's shaders are compiled
-  #newest = -1; // media frame of which the end came last
+  #newestOrder = 0; // of references that have come
+  #ready = false; // there is a renderer, and its shaders are compiled
   #ended = false;
 
-  constructor(source: SceneSource, renderer: Renderer, view: () => { pose: Pose; intrinsics: Intrinsics }, options: PlayerOptions, events: PlayerEvents) {
+  /** `renderer` may still be on its way: the scene is joined, and its first frame refined, meanwhile. */
+  constructor(source: SceneSource, renderer: Promise<Renderer>, view: () => { pose: Pose; intrinsics: Intrinsics }, options: PlayerOptions, events: PlayerEvents) {
     this.#source = source;
-    this.#renderer = renderer;
+    this.#startup = new Startup(this.#holdUs, nowUs());
     this.#view = view;
     this.#events = events;
     this.playing = options.playing;
@@ -142,10 +146,11 @@ export class Player {
       },
       broken: (seq) => source.requestKeyframe(seq),
     });
-    void renderer.prepared.then(() => {
+    renderer.then(async (made) => {
+      this.#renderer = made;
+      await made.prepared;
       this.#ready = true;
-      if (this.#newest >= 0) this.#onWhole(this.#newest);
-    });
+    }, () => undefined); // whoever makes it tells why it is not there
   }
 
   // -------------------------------------------------------------------------------------------------- viewer's wishes
@@ -234,15 +239,20 @@ export class Player {
       case "info":
         this.info = event.info;
         this.#resolution = new Resolution(1000 / event.info.fps);
+        if (event.info.waits) this.#startup = new Startup((this.#holdUs = 0), nowUs()); // nobody would refine it
         this.#events.info(event.info);
+        break;
+      case "arrived":
+        this.#startup.came(event.atUs);
+        this.#news = true;
         break;
       case "whole":
         this.#news = true;
         this.#whole.add(event.frame);
-        this.#newest = event.frame;
-        if (this.#ready) this.#onWhole(event.frame);
+        this.#onWhole(event.frame);
         break;
       case "reference":
+        this.#newestOrder = event.reference.order;
         this.#video.add(event.reference);
         break;
       case "flushed":
@@ -288,7 +298,7 @@ export class Player {
   }
 
   #failed(error: unknown): void {
-    if (this.#ended || this.#renderer.gpu.lost) return;
+    if (this.#ended || this.#renderer?.gpu.lost) return;
     this.#ended = true;
     const message = error instanceof Error ? error.message : String(error);
     this.#events.failed({ code: "frame", message, fatal: true });
@@ -301,15 +311,21 @@ export class Player {
   }
 
   #work(now: number): (() => Promise<void>) | null {
+    this.#startIfDue(now);
     if (this.#wanted !== null) this.#seekNow(this.#wanted, now);
     if (this.#awaited && now >= this.#awaited.untilUs) this.#goOn(now);
-    if (this.#awaited || this.#startedUs === null) {
-      if (!this.shown && this.#references.newest(this.frame, REFERENCE_AGE)) return () => this.#present(this.frame, 0, false);
-      return this.#redraw(now);
-    }
+    if (this.#startedUs === null || (this.#awaited && !this.shown)) return this.#preview(now) ?? this.#redraw(now);
+    if (this.#awaited) return this.#redraw(now);
     if (!this.playing) return this.#news ? () => this.#present(this.frame, 0, false) : this.#redraw(now);
     if (this.#dueUs !== null && now >= this.#dueUs) return () => this.#presentDue(now);
     return this.#between(now);
+  }
+
+  /** A picture before the play: first of a reference or of the frame itself, then now and then of what more has come. */
+  #preview(now: number): (() => Promise<void>) | null {
+    const there = this.#startup.endsUs !== undefined || this.#references.newest(this.frame, REFERENCE_AGE);
+    const due = this.shown ? this.#news && this.#startup.preview(now) : there;
+    return due ? () => this.#present(this.frame, 0, false) : null;
   }
 
   /** A picture of what moves by itself, or of the frame on display from where the viewer is now. */
@@ -398,11 +414,28 @@ export class Player {
   // ------------------------------------------------------------------------------------------------------ state of play
 
   #onWhole(frame: number): void {
-    if (this.#startedUs === null && frame >= this.#startFrame) {
-      this.#startedUs = nowUs();
-      if (this.playing && !this.#rested) this.#tell("play", this.#startFrame, nowUs() + START_DELAY_US);
-      else this.#tell("pause", this.#startFrame, nowUs());
+    if (this.#startedUs === null) {
+      if (frame >= this.#startFrame && this.#startup.whole(nowUs())) this.#hold();
     } else if (this.#awaited && this.#awaited.flushes <= 0 && this.#arrived(this.#awaited, frame)) this.#goOn(nowUs());
+  }
+
+  /** The first frame is there: let the server refine it before it is played. */
+  #hold(): void {
+    if (this.#holdUs) {
+      this.#startup.greeting = this.#newestOrder;
+      this.#source.control({ action: "pause", frame: this.#startFrame, atUs: nowUs() });
+    }
+    if (this.#ready) this.#startIfDue(nowUs());
+  }
+
+  /** When the first frame was held for long enough, or is to be held on: fix when it is shown, and tell the source. */
+  #startIfDue(now: number): void {
+    const { endsUs } = this.#startup;
+    if (this.#startedUs !== null || endsUs === undefined || (this.playing && now < endsUs)) return;
+    this.#startedUs = now;
+    if (this.#startup.greeting) this.#references.reset(this.#startup.greeting);
+    if (this.playing && !this.#rested) this.#tell("play", this.#startFrame, now + START_DELAY_US);
+    else this.#tell("pause", this.#startFrame, now);
   }
 
   #tell(action: PlayState["action"], frame: number, atUs: number): void {

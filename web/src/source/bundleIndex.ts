@@ -2,7 +2,7 @@
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import { gunzip } from "../bytes/inflate.ts";
 import { LEVELS } from "../motion/chunk.ts";
-import type { Sphere } from "../store/held.ts";
+import type { Sphere } from "../store/storedTiles.ts";
 import { MAX_TILE_SPLATS } from "../decode/tiles.ts";
 
 const MAX_INDEX_BYTES = 64 * 2 ** 20;

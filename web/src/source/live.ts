@@ -15,7 +15,7 @@ import { PROTOCOL_VERSION, SUBPROTOCOL } from "../wire/limits.ts";
 import type { Control, Hello, Refusal, Welcome } from "../wire/messages.ts";
 import { ClientSession, DEFAULTS, RESUMING, type SessionEvent } from "../wire/session.ts";
 import { CODEBOOKS_BLOB } from "../wire/assembly.ts";
-import { Arrivals, type DataEvent, MAX_UNDECODED_BYTES } from "./arrivals.ts";
+import { DecodeQueue, type DataEvent, MAX_UNDECODED_BYTES } from "./decodeQueue.ts";
 import { Reconnect } from "./reconnect.ts";
 import { type Decoders, SceneStore, tooLarge } from "./scene.ts";
 import { Meter } from "./status.ts";
@@ -65,8 +65,8 @@ export class LiveSource implements SceneSource {
   private scene: SceneStore | undefined;
   private welcome: Welcome | undefined;
   private codebooks: Uint8Array | undefined;
-  private readonly arrivals = new Arrivals();
-  private held: Uint8Array[] = []; // messages that came while too much was undecoded
+  private readonly queue = new DecodeQueue();
+  private unread: Uint8Array[] = []; // messages that came while too much was undecoded
   private reconnect!: Reconnect;
   private readonly meter = new Meter();
   private why = "the connection was lost";
@@ -83,6 +83,7 @@ export class LiveSource implements SceneSource {
   private timerUs = Infinity;
   private pingedUs = 0;
   private decoding = false;
+  private tilesCame = false; // or a part of a message, since that was told last
 
   constructor(decoders: Decoders, openSocket: OpenSocket = openWebSocket) {
     this.decoders = decoders;
@@ -152,7 +153,7 @@ export class LiveSource implements SceneSource {
     const socket = this.openSocket(this.url, SUBPROTOCOL);
     this.socket = socket;
     this.session = new ClientSession(now, resuming ? RESUMING : DEFAULTS);
-    this.held = [];
+    this.unread = [];
     socket.binaryType = "arraybuffer";
     socket.onopen = () => this.socket === socket && this.opened();
     socket.onmessage = (event) => this.socket === socket && this.onMessage(event.data);
@@ -166,7 +167,7 @@ export class LiveSource implements SceneSource {
     for (; this.restartsDue > 0; this.restartsDue--) this.listen({ type: "flushed" });
     this.resumeAt = this.stateOfPlay(now);
     const hello = this.hello(this.resumeAt?.frame ?? this.playState?.frame ?? this.options.startFrame ?? 0);
-    if (this.scene) this.arrivals.add({ type: "restarted", inventory: unpackInventory(hello.inventory) });
+    if (this.scene) this.queue.add({ type: "restarted", inventory: unpackInventory(hello.inventory) });
     this.session.hello(hello, now);
     this.wake();
   }
@@ -187,7 +188,7 @@ export class LiveSource implements SceneSource {
       resume: resumes ? welcome.session : "",
       references: options.references ?? "any",
       chroma: options.chroma ?? "yuv444p",
-      inventory: resumes ? packInventory(this.arrivals.held(scene.held())) : new Uint8Array(0),
+      inventory: resumes ? packInventory(this.queue.held(scene.held())) : new Uint8Array(0),
     };
   }
 
@@ -246,17 +247,27 @@ export class LiveSource implements SceneSource {
     if (!(data instanceof ArrayBuffer)) return this.lost("the server sent text");
     const bytes = new Uint8Array(data);
     this.meter.received(bytes.length, nowUs());
-    if (this.arrivals.undecodedBytes > MAX_UNDECODED_BYTES) this.held.push(bytes);
+    if (this.queue.undecodedBytes > MAX_UNDECODED_BYTES) this.unread.push(bytes);
     else this.take(bytes);
     this.wake();
   }
 
   private take(bytes: Uint8Array): void {
-    this.session.receive(bytes, nowUs());
+    const now = nowUs();
+    this.session.receive(bytes, now);
+    if (this.session.partialBytes) this.tilesCame = true;
     this.pump();
-    if (!this.scene?.ready && this.arrivals.undecodedBytes > MAX_UNDECODED_BYTES) {
+    this.tellArrived(now);
+    if (!this.scene?.ready && this.queue.undecodedBytes > MAX_UNDECODED_BYTES) {
       this.fail("codebooks", "the server sends tiles without the codebooks that they need");
     }
+  }
+
+  /** While the play is held, how long depends on what still arrives. */
+  private tellArrived(atUs: number): void {
+    const held = this.playState === undefined || this.playState.action === "pause";
+    if (this.tilesCame && held && !this.ended) this.listen({ type: "arrived", atUs });
+    this.tilesCame = false;
   }
 
   private pump(): void {
@@ -269,6 +280,7 @@ export class LiveSource implements SceneSource {
       case "blob": return this.onBlob(event.name, event.data);
       case "tile":
         this.meter.bytesTiles += event.payload.length;
+        this.tilesCame = true;
         return this.keep(event);
       case "reference":
         this.meter.bytesReference += event.payload.length;
@@ -285,7 +297,7 @@ export class LiveSource implements SceneSource {
 
   /** Media, unless it was sent before the server heard of a jump by which everything was forgotten. */
   private keep(event: DataEvent): void {
-    if (!this.restartsDue) this.arrivals.add(event);
+    if (!this.restartsDue) this.queue.add(event);
   }
 
   private onWelcome(welcome: Welcome): void {
@@ -297,7 +309,7 @@ export class LiveSource implements SceneSource {
     this.welcome = welcome;
     if (!this.scene && !this.makeScene(welcome)) return;
     if (returned && this.connection > 1) {
-      if (!welcome.resumed) this.arrivals.add({ type: "restarted", inventory: [] }); // everything comes again
+      if (!welcome.resumed) this.queue.add({ type: "restarted", inventory: [] }); // everything comes again
       this.meter.reconnects += 1;
       this.tellRestarted();
     }
@@ -371,7 +383,7 @@ export class LiveSource implements SceneSource {
   }
 
   private flushOut(): void {
-    this.session.bufferedBytes = this.arrivals.undecodedBytes;
+    this.session.bufferedBytes = this.queue.undecodedBytes;
     for (const data of this.session.dataToSend(nowUs())) this.socket?.send(data);
   }
 
@@ -413,7 +425,7 @@ export class LiveSource implements SceneSource {
       status: {
         atUs: now, link, attempts: reconnect?.attempts ?? 0, ...figures,
         ...(session.rttUs === undefined ? {} : { rttMs: session.rttUs / 1000 }),
-        undecodedBytes: this.arrivals.undecodedBytes, damagedPackets: session.damagedPackets,
+        undecodedBytes: this.queue.undecodedBytes, damagedPackets: session.damagedPackets,
         framesAhead: this.scene?.store.ahead(this.scene.shownFrame) ?? 0,
         references: (this.options?.references ?? "any") !== "none",
       },
@@ -423,7 +435,7 @@ export class LiveSource implements SceneSource {
   // ------------------------------------------------------------------------------------------------------------ decoding
 
   private startDecoding(): void {
-    if (this.decoding || !this.scene || !this.arrivals.length) return;
+    if (this.decoding || !this.scene || !this.queue.length) return;
     this.decoding = true;
     soon(() => {
       this.decoding = false;
@@ -434,14 +446,14 @@ export class LiveSource implements SceneSource {
   private decodeSome(): void {
     const { scene } = this;
     if (!scene) return;
-    const batch = this.arrivals.take(scene.ready);
+    const batch = this.queue.take(scene.ready);
     if (!batch.length) return;
     const tiles = batch.filter((event) => event.type === "tile").map(({ message, payload }) =>
       arrivalOf(message.frame, message.tile, message.from_lod, splitLayers(message.sizes, payload)));
     if (tiles.length) this.meter.decodeErrors += scene.add(tiles).length;
     for (const event of batch) this.decodeOther(scene, event);
     this.session.reportEvictions(scene.store.takeDropped());
-    while (this.held.length && this.arrivals.undecodedBytes <= MAX_UNDECODED_BYTES) this.take(this.held.shift()!);
+    while (this.unread.length && this.queue.undecodedBytes <= MAX_UNDECODED_BYTES) this.take(this.unread.shift()!);
     this.wake();
   }
 
@@ -481,7 +493,7 @@ export class LiveSource implements SceneSource {
 
   /** The viewer jumped where nothing is held: what comes until the server has heard of it is of the time before. */
   private forget(frame: number): void {
-    this.arrivals.clear();
+    this.queue.clear();
     this.scene?.reset(frame);
     if (this.session.state === "open") this.restartsDue += 1;
     else this.listen({ type: "flushed" });

@@ -38,6 +38,7 @@ export class RemoteSource implements SceneSource {
   private asked = 0;
   private info: SceneInfo | undefined;
   private keptGof: number | undefined;
+  private failure: string | undefined;
   private listen: (event: SourceEvent) => void = () => {};
 
   constructor(port: Port) {
@@ -48,6 +49,7 @@ export class RemoteSource implements SceneSource {
 
   connect(url: string, options: ConnectOptions, listen: (event: SourceEvent) => void): void {
     this.listen = listen;
+    if (this.failure !== undefined) return this.broken(this.failure);
     this.port.postMessage({ ask: "connect", url, options });
   }
 
@@ -97,6 +99,7 @@ export class RemoteSource implements SceneSource {
   }
 
   private broken(message: string): void {
+    this.failure = message;
     for (const { reject } of this.waiting.values()) reject(new Error(message));
     this.waiting.clear();
     this.listen({ type: "error", error: { code: "worker", message, fatal: true } });

@@ -7,7 +7,7 @@ import type { Manifest } from "../decode/manifest.ts";
 import { decodeIds } from "../decode/packing.ts";
 import { SH_REST_OF_DEGREE } from "../decode/splats.ts";
 import type { Camera, FrameRequest, FrameUpdate, Patch } from "../seam.ts";
-import type { GofStore } from "../store/gofStore.ts";
+import type { GofBuffer } from "../store/gofBuffer.ts";
 import type { Arrival } from "../store/gofTiles.ts";
 import { LateOpener } from "../store/opener.ts";
 import { type Committed, TileStore } from "../store/tileStore.ts";
@@ -116,14 +116,14 @@ export class SceneStore {
     };
   }
 
-  private committed(frame: number, basis: number | undefined): [GofStore, Committed] {
+  private committed(frame: number, basis: number | undefined): [GofBuffer, Committed] {
     const [store, committed] = this.store.commit(frame, basis);
     if (committed.fresh) this.changes.clear();
     this.changes.committed(basis ?? this.mark + 1, committed.rows);
     return [store, committed];
   }
 
-  private patches(store: GofStore, committed: Committed): Patch[] {
+  private patches(store: GofBuffer, committed: Committed): Patch[] {
     const { buffer } = store;
     if (committed.fresh) {
       this.scene += 1;
@@ -136,7 +136,7 @@ export class SceneStore {
     return patches;
   }
 
-  private patch({ buffer }: GofStore, rows: Int32Array, all: boolean): Patch {
+  private patch({ buffer }: GofBuffer, rows: Int32Array, all: boolean): Patch {
     const { words, width } = buffer.packed(rows, all);
     if (all) this.shDegree = Math.max(this.shDegree, heldBand(words, rows.length, width));
     return { motion: true, looks: all, colour: all, rows: rows.length, width, words };

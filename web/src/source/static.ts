@@ -9,7 +9,7 @@ import {
   type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type LinkState, nowUs, type PlayState, type PoseSample,
   type SceneSource, type SourceEvent,
 } from "../seam.ts";
-import { viewCone } from "../store/gofStore.ts";
+import { viewCone } from "../store/gofBuffer.ts";
 import { arrivalOf } from "../store/tileStore.ts";
 import { type FrameEntry, readIndex, type TileEntry } from "./bundleIndex.ts";
 import { baseWishes, batch, type Range, ranges, refinements, type Wish } from "./plan.ts";

@@ -9,11 +9,11 @@ import { DecodeError } from "../bytes/errors.ts";
 import type { AnyTile } from "../decode/codec.ts";
 import { LEVELS, MOTION_VERSION, MotionTile, readLooks } from "../motion/chunk.ts";
 import type { HeldTile } from "../wire/messages.ts";
-import { type AnyHeld, HeldLooks, HeldMotion, HeldUpdate, Motions, type Sphere, type Staged, toStage } from "./held.ts";
+import { type StoredTile, StoredLooks, StoredMotion, StoredUpdate, Motions, type Sphere, type Staged, toStage } from "./storedTiles.ts";
 import { frameOf, type Key, looksKey, named, tileOf } from "./keys.ts";
 import type { Opener } from "./opener.ts";
 import { Versions } from "./versions.ts";
-import { type Layer, WaitingLayers } from "./waiting.ts";
+import { type Layer, WaitingLayers } from "./reorderBuffer.ts";
 
 const MAX_LATE_BYTES = 8 << 20;
 const MAX_TILES_PER_GOF = 1 << 17;
@@ -46,20 +46,20 @@ export class GofTiles {
   /** Whether earlier frames of the group can be shown again from what is held. */
   keeps = true;
   private readonly options: GofTilesOptions;
-  private readonly tiles = new Map<Key, AnyHeld | null>(); // null: nothing of it is shown any more, and it is not kept
+  private readonly tiles = new Map<Key, StoredTile | null>(); // null: nothing of it is shown any more, and it is not kept
   private readonly motions = new Motions();
   private readonly late = new Map<Key, { mark: number; lod: number; payload: Uint8Array }[]>();
-  private readonly replay = new Map<Key, AnyHeld>();
+  private readonly replay = new Map<Key, StoredTile>();
   private keptSplats = 0;
   private lateBytes = 0;
   private motionBytes = 0;
   private updatedSplats = 0;
   private readonly waiting = new WaitingLayers();
   private dropped: HeldTile[] = [];
-  private readonly touched = new Map<Key, AnyHeld>();
+  private readonly touched = new Map<Key, StoredTile>();
   private errors: DecodeError[] = [];
   private readonly staged = new Map<Key, Staged[]>(); // a tile's in the order of marks
-  private readonly several = new Map<Key, AnyHeld>(); // of which versions may be over
+  private readonly several = new Map<Key, StoredTile>(); // of which versions may be over
   private horizon = -1;
   private basis = Infinity; // of what is shown
   private floor = -Infinity; // no mark before it is asked for any more
@@ -100,7 +100,7 @@ export class GofTiles {
   resumed(inventory: ReadonlyMap<Key, number> | undefined): GofTiles {
     const other = new GofTiles({ ...this.options, mark: this.mark });
     other.horizon = this.horizon;
-    const moving: HeldMotion[] = [];
+    const moving: StoredMotion[] = [];
     const levels = new Map<Key, number>();
     for (const key of [...this.tiles.keys()].sort((a, b) => a - b)) {
       const held = this.tiles.get(key);
@@ -111,7 +111,7 @@ export class GofTiles {
       else if (held.kind === "motion") moving.push(held);
       else {
         const state = held.versions.newest;
-        const update = new HeldUpdate(key, new Versions(state.reduced(Math.min(lods!, state.lod + 1)), this.mark));
+        const update = new StoredUpdate(key, new Versions(state.reduced(Math.min(lods!, state.lod + 1)), this.mark));
         other.replay.set(key, other.takeUpdate(update));
       }
     }
@@ -123,12 +123,12 @@ export class GofTiles {
     return other;
   }
 
-  private handOverLooks(held: HeldLooks, lods: number, other: GofTiles): void {
+  private handOverLooks(held: StoredLooks, lods: number, other: GofTiles): void {
     const state = held.versions.newest.fork();
     const late = lods > held.lods ? (this.late.get(held.key) ?? []) : [];
     for (const { lod, payload } of late) forgiven(() => void state.addLayer(lod, payload));
     const reduced = state.reduced(Math.min(lods, state.lod + 1));
-    const taken = new HeldLooks(held.key, held.sphere, new Versions(reduced, this.mark));
+    const taken = new StoredLooks(held.key, held.sphere, new Versions(reduced, this.mark));
     other.tiles.set(held.key, taken);
     other.replay.set(held.key, taken);
   }
@@ -149,7 +149,7 @@ export class GofTiles {
     for (const { lod, payload } of layers) if (lod > 0 && this.addLayer(held, lod, payload)) this.touched.set(key, held);
   }
 
-  private addLayer(held: AnyHeld, lod: number, payload: Uint8Array): boolean {
+  private addLayer(held: StoredTile, lod: number, payload: Uint8Array): boolean {
     const { versions } = held;
     let changed = false;
     try {
@@ -185,14 +185,14 @@ export class GofTiles {
   }
 
   /** A tile that is new; undefined where what it moves is not kept. Raises {@link DecodeError}. */
-  private take(key: Key, payload: Uint8Array, tile: AnyTile): AnyHeld | undefined {
+  private take(key: Key, payload: Uint8Array, tile: AnyTile): StoredTile | undefined {
     if (this.tiles.size >= MAX_TILES_PER_GOF) {
       throw new DecodeError(`${named(key)}: the group already has ${MAX_TILES_PER_GOF} tiles`);
     }
     if (tile.kind === "motion") return this.takeMotion(key, payload, tile);
     this.checkIds(tile.ids, named(key));
-    if (tile.kind === "update") return this.takeUpdate(new HeldUpdate(key, new Versions(tile, this.mark)));
-    const held = new HeldLooks(key, sphereOf(tile.means), new Versions(tile, this.mark));
+    if (tile.kind === "update") return this.takeUpdate(new StoredUpdate(key, new Versions(tile, this.mark)));
+    const held = new StoredLooks(key, sphereOf(tile.means), new Versions(tile, this.mark));
     this.tiles.set(key, held);
     this.bring(this.motions.come(key));
     return held;
@@ -207,7 +207,7 @@ export class GofTiles {
     }
   }
 
-  private takeMotion(key: Key, payload: Uint8Array, state: MotionTile): HeldMotion | undefined {
+  private takeMotion(key: Key, payload: Uint8Array, state: MotionTile): StoredMotion | undefined {
     const looksAt = looksKey(...state.looks);
     const looks = this.tiles.get(looksAt);
     if (looks === null) {
@@ -221,7 +221,7 @@ export class GofTiles {
     if (state.length !== looks.versions.newest.length) {
       throw new DecodeError(`${named(key)}: moves ${state.length} splats of ${which}, which has ${looks.versions.newest.length}`);
     }
-    const held = new HeldMotion(key, looksAt, new Versions(state, this.mark));
+    const held = new StoredMotion(key, looksAt, new Versions(state, this.mark));
     this.tiles.set(key, held);
     const before = this.motions.add(held);
     if (before) this.tiles.set(before.key, null);
@@ -229,7 +229,7 @@ export class GofTiles {
     return held;
   }
 
-  private takeUpdate(held: HeldUpdate): HeldUpdate {
+  private takeUpdate(held: StoredUpdate): StoredUpdate {
     this.tiles.set(held.key, held);
     this.updatedSplats += held.versions.newest.length;
     this.boundKept();
@@ -253,7 +253,7 @@ export class GofTiles {
     if (this.lateBytes > MAX_LATE_BYTES) this.stopKeeping();
   }
 
-  private keepMotion(held: HeldMotion, level: number, payload: Uint8Array): void {
+  private keepMotion(held: StoredMotion, level: number, payload: Uint8Array): void {
     if (held.payloads.has(level)) return;
     held.payloads.set(level, { since: this.mark, data: payload.slice() });
     this.motionBytes += payload.length;
@@ -261,7 +261,7 @@ export class GofTiles {
   }
 
   /** Of a tile of motion only what is decoded counts as held. */
-  private dropLevels(held: HeldMotion): void {
+  private dropLevels(held: StoredMotion): void {
     const decoded = held.versions?.newest.lod ?? 0;
     for (const [level, { data }] of [...held.payloads]) {
       if (level <= decoded) continue;
@@ -292,7 +292,7 @@ export class GofTiles {
 
   /** Touch what is to be replayed; of the motion that is shown only what counts there is decoded again. */
   private reopen(keys: readonly Key[]): void {
-    const motions: HeldMotion[] = [];
+    const motions: StoredMotion[] = [];
     for (const key of keys) {
       const held = this.replay.get(key)!;
       this.replay.delete(key);
@@ -306,7 +306,7 @@ export class GofTiles {
   }
 
   /** Whether a later chunk of the same looks is shown in its place. */
-  private isFollowed(held: HeldMotion): boolean {
+  private isFollowed(held: StoredMotion): boolean {
     const others = this.motions.of(held.looks);
     return others.some((other) => {
       const later = frameOf(held.key) < frameOf(other.key) && frameOf(other.key) <= this.horizon;
@@ -314,8 +314,8 @@ export class GofTiles {
     });
   }
 
-  private takeTouched(horizon: number): AnyHeld[] {
-    const out: AnyHeld[] = [];
+  private takeTouched(horizon: number): StoredTile[] {
+    const out: StoredTile[] = [];
     for (const [key, held] of [...this.touched]) {
       if (frameOf(key) > horizon) continue;
       this.touched.delete(key);
@@ -374,7 +374,7 @@ export class GofTiles {
     return this.motions.looks();
   }
 
-  private takeLate(held: HeldLooks): void {
+  private takeLate(held: StoredLooks): void {
     const late = this.late.get(held.key) ?? [];
     this.late.delete(held.key);
     for (const { mark, lod, payload } of late) {
@@ -386,7 +386,7 @@ export class GofTiles {
   }
 
   /** Nothing of a tile is shown any more: it is kept for a replay while there is room. Its motion, now past. */
-  replaced(held: HeldLooks): HeldMotion[] {
+  replaced(held: StoredLooks): StoredMotion[] {
     this.staged.delete(held.key);
     held.replaced = true;
     const past = this.motions.of(held.key);
@@ -398,24 +398,24 @@ export class GofTiles {
   }
 
   /** Later chunks of motion have followed these, each named by its looks and first frame: the tiles. */
-  past(chunks: readonly (readonly [Key, number])[]): HeldMotion[] {
+  past(chunks: readonly (readonly [Key, number])[]): StoredMotion[] {
     const past = chunks.map(([looks, start]) => this.motions.at(looks, start)).filter((held) => held !== undefined);
     for (const held of past) this.retire(held);
     return past;
   }
 
   /** Nothing of an update is shown any more, and nothing is kept. */
-  forget(update: HeldUpdate): void {
+  forget(update: StoredUpdate): void {
     this.giveUp(update);
   }
 
   /** Those that have been shown. */
-  updates(): HeldUpdate[] {
-    return [...this.tiles.values()].filter((held) => held?.kind === "update" && held.shownLod >= 0) as HeldUpdate[];
+  updates(): StoredUpdate[] {
+    return [...this.tiles.values()].filter((held) => held?.kind === "update" && held.shownLod >= 0) as StoredUpdate[];
   }
 
   /** The tile of looks `key`. */
-  looks(key: Key): HeldLooks | undefined {
+  looks(key: Key): StoredLooks | undefined {
     const held = this.tiles.get(key);
     return held?.kind === "looks" ? held : undefined;
   }
@@ -428,13 +428,13 @@ export class GofTiles {
   }
 
   /** A tile of motion is past, or nothing is left of what it moves: only its payloads stay. */
-  private retire(held: HeldMotion): void {
+  private retire(held: StoredMotion): void {
     held.versions = undefined;
     this.staged.delete(held.key);
     if (!this.keeps) this.giveUp(held);
   }
 
-  private giveUp(held: AnyHeld): void {
+  private giveUp(held: StoredTile): void {
     this.tiles.set(held.key, null);
     if (held.kind === "motion") this.motions.discard(held);
   }

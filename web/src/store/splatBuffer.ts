@@ -7,7 +7,7 @@ import { SH_REST_OF_DEGREE, type Splats, WIDTHS } from "../decode/splats.ts";
 import { UPDATE_COLUMNS, type UpdateColumn, type UpdateValues } from "../decode/updates.ts";
 import { ABSENT_LOGIT, endOf, endsAll, moveRows, MovingTile } from "../motion/apply.ts";
 import type { Chunk } from "../motion/chunk.ts";
-import type { HeldLooks } from "./held.ts";
+import type { StoredLooks } from "./storedTiles.ts";
 import { type Key, tileOf } from "./keys.ts";
 
 const MOVING = ["means", "quats", "logit_opacities"] as const;
@@ -39,7 +39,7 @@ class Motion {
   }
 
   /** The tile at `time`; made anew only where something else than the time has changed. */
-  tileAt(kernels: Kernels, start: number, time: number, held: HeldLooks): MovingTile {
+  tileAt(kernels: Kernels, start: number, time: number, held: StoredLooks): MovingTile {
     const { chunk } = this.chunks.get(start)!;
     const { tile } = this;
     if (!tile || tile.chunk !== chunk || tile.rows !== held.rows || tile.steps !== held.steps) {
@@ -61,10 +61,10 @@ export class SplatBuffer {
   readonly capacity: number;
   readonly shCount: number;
   /** Every tile of looks that was added, by its index. */
-  readonly slots: HeldLooks[] = [];
+  readonly slots: StoredLooks[] = [];
   private readonly kernels: Kernels;
-  private readonly onReplaced: (slot: HeldLooks) => void;
-  private readonly byKey = new Map<Key, HeldLooks>();
+  private readonly onReplaced: (slot: StoredLooks) => void;
+  private readonly byKey = new Map<Key, StoredLooks>();
   private readonly motions = new Map<Key, Motion>();
   private columns: Record<ColumnName, number> | undefined;
   private still: Record<Moving, number> | undefined;
@@ -74,7 +74,7 @@ export class SplatBuffer {
   private updated!: Record<UpdateColumn, Int32Array>;
 
   /** `onReplaced` hears of each tile of which nothing is shown any more. */
-  constructor(kernels: Kernels, capacity: number, shDegree: number, onReplaced: (slot: HeldLooks) => void) {
+  constructor(kernels: Kernels, capacity: number, shDegree: number, onReplaced: (slot: StoredLooks) => void) {
     this.kernels = kernels;
     this.capacity = capacity;
     this.shCount = SH_REST_OF_DEGREE[shDegree]!;
@@ -118,7 +118,7 @@ export class SplatBuffer {
   }
 
   /** Take a tile of looks in, before anything of it is written; its index is the number of those before it. */
-  add(slot: HeldLooks): void {
+  add(slot: StoredLooks): void {
     this.slots.push(slot);
     this.byKey.set(slot.key, slot);
   }
@@ -174,7 +174,7 @@ export class SplatBuffer {
   }
 
   /** Show a tile of looks at `lod`: `splats` [n] by `ids` [n]. The ids of those that are its to show. */
-  write(slot: HeldLooks, lod: number, ids: Int32Array, splats: Splats): Int32Array {
+  write(slot: StoredLooks, lod: number, ids: Int32Array, splats: Splats): Int32Array {
     this.made();
     slot.ids = ids;
     slot.rows = undefined;
@@ -200,7 +200,7 @@ export class SplatBuffer {
   }
 
   /** Whether a row is of an older frame, or of a later tile of the frame of `slot`. */
-  private yields(slot: HeldLooks, id: number): boolean {
+  private yields(slot: StoredLooks, id: number): boolean {
     const source = this.sources[id]!;
     if (source < slot.frame) return this.removedAt[id]! <= slot.frame;
     const owner = this.owners![id]!;
@@ -208,7 +208,7 @@ export class SplatBuffer {
   }
 
   /** Looks of `slot`; what updates of its frame and of later ones changed stays. */
-  private put(slot: HeldLooks, rows: Int32Array, chosen: readonly number[], splats: Splats): void {
+  private put(slot: StoredLooks, rows: Int32Array, chosen: readonly number[], splats: Splats): void {
     const moving = this.touch(slot);
     for (const name of COLUMNS) {
       const [target, width, values] = [this.column(name), this.width(name), splats[name]];
@@ -228,7 +228,7 @@ export class SplatBuffer {
   }
 
   /** Something of `slot` changed; whether it is for {@link move} to show its moving columns. */
-  private touch(slot: HeldLooks): boolean {
+  private touch(slot: StoredLooks): boolean {
     const motion = this.motions.get(slot.key);
     if (!motion) return false;
     motion.dirty = true;

@@ -1,9 +1,9 @@
-/** What is held of a scene: a {@link GofStore} a group of frames; as `cags_common.store.tile_store`. */
+/** What is held of a scene: a {@link GofBuffer} a group of frames; as `cags_common.store.tile_store`. */
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import type { Opener } from "./opener.ts";
 import { gofOf, gofRange, type Manifest } from "../decode/manifest.ts";
 import type { HeldTile } from "../wire/messages.ts";
-import { type Changes, GofStore } from "./gofStore.ts";
+import { type Changes, GofBuffer } from "./gofBuffer.ts";
 import type { Arrival } from "./gofTiles.ts";
 import { frameOf, type Key, keyOf } from "./keys.ts";
 
@@ -22,9 +22,9 @@ const NONE = new Int32Array(0);
 export class TileStore {
   private readonly manifest: Manifest;
   private readonly codec: Opener;
-  private gofs = new Map<number, GofStore>();
-  private readonly alive = new Set<GofStore>();
-  private shown: GofStore | undefined;
+  private gofs = new Map<number, GofBuffer>();
+  private readonly alive = new Set<GofBuffer>();
+  private shown: GofBuffer | undefined;
   private oldest = 0;
   private newestMark = 0;
 
@@ -38,7 +38,7 @@ export class TileStore {
   /** Take layers of tiles; those of groups that are past are ignored. What is wrong with those that are left out. */
   add(arrivals: readonly Arrival[]): DecodeError[] {
     const errors: DecodeError[] = [];
-    const byStore = new Map<GofStore, Arrival[]>();
+    const byStore = new Map<GofBuffer, Arrival[]>();
     for (const arrival of arrivals) {
       try {
         const store = this.store(frameOf(arrival.key));
@@ -99,12 +99,12 @@ export class TileStore {
 
   /** Make what came up to mark `basis` (undefined: everything) for `frame` visible. While nothing of its group is whole,
    * the group before stays on display as of its last frame. */
-  commit(frame: number, basis?: number): [GofStore, Committed] {
+  commit(frame: number, basis?: number): [GofBuffer, Committed] {
     const gof = this.checkedGof(frame);
-    const made = new Map<GofStore, Changes>();
+    const made = new Map<GofBuffer, Changes>();
     const wanted = this.store(frame);
     if (!wanted) throw new RangeError(`frame ${frame} is past: a jump back begins with a reset`);
-    let begun: GofStore | undefined;
+    let begun: GofBuffer | undefined;
     for (const number of [...this.gofs.keys()].filter((n) => n <= gof).sort((a, b) => b - a)) {
       const store = this.gofs.get(number)!;
       made.set(store, store.commit(Math.min(frame, gofRange(this.manifest, number)[1] - 1), basis));
@@ -123,7 +123,7 @@ export class TileStore {
 
   /** Show the splats on display where they are `share` frames after `frame`, the last that was committed; undefined where
    * another is. */
-  move(frame: number, share: number): [GofStore, Committed] | undefined {
+  move(frame: number, share: number): [GofBuffer, Committed] | undefined {
     const store = this.shown;
     if (!store || store.shownFrame !== frame) return undefined;
     const moved = store.move(frame + share);
@@ -137,7 +137,7 @@ export class TileStore {
 
   // ------------------------------------------------------------------------------------------------------------ figures
 
-  get onDisplay(): GofStore | undefined {
+  get onDisplay(): GofBuffer | undefined {
     return this.shown;
   }
 
@@ -180,15 +180,15 @@ export class TileStore {
     }
   }
 
-  private store(frame: number): GofStore | undefined {
+  private store(frame: number): GofBuffer | undefined {
     const gof = this.checkedGof(frame);
     if (gof < this.oldest) return undefined;
     let store = this.gofs.get(gof);
-    if (!store) this.gofs.set(gof, (store = this.living(new GofStore(this.manifest, gof, this.codec, this.newestMark))));
+    if (!store) this.gofs.set(gof, (store = this.living(new GofBuffer(this.manifest, gof, this.codec, this.newestMark))));
     return store;
   }
 
-  private living(store: GofStore): GofStore {
+  private living(store: GofBuffer): GofBuffer {
     this.alive.add(store);
     return store;
   }

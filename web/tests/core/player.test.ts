@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import type { Renderer } from "../../src/gpu/renderer.ts";
 import { Player } from "../../src/player/player.ts";
-import { type FrameRequest, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type SceneInfo, type SceneSource } from "../../src/seam.ts";
+import { type FrameRequest, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type Reference, type SceneInfo, type SceneSource } from "../../src/seam.ts";
 
 const FPS = 100;
 const FRAMES = 60;
@@ -39,12 +39,18 @@ class Page {
   readonly source = new Source();
   readonly player: Player;
   readonly seen: number[] = [];
-  constructor(waits: boolean, prepared: Promise<unknown> = Promise.resolve()) {
-    const renderer = { prepared, gpu: { lost: false }, update: () => {}, draw: () => Promise.resolve({ gpuMs: 0 }) } as unknown as Renderer;
+  constructor(waits: boolean, prepared: Promise<unknown> = Promise.resolve(), made: Promise<void> = Promise.resolve()) {
+    const renderer = made.then(
+      () => ({ prepared, gpu: { lost: false }, update: () => {}, draw: () => Promise.resolve({ gpuMs: 0 }) }) as unknown as Renderer,
+    );
     const options = { startFrame: 0, playing: true, loop: false, adaptResolution: false, exactness: "fast", correct: true } as const;
     const events = { changed: () => {}, info: () => {}, failed: (error: unknown) => assert.fail(JSON.stringify(error)), notice: () => {} };
     this.player = new Player(this.source, renderer, () => ({ pose: POSE, intrinsics: INTRINSICS }), options, events);
     this.player.handle({ type: "info", info: { ...INFO, waits } as unknown as SceneInfo });
+  }
+
+  get actions(): string[] {
+    return this.source.told.map(({ action }) => action);
   }
 
   whole(...frames: number[]): void {
@@ -107,14 +113,82 @@ test("pausing and seeking while data is waited for", async () => {
   assert.equal(page.player.stalls, 1);
 });
 
-test("nothing is played before the shaders are there", async () => {
-  let ready = (): void => {};
-  const page = new Page(false, new Promise<void>((resolve) => (ready = resolve)));
+test("nothing is drawn before there is a device with its shaders, and the server refines the first frame meanwhile", async () => {
+  let made = (): void => {};
+  let prepared = (): void => {};
+  const page = new Page(
+    false,
+    new Promise<void>((resolve) => (prepared = resolve)),
+    new Promise<void>((resolve) => (made = resolve)),
+  );
   page.whole(0);
-  page.player.step();
-  await sleep(5);
-  assert.deepEqual([page.source.told.length, page.source.asked.length], [0, 0]);
-  ready();
+  for (const step of [() => {}, made, () => {}]) {
+    step();
+    page.player.step();
+    await sleep(5);
+    assert.deepEqual([page.actions, page.source.asked.length], [["pause"], 0]);
+  }
+  prepared();
   await page.until("a picture", () => page.player.shown !== null);
-  assert.deepEqual(page.source.told.map(({ action }) => action), ["play"]);
+  await page.until("the play", () => page.actions.length > 1);
+  assert.deepEqual(page.actions, ["pause", "play"]);
+});
+
+test("the first frame is held, and seen, until a quarter of a second brings nothing more", async () => {
+  const page = new Page(false);
+  const begun = nowUs();
+  page.whole(0);
+  await page.until("a picture of what is held", () => page.player.shown !== null);
+  let newest = 0;
+  while (nowUs() - begun < 300_000) {
+    page.player.handle({ type: "arrived", atUs: (newest = nowUs()) });
+    page.player.step();
+    await sleep(20);
+  }
+  assert.deepEqual(page.actions, ["pause"], "more comes still");
+  assert.ok(page.source.asked.length > 1, "and is shown");
+  assert.ok(page.source.asked.every(({ frame }) => frame === 0));
+  await page.until("the play", () => page.actions.length > 1);
+  const { action, frame, atUs } = page.source.told[1]!;
+  assert.deepEqual([action, frame], ["play", 0]);
+  assert.ok(atUs - 250_000 >= newest + 250_000 && atUs - 250_000 < begun + 2e6);
+});
+
+test("the first frame is held no longer than it may be, and not at all for a viewer who does not play", async () => {
+  const page = new Page(false);
+  const begun = nowUs();
+  page.whole(0);
+  await page.until("the play", () => {
+    page.player.handle({ type: "arrived", atUs: nowUs() });
+    return page.actions.length > 1;
+  });
+  const heldUs = page.source.told[1]!.atUs - 250_000 - begun;
+  assert.ok(heldUs >= 700_000 && heldUs < 2e6, `${heldUs} us`);
+
+  const paused = new Page(false);
+  paused.player.pause();
+  paused.whole(0);
+  await paused.until("its beginning", () => paused.actions.length > 1);
+  assert.deepEqual(paused.actions, ["pause", "pause"]);
+  assert.ok(!paused.player.waiting);
+});
+
+test("the reference that greets is seen while the first frame is held, and forgotten when it is played", async () => {
+  const page = new Page(false);
+  const greeting = { frame: 0, seq: 0, order: 1, connection: 1, kind: "nothing", basis: 4, data: new Uint8Array(0) };
+  page.player.handle({ type: "reference", reference: greeting as unknown as Reference });
+  page.whole(0);
+  await page.until("a picture", () => page.player.shown !== null);
+  assert.equal(page.source.asked.at(-1)!.basis, 4);
+  const held = page.source.asked.length;
+  await page.until("the play", () => page.source.asked.length > held && page.actions.includes("play"));
+  await page.until("its first frame", () => page.source.asked.at(-1)!.basis === undefined);
+  assert.equal(page.source.asked.at(-1)!.frame, 0);
+});
+
+test("nothing is held of a scene that nobody refines", async () => {
+  const page = new Page(true);
+  page.whole(0);
+  await page.until("the play", () => page.actions.length > 0);
+  assert.deepEqual(page.actions, ["play"]);
 });

@@ -32,3 +32,15 @@ test("a reference of a frame that was skipped holds nothing back, nor half a cli
   references.add(silent(1, 1, 4), null);
   for (let frame = 2; frame < 3 * CLIP; frame += 2) assert.equal(references.basisAt(frame % CLIP, undefined, CLIP), 9);
 });
+
+test("references that greeted are forgotten, decoded late too; those after them stay", () => {
+  const references = new References<string>();
+  for (const [frame, order] of [[0, 1], [3, 2]] as const) references.add(silent(frame, order, 4), `of ${frame}`);
+  references.reset(1);
+  references.add(silent(1, 1, 4), "late");
+  assert.equal(references.newest(2, 10), undefined);
+  assert.equal(references.newest(4, 10)?.picture, "of 3");
+  references.reset();
+  references.add(silent(5, 3, 4), "of 5");
+  assert.deepEqual([references.newest(4, 10), references.newest(6, 10)?.picture], [undefined, "of 5"]);
+});

@@ -5,7 +5,7 @@ import { DecodeError } from "../../src/bytes/errors.ts";
 import { TileCodec } from "../../src/decode/codec.ts";
 import { readManifest } from "../../src/decode/manifest.ts";
 import type { Camera } from "../../src/seam.ts";
-import type { GofStore } from "../../src/store/gofStore.ts";
+import type { GofBuffer } from "../../src/store/gofBuffer.ts";
 import { arrivalOf, type Committed, TileStore } from "../../src/store/tileStore.ts";
 import { draco, fromBase64, kernels, vectors } from "./vectors.ts";
 
@@ -31,7 +31,7 @@ function bytes(array: Float32Array): Uint8Array {
   return new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
 }
 
-function shown(store: TileStore, gof: GofStore, committed: Committed): Record<string, unknown> {
+function shown(store: TileStore, gof: GofBuffer, committed: Committed): Record<string, unknown> {
   const mean = gof.lodMean(CAMERA);
   return {
     columns: Object.fromEntries(COLUMNS.map((name) => [name, crc32(bytes(gof.buffer.column(name)))])),

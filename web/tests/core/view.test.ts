@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import test from "node:test";
-import { readManifest } from "../../src/decode/manifest.ts";
+import { readManifest, sceneInfo } from "../../src/decode/manifest.ts";
 import { savedView, titleOf } from "../../src/page/author.ts";
 import { placeOf } from "../../src/page/place.ts";
 import { ViewCamera } from "../../src/player/camera.ts";
@@ -43,7 +43,7 @@ test("what the page saves is what a manifest takes, and gives the same view agai
     camera.home(...tangents);
     camera.turn(0.7, 0.2);
     camera.dolly(0.8);
-    const saved = JSON.parse(savedView(first, camera, ...tangents)) as Record<string, unknown>;
+    const saved = JSON.parse(savedView(sceneInfo(first, false), camera, ...tangents)) as Record<string, unknown>;
     const scene = read({ ...bare, view: saved });
     assert.equal(titleOf(scene), "clip");
     assert.equal(scene.view.background, "#102030");

@@ -1,6 +1,6 @@
 /**
  * What is held of one group of frames; as `cags_common.store.gof_buffer`. Tiles are decoded when they arrive;
- * {@link GofStore.commit} makes them visible, all of a frame's at once. What is shown depends on what came up to a mark
+ * {@link GofBuffer.commit} makes them visible, all of a frame's at once. What is shown depends on what came up to a mark
  * and on the frame alone.
  */
 import type { DecodeError } from "../bytes/errors.ts";
@@ -11,7 +11,7 @@ import type { Camera } from "../seam.ts";
 import type { HeldTile } from "../wire/messages.ts";
 import { fovRad, worldToCamera } from "../wire/geometry.ts";
 import { type Arrival, GofTiles } from "./gofTiles.ts";
-import type { HeldLooks, HeldMotion, HeldUpdate, Staged } from "./held.ts";
+import type { StoredLooks, StoredMotion, StoredUpdate, Staged } from "./storedTiles.ts";
 import { frameOf, type Key } from "./keys.ts";
 import { SplatBuffer } from "./splatBuffer.ts";
 
@@ -28,7 +28,7 @@ interface End {
   readonly removed: Int32Array;
 }
 
-export class GofStore {
+export class GofBuffer {
   /** Whether the end of the frame on display had come when it was committed. */
   whole = false;
   /** Whether looks of any frame up to the one on display have been shown. */
@@ -38,8 +38,8 @@ export class GofStore {
   private readonly gof: number;
   private readonly codec: Opener;
   private tiles: GofTiles;
-  private readonly shown: HeldLooks[] = [];
-  private readonly coarse = new Map<Key, HeldMotion | HeldUpdate>(); // shown below its highest level
+  private readonly shown: StoredLooks[] = [];
+  private readonly coarse = new Map<Key, StoredMotion | StoredUpdate>(); // shown below its highest level
   private frame = -1;
   private horizon = -1;
   private rewound = false;
@@ -63,8 +63,8 @@ export class GofStore {
   }
 
   /** Another store, of so many LoDs of each tile (undefined: of what {@link held} says), without ends of frames. */
-  resumed(inventory: ReadonlyMap<Key, number> | undefined): GofStore {
-    const other = new GofStore(this.manifest, this.gof, this.codec, this.tiles.mark);
+  resumed(inventory: ReadonlyMap<Key, number> | undefined): GofBuffer {
+    const other = new GofBuffer(this.manifest, this.gof, this.codec, this.tiles.mark);
     other.tiles = this.tiles.resumed(inventory);
     return other;
   }
@@ -147,7 +147,7 @@ export class GofStore {
     return rows;
   }
 
-  private showLooks({ held, lod, ids, splats, steps }: Extract<Staged, { held: HeldLooks }>): Int32Array {
+  private showLooks({ held, lod, ids, splats, steps }: Extract<Staged, { held: StoredLooks }>): Int32Array {
     held.steps = steps;
     this.begun ||= ids.length > 0;
     if (held.index < 0) {
@@ -184,7 +184,7 @@ export class GofStore {
   }
 
   /** Nothing of a tile is shown any more. */
-  private onReplaced(slot: HeldLooks): void {
+  private onReplaced(slot: StoredLooks): void {
     if (slot.replaced) return;
     this.buffer.dropMotion(slot.key);
     for (const held of this.tiles.replaced(slot)) this.coarse.delete(held.key);
@@ -230,7 +230,7 @@ export class GofStore {
   }
 
   /** Whether `held` makes anything that is shown what it is. */
-  private counts(held: HeldMotion | HeldUpdate): boolean {
+  private counts(held: StoredMotion | StoredUpdate): boolean {
     if (held.kind === "update") return this.buffer.uses(frameOf(held.key), held.idsOf, true);
     const looks = this.tiles.looks(held.looks);
     return looks !== undefined && looks.onDisplay && this.buffer.moves(held.looks) === frameOf(held.key);

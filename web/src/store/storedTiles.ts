@@ -11,7 +11,7 @@ import { type Version, Versions } from "./versions.ts";
 export type Sphere = readonly [number, number, number, number];
 
 /** One tile of looks: what is decoded of it, which rows it brought, and how many of them it still owns. */
-export class HeldLooks {
+export class StoredLooks {
   readonly kind = "looks";
   readonly key: Key;
   readonly frame: number;
@@ -52,7 +52,7 @@ export interface KeptPayload {
 }
 
 /** One tile of motion: its payloads, and what is decoded of them (undefined once it is past). */
-export class HeldMotion {
+export class StoredMotion {
   readonly kind = "motion";
   readonly key: Key;
   readonly looks: Key;
@@ -90,7 +90,7 @@ export class HeldMotion {
 }
 
 /** One update: what is decoded of it. */
-export class HeldUpdate {
+export class StoredUpdate {
   readonly kind = "update";
   readonly key: Key;
   readonly versions: Versions<UpdateTile>;
@@ -108,17 +108,17 @@ export class HeldUpdate {
   }
 }
 
-export type AnyHeld = HeldLooks | HeldMotion | HeldUpdate;
+export type StoredTile = StoredLooks | StoredMotion | StoredUpdate;
 
 /** A tile that the display may show, at the levels that there were before the mark after `since`. */
 export type Staged = { readonly since: number; readonly lod: number } & (
-  | { readonly held: HeldLooks; readonly ids: Int32Array; readonly splats: Splats; readonly steps: Steps | undefined }
-  | { readonly held: HeldUpdate; readonly values: UpdateValues }
-  | { readonly held: HeldMotion; readonly chunk: Chunk }
+  | { readonly held: StoredLooks; readonly ids: Int32Array; readonly splats: Splats; readonly steps: Steps | undefined }
+  | { readonly held: StoredUpdate; readonly values: UpdateValues }
+  | { readonly held: StoredMotion; readonly chunk: Chunk }
 );
 
 /** What is to be staged of a tile, a version each; nothing of motion that is past. */
-export function toStage(held: AnyHeld): Staged[] {
+export function toStage(held: StoredTile): Staged[] {
   if (held.kind === "looks") return held.versions.fresh().map((version) => stagedLooks(held, version));
   if (held.kind === "update") {
     return held.versions.fresh().map((version) => {
@@ -132,7 +132,7 @@ export function toStage(held: AnyHeld): Staged[] {
   });
 }
 
-function stagedLooks(held: HeldLooks, version: Version<LooksTile>): Staged {
+function stagedLooks(held: StoredLooks, version: Version<LooksTile>): Staged {
   const state = version.handedOut();
   const splats = state.dequantise();
   return { held, since: version.since, lod: state.lod, ids: state.ids, splats, steps: state.steps };
@@ -140,12 +140,12 @@ function stagedLooks(held: HeldLooks, version: Version<LooksTile>): Staged {
 
 /** Tiles of motion by the looks that they move, and those that wait for their looks. */
 export class Motions {
-  private readonly of_ = new Map<Key, Map<number, HeldMotion>>();
+  private readonly of_ = new Map<Key, Map<number, StoredMotion>>();
   private readonly orphans = new Map<Key, Set<Key>>();
   private readonly looksOf = new Map<Key, Key>(); // of those that wait
 
   /** Take a tile in; the one of the same looks and frame that it takes the place of. */
-  add(held: HeldMotion): HeldMotion | undefined {
+  add(held: StoredMotion): StoredMotion | undefined {
     let of = this.of_.get(held.looks);
     if (!of) this.of_.set(held.looks, (of = new Map()));
     const before = of.get(frameOf(held.key));
@@ -153,18 +153,18 @@ export class Motions {
     return before;
   }
 
-  discard(held: HeldMotion): void {
+  discard(held: StoredMotion): void {
     const of = this.of_.get(held.looks);
     if (of?.get(frameOf(held.key)) === held) of.delete(frameOf(held.key));
   }
 
   /** All that move tile `looks`. */
-  of(looks: Key): HeldMotion[] {
+  of(looks: Key): StoredMotion[] {
     return [...(this.of_.get(looks)?.values() ?? [])];
   }
 
   /** The one that moves tile `looks` from media frame `start` on. */
-  at(looks: Key, start: number): HeldMotion | undefined {
+  at(looks: Key, start: number): StoredMotion | undefined {
     return this.of_.get(looks)?.get(start);
   }
 

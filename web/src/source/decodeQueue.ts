@@ -17,7 +17,7 @@ export const MAX_UNDECODED_BYTES = 32 << 20;
 const BATCH_EVENTS = 32;
 const BATCH_BYTES = 48 << 10;
 
-export class Arrivals {
+export class DecodeQueue {
   undecodedBytes = 0;
   private waiting: DataEvent[] = [];
 

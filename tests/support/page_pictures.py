@@ -1,0 +1,136 @@
+"""Pictures of the page for ``docs/images/web``: ``PYTHONPATH=tests python -m support.page_pictures SCENES OUT``.
+
+``SCENES`` is a folder of bundles, of which the first by name is played; names of pictures after ``OUT`` leave out the
+others. Pages are shown as they are at full detail, by a headless Chromium on a software adapter; there a screenshot
+lacks the canvas, which is therefore read out and put in its place.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cags_bench.web.browser import chromium
+from cags_common.bundle.reader import MANIFEST_NAME
+from support.web_page import Page, Server, served
+
+PHONE, WIDE, LANDSCAPE = (390, 780), (1120, 630), (780, 360)
+OPENED = "document.getElementById('inspect').click()"
+
+READ_OUT = """
+const done = arguments[0], canvas = document.getElementById("picture");
+window.cags.renderer.present();
+canvas.toBlob((blob) => {
+  const copy = new Image();
+  copy.onload = () => done();
+  copy.style.cssText = "position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain";
+  copy.src = URL.createObjectURL(blob);
+  canvas.after(copy);
+});
+"""
+DETAILED = "player?.shown && !player.waiting && player.shown.update.lodMean > 0.97 * (player.info.lods - 1)"
+"""What is in view is at its highest level."""
+
+LISTED = "document.images.length > 0 && [...document.images].every((each) => each.complete)"
+FAILED = "document.querySelector('#stage[data-failed]') !== null"
+ASKS = "!document.getElementById('token').hidden"
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture of the played scene; ``before`` is a script of the page."""
+
+    name: str
+    size: tuple[int, int]
+    theme: str
+    before: str = ""
+    phone: bool = False
+
+
+@dataclass(frozen=True)
+class Words:
+    """One picture of a page without a scene on it, at ``place``, once ``ready`` (an expression) holds."""
+
+    name: str
+    size: tuple[int, int]
+    theme: str
+    place: str
+    ready: str
+    webgpu: bool = True
+
+
+OPEN = (
+    Words("gallery-dark", WIDE, "dark", "", LISTED),
+    Words("gallery-narrow-light", PHONE, "light", "", LISTED),
+    Words("error-dark", WIDE, "dark", "?scene=nowhere", FAILED),
+    Words("unsupported-dark", WIDE, "dark", "?scene={scene}", FAILED, webgpu=False),
+    Shot("wide-dark", WIDE, "dark"),
+    Shot("inspector-dark", WIDE, "dark", OPENED),
+    Shot("inspector-light", WIDE, "light", OPENED),
+    Shot("narrow-dark", PHONE, "dark", phone=True),
+    Shot("narrow-light", PHONE, "light", phone=True),
+    Shot("narrow-inspector-dark", PHONE, "dark", OPENED, phone=True),
+    Shot("landscape-dark", LANDSCAPE, "dark", phone=True),
+)
+GUARDED = (Words("token-narrow-light", PHONE, "light", "?scene={scene}", ASKS),)
+SERVERS = ((("--accept-uploads", "--visible-px", "0"), OPEN), (("--token", "sesame"), GUARDED))
+
+
+class Pictures:
+    """Takes them, of one server."""
+
+    def __init__(self, server: Server, scene: str, out: Path) -> None:
+        self._server, self._scene, self._out = server, scene, out
+        out.mkdir(parents=True, exist_ok=True)
+
+    def take(self, wanted: Shot | Words) -> None:
+        """One picture, in a fresh browser."""
+        phone = wanted.size == PHONE or (isinstance(wanted, Shot) and wanted.phone)
+        webgpu = isinstance(wanted, Shot) or wanted.webgpu
+        width, height = wanted.size
+        with (
+            tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile,
+            chromium(
+                Path(profile), width=width, height=height, theme=wanted.theme, phone=phone, webgpu=webgpu
+            ) as browser,
+        ):
+            if not phone:  # else the window's own frame is counted in
+                metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+                browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+            if isinstance(wanted, Shot):
+                self._scene_in(browser, wanted)
+            else:
+                browser.get(self._server.url + wanted.place.format(scene=self._scene))
+                Page(browser).until(wanted.ready)
+            path = self._out / f"{wanted.name}.png"
+            browser.save_screenshot(str(path))
+            print(path, flush=True)
+
+    def _scene_in(self, browser: Any, shot: Shot) -> None:
+        """The played scene, paused at full detail."""
+        page = Page(browser)
+        pixels = "x".join(str(side) for side in shot.size)
+        browser.get(f"{self._server.url}?scene={self._scene}#paused&size={pixels}")
+        page.until(DETAILED)
+        page.do(shot.before)
+        page.until("player.status.rttMs !== undefined")
+        browser.execute_async_script(READ_OUT)
+
+
+def main(scenes: Path, out: Path, *only: str) -> None:
+    """Take all pictures, or those that are named."""
+    played = min(path.name for path in scenes.iterdir() if (path / MANIFEST_NAME).is_file())
+    for arguments, pages in SERVERS:
+        wanted = [page for page in pages if not only or page.name in only]
+        if not wanted:
+            continue
+        with tempfile.TemporaryDirectory() as work, served(scenes, Path(work), *arguments) as server:
+            for page in wanted:
+                Pictures(server, played, out).take(page)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:])
