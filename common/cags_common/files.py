@@ -25,7 +25,7 @@ class WholeFile:
             self.writing = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
 
     def keep(self) -> None:
-        """It is whole: it takes its place."""
+        """The file is complete: move it into place."""
         if self._target is not None:
             self.writing.replace(self._target)
 

@@ -93,7 +93,7 @@ class Situation:
     reference: bool
     """A reference is at hand that is not too old and says something."""
     picture: bool
-    """It is a picture of the scene."""
+    """That reference is a picture of the scene."""
     same_place: bool
     """The reference's camera stands where the client's does (whichever way they look)."""
     same_frame: bool

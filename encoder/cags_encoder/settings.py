@@ -83,7 +83,7 @@ class EncodeSettings:
 
 @dataclass(frozen=True)
 class CommandSettings(EncodeSettings):
-    """Those of the command: how it runs changes no byte of the bundle."""
+    """Settings of the command. How it runs changes no byte of the bundle."""
 
     workers: int | None = setting(None, "worker processes; one per core when not given", low=1, high=1024)
     scheduler: str | None = setting(

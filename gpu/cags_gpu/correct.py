@@ -106,7 +106,7 @@ class Frame:
     confidence: bool = False
     """Whether bytes hold it in the place of their alpha."""
     display: Camera | None = None
-    """Of the camera that this one is half of, where the picture is to be brought up to its size."""
+    """The display's camera, if this one has half its size and the picture is to be enlarged."""
 
     def __post_init__(self) -> None:
         check_camera(self.camera)

@@ -56,7 +56,7 @@ class AckSample:
     in_flight_bytes: int = 0
     queued_bytes: int = 0
     shortest_rtt_us: int = 0
-    """Of the last ten seconds: what the path takes without any queue."""
+    """Shortest of the last ten seconds: the path's delay without queueing."""
     received_us: int = 0
     """When the newest packet arrived, by the client's clock."""
 

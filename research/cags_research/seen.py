@@ -49,5 +49,5 @@ GENERATED = ("procedural", "synthetic", "generated", "motion")
 
 
 def unlisted(kind: str, specs: Iterable[str]) -> list[str]:
-    """Those of ``specs`` that the list does not have."""
+    """The ``specs`` that are not on the list."""
     return [spec for spec in specs if not uses(kind, spec)]

@@ -48,7 +48,7 @@ class FrameRecord:
     lacking: float = 0.0
     """Mean squared error of the client's splats seen from the reference camera, as far as they were compared."""
     left: float = 0.0
-    """Of that view once it is corrected."""
+    """The same after correction."""
     visible_tiles: int = 0
     upgrades: int = 0
     reference_late: bool = False

@@ -37,7 +37,7 @@ def wait_for(server_log: Path, word: str) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.faults
+@pytest.mark.siege
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signals_are_heeded_and_frames_drawn_on_a_stalled_link(
     bundle: Path, tmp_path: Path, number: signal.Signals
@@ -56,7 +56,7 @@ def test_signals_are_heeded_and_frames_drawn_on_a_stalled_link(
         process.send_signal(number)
         _, words = process.communicate(timeout=30)
         took_s = time.monotonic() - begun
-    assert took_s <= 3.0, "within a second, and some time for the interpreter to end on a busy machine"
+    assert took_s <= 1.5, "within a second, and some time for the interpreter to end"
     assert process.returncode == 128 + number, words
 
 

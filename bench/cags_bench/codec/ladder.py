@@ -46,7 +46,7 @@ class LadderSettings:
     repeats: int
     """Timed runs after a warm-up."""
     threads: int
-    """Of decoding."""
+    """Decoding threads."""
 
 
 def ladder(

@@ -37,7 +37,7 @@ class Referring:
 
     @property
     def camera(self) -> Camera:
-        """Of references."""
+        """Camera of references."""
         camera = self.moment.reference_camera
         return replace(camera, intrinsics=camera.intrinsics.resized(self._coder.width_px, self._coder.height_px))
 

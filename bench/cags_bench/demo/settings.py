@@ -56,7 +56,7 @@ class DemoBenchSettings:
 
     @property
     def part_list(self) -> list[str]:
-        """Of :data:`PARTS`."""
+        """Parts to run, of :data:`PARTS`."""
         names = [name.strip() for name in self.parts.split(",")]
         for name in names:
             if name not in PARTS:

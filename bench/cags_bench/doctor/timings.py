@@ -144,7 +144,7 @@ def _beside(pose: Pose) -> Pose:
 
 
 def _coding_ms(pictures: Sequence[tuple[F32, F32]], intrinsics: Intrinsics) -> float:
-    """Of the difference of a true and a client's view, of one pair after the other."""
+    """Time to code the difference between the true and the client's view, mean over the pairs."""
     from cags_protocol.wire.limits import PROTOCOL_VERSION
     from cags_protocol.wire.messages import Hello
     from cags_server.reference.coder import ReferenceCoder

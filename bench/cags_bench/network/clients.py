@@ -167,7 +167,7 @@ async def watch_all(url: str, intrinsics: Intrinsics, count: int) -> list[Headle
 
 
 def margins_us(client: HeadlessClient, arrived: dict[int, int], frames: int) -> list[int | None]:
-    """Of each frame: from its arrival to its display; None for what never came."""
+    """Time from each frame's arrival to its display; None for frames that never arrived."""
     if client.started_us is None:
         return [None] * frames
     return [client.due_us(f) - arrived[f] if f in arrived else None for f in range(frames)]

@@ -21,7 +21,7 @@ WARM_UP_US = 2_000_000
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Of one predictor at one horizon: one entry a prediction."""
+    """Errors of one predictor at one horizon, one entry per prediction."""
 
     angles_deg: np.ndarray
     distances_m: np.ndarray

@@ -50,7 +50,7 @@ class ReferenceBenchSettings:
 
     @property
     def method_list(self) -> list[str]:
-        """Of :data:`METHODS`."""
+        """Methods to compare, of :data:`METHODS`."""
         names = [name.strip() for name in self.methods.split(",")]
         for name in names:
             if name not in METHODS:

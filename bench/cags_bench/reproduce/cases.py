@@ -78,7 +78,7 @@ class Runner:
     """Folder of encoded bundles; empty: a folder of this very code's in the user's cache."""
     device: str = "auto"
     threads: int = 2
-    """Of one case; the results do not depend on it."""
+    """Threads of one case; results do not depend on it."""
     progress: bool = True
     """Whether encoding shows a bar."""
 

@@ -33,7 +33,7 @@ class Interval:
 
 
 def interval(values: Sequence[float]) -> Interval:
-    """Of the mean of independent ``values``; without bounds where there is but one."""
+    """Interval of the mean of independent ``values``; unbounded for a single value."""
     found = np.asarray(values, np.float64)
     if not len(found) or not np.isfinite(found).all():
         return Interval(math.nan, -math.inf, math.inf)
@@ -46,7 +46,7 @@ def interval(values: Sequence[float]) -> Interval:
 
 
 def paired(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
-    """Of the mean of ``ours`` less ``theirs``, frame by frame of the same walk, in blocks of :data:`BLOCK_FRAMES`.
+    """Interval of the mean of ``ours`` less ``theirs``, paired by frame of one walk, in blocks of :data:`BLOCK_FRAMES`.
 
     Frames of one play are no independent observations, blocks nearly are. The interval is that of this walk over this
     link: others differ by more.
@@ -57,7 +57,7 @@ def paired(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
 
 
 def pooled(differences: Sequence[Sequence[float]]) -> Interval:
-    """Of the mean over plays of paired differences, each a series of frames: blocks of all of them together."""
+    """Interval of the mean over plays of paired differences, each a series of frames; blocks are pooled."""
     return interval([value for series in differences for value in _blocks(np.asarray(series, np.float64))])
 
 

@@ -49,7 +49,7 @@ class Outcome:
 
     @property
     def share(self) -> float:
-        """Of the references due, those that were there in time."""
+        """Share of the references due that arrived in time."""
         return self.on_time / self.due if self.due else 1.0
 
 

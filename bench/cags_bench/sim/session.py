@@ -165,7 +165,7 @@ class _Simulation:
             raise self.player.error
 
     def result(self) -> SessionResult:
-        """Of a play that has ended."""
+        """Result of a play that has ended."""
         return SessionResult(self.frames, self._summary(), self.spent)
 
     def _connection(self, now_us: int) -> Connection:

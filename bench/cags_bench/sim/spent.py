@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class ReferenceCost:
-    """Of one reference, milliseconds of the processor: all threads of it, whoever else has the machine."""
+    """Processor time of one reference, over all its threads, milliseconds."""
 
     truth_ms: float
     """The scene's own splats drawn, with their contributions."""
@@ -26,7 +26,7 @@ class ReferenceCost:
 
     @property
     def total_ms(self) -> float:
-        """Of the processor."""
+        """Sum of all stages."""
         return self.truth_ms + self.mirror_ms + self.coding_ms
 
 
@@ -36,7 +36,7 @@ class Spent:
 
     references: list[ReferenceCost] = field(default_factory=list)
     decoding_ms: float = 0.0
-    """Of the client's processor, over the whole session."""
+    """Processor time of the client's decoding in the whole session."""
     presenting_ms: float = 0.0
     frames: int = 0
     """That were presented."""

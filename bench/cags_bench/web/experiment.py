@@ -67,7 +67,7 @@ class Truth:
         return np.asarray(np.floor(np.clip(rgb, 0, 1) * 255 + 0.5), np.uint8)
 
     def psnr(self, picture: Picture) -> float:
-        """Of all pixels, dB."""
+        """PSNR over all pixels, dB."""
         away = self.drawn(picture).astype(np.float64) - picture.pixels
         return float(10 * np.log10(255**2 / max(float(np.mean(away**2)), 1e-9)))
 

@@ -41,7 +41,7 @@ class WebBenchSettings:
 
     @property
     def source_list(self) -> list[str]:
-        """Of :data:`SOURCES`."""
+        """Sources to play, of :data:`SOURCES`."""
         names = [name.strip() for name in self.sources.split(",")]
         for name in names:
             if name not in SOURCES:

@@ -53,7 +53,7 @@ class StagedPictures:
 
     @classmethod
     def of(cls, view: RenderedView, rgb: F32 | None = None, confidence: F32 | None = None) -> StagedPictures:
-        """Those of ``view``, shown as ``rgb`` (None: as it is)."""
+        """The stages of rendering ``view``; ``rgb`` is what is shown (None: the view itself)."""
         return cls(view.rgb if rgb is None else rgb, view.rgb, view.alpha, view.depth, confidence)
 
     @property

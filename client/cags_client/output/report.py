@@ -50,7 +50,7 @@ def frame_stats(presented: PresentedFrame, action: Present, shown_us: int) -> di
 
 
 def _share(confidence: F32) -> float:
-    """Of the pixels [H, W] that the aligned reference says anything about: counted between two pictures, so quickly."""
+    """Share of pixels with any ``confidence`` [H, W]. Runs between two pictures, so it must be quick."""
     return cv2.countNonZero(confidence) / confidence.size
 
 

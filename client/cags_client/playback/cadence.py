@@ -32,7 +32,7 @@ STEADY = 0.06
 
 
 class Cadence:
-    """Of one play."""
+    """Chooses which media frames one play displays."""
 
     def __init__(self, first_frame: int) -> None:
         self.permille = EVERY_FRAME

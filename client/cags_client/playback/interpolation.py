@@ -29,7 +29,7 @@ class Moment:
 
 
 class Interpolation:
-    """Of one play."""
+    """Schedules the interpolated pictures of one play."""
 
     def __init__(self, mode: str, display_rate: float) -> None:
         """``mode`` is off, on or auto (where there is time), ``display_rate`` in pictures a second."""
@@ -72,7 +72,7 @@ class Interpolation:
         self._begun_us = now_us
 
     def drawn(self, now_us: int) -> None:
-        """It is done."""
+        """The picture that was begun is finished."""
         if self._begun_us is not None:
             took_us = now_us - self._begun_us
             self._takes_us += (MEMORY if self._takes_us else 1.0) * (took_us - self._takes_us)

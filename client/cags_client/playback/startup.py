@@ -15,7 +15,7 @@ PREVIEW_EVERY_US = 200_000
 
 
 class Startup:
-    """Of one play."""
+    """Decides how long one play holds its first frame."""
 
     def __init__(self, most_us: int, now_us: int) -> None:
         """``most_us``: the longest hold."""

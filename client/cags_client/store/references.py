@@ -115,7 +115,7 @@ class References:
         return rgb
 
     def newest(self, frame: int, max_age: int) -> Received | None:
-        """That of ``frame``, or the newest of the ``max_age`` frames before it; never one of a frame to come."""
+        """The reference of ``frame``, or the newest one of the ``max_age`` frames before it; never a later frame's."""
         with self._lock:
             past = [f for f in self._received if 0 <= frame - f <= max_age]
             return self._received[max(past)] if past else None

@@ -53,7 +53,7 @@ class Pruning:
     """Splats a frame, mean over the frames that were judged."""
     splats_after: int
     psnr_db: float
-    """Of pictures without them against pictures with them, both unquantised, over covered pixels."""
+    """PSNR of pictures of the pruned splats against all splats, both unquantised, over covered pixels."""
     ssim: float
 
 
@@ -64,7 +64,7 @@ class MotionSteps:
     moves: tuple[float, ...]
     """Metres."""
     turns: tuple[float, ...]
-    """Of a quaternion's imaginary part: half an angle, radians."""
+    """Steps of a quaternion's imaginary part (half the angle), radians."""
 
 
 @dataclass(frozen=True, slots=True)

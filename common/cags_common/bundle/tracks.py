@@ -23,7 +23,7 @@ class ChangedShares:
 
 @dataclass(frozen=True, slots=True)
 class TrackStatistics:
-    """Of one clip."""
+    """Statistics of one clip's tracks."""
 
     frames: int
     tracks: int

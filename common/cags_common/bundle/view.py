@@ -25,7 +25,7 @@ class AuthorView:
     """All of it is optional; what is left out, players choose."""
 
     title: str = ""
-    """For people; the scene's name where there is none."""
+    """Title to display; if empty, the scene's name."""
     background: str = ""
     """Colour behind the splats, ``#rrggbb``; black where there is none."""
     pose: Pose | None = None
@@ -33,7 +33,7 @@ class AuthorView:
     target: Vec3 | None = None
     """Point to turn around, world frame, metres."""
     radius: float | None = None
-    """Of the sphere about the target that a first view shows whole, metres."""
+    """Radius of the sphere around the target that the first view shows whole, metres."""
 
     def table(self) -> dict[str, Any]:
         """What is given, as JSON's values: the pose is position and quaternion ``wxyz`` in one list of seven."""

@@ -24,7 +24,7 @@ class Correction:
 
     reference: Reference
     client: Intrinsics
-    """Of the display: with which footprint the client's render from the reference camera is drawn."""
+    """Intrinsics of the display, which set the footprint of the client's render from the reference camera."""
     settings: CorrectSettings = field(default_factory=CorrectSettings)
     changed: Spheres | None = None
     """Splats that changed since the reference was made: where they are seen, nothing is added."""

@@ -51,7 +51,7 @@ class ComparedViews(Protocol):
 
 
 class DrawnViews(ComparedViews, Protocol):
-    """Those of scenes that were drawn for it."""
+    """Compared views that were rendered for the comparison."""
 
     @property
     def contribution(self) -> F32:

@@ -41,7 +41,7 @@ class Looks:
     logit_opacities: F32  # [n] ABSENT_LOGIT for those that are not there
 
     def take(self, rows: NDArray[Any]) -> Looks:
-        """Those of ``rows``."""
+        """The looks of ``rows``."""
         return Looks(self.means[rows], self.quats[rows], self.logit_opacities[rows])
 
 

@@ -23,7 +23,7 @@ class Recent(Generic[K, V]):
         self._max_bytes, self._least = max_bytes, least
         self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self.bytes = 0
-        """Of all that is kept."""
+        """Bytes of all values kept."""
 
     def get(self, key: K) -> V | None:
         """The value of ``key``, which counts as used now; None where there is none."""

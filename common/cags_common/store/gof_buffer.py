@@ -105,7 +105,7 @@ class GofBuffer:
 
     @property
     def splats(self) -> Splats:
-        """Those on display; rows are splat ids. They change with :meth:`commit` and :meth:`move`."""
+        """Splats on display; rows are ids. They change with :meth:`commit` and :meth:`move`."""
         return self._buffer.splats
 
     @property

@@ -317,7 +317,7 @@ class GofTiles:
                 self._bound_kept()
 
     def _drop_levels(self, held: StoredMotion) -> None:
-        """Of a tile of motion only what is decoded counts as held."""
+        """Forget levels of motion that were not decoded: they do not count as held."""
         with self._lock:
             decoded = held.versions.newest.lod if held.versions is not None else 0
             for level in [level for level in held.payloads if level > decoded]:
@@ -475,7 +475,7 @@ class GofTiles:
             self._give_up(update)
 
     def updates(self) -> list[StoredUpdate]:
-        """Those that have been shown."""
+        """Updates that have been shown."""
         with self._lock:
             return [held for held in self._tiles.values() if isinstance(held, StoredUpdate) and held.shown_lod >= 0]
 

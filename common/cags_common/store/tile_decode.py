@@ -100,7 +100,7 @@ class Opener(Protocol):
 
     @property
     def threads(self) -> int:
-        """Of decoding; what is shown does not depend on their number."""
+        """Decoding threads; their number does not affect what is shown."""
         ...
 
     def opened(self, firsts: Sequence[First]) -> list[Opened | DecodeError]:

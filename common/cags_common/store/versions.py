@@ -69,7 +69,7 @@ class Versions(Generic[S]):
         self._all[-1].fresh = True
 
     def fresh(self) -> list[Version[S]]:
-        """Those that are to be staged."""
+        """Versions that are to be staged."""
         return [version for version in list(self._all) if version.fresh]
 
     def again(self) -> None:

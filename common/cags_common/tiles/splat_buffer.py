@@ -118,7 +118,7 @@ class SplatBuffer:
 
     @cached_property
     def splats(self) -> Splats:
-        """Those on display; rows without a splat are absent (``ABSENT_LOGIT``)."""
+        """Splats on display; rows without a splat are absent (``ABSENT_LOGIT``)."""
         return _blank(self._capacity, self._sh_degree)
 
     @cached_property

@@ -38,7 +38,7 @@ class TimedSplats:
         return len(self.splats)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.int32]) -> TimedSplats:
-        """Those at ``rows``."""
+        """The splats at ``rows``."""
         parts = (self.centres[rows], self.widths[rows], self.motion[rows], self.omega[rows])
         return TimedSplats(self.splats.take(rows), *parts)
 

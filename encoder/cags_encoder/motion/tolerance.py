@@ -50,13 +50,13 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Those of positions and of rotations; without measurement those that the levels have anyway."""
+    """Tolerances of positions and rotations; unmeasured, those that the levels imply."""
 
     moves: Tolerance = Tolerance()
     turns: Tolerance = Tolerance()
 
     def over(self, share: float) -> Tolerances:
-        """Those where only a ``share`` of the splats moves, and the pictures are wrong there alone."""
+        """Tolerances if only a ``share`` of the splats moves, and errors occur there alone."""
         more = max(share, LEAST_SHARE) ** -0.5
         return Tolerances(*(Tolerance(t.base * more, t.top * more, t.spare) for t in (self.moves, self.turns)))
 
@@ -72,7 +72,7 @@ class Looked:
 
 
 def tolerances(codec: SvqCodec, splats: Splats, steps: Steps, looked: Looked) -> Tolerances:
-    """Those for prepared ``splats`` [n] whose units are ``steps``."""
+    """Tolerances for prepared ``splats`` [n] with units ``steps``."""
     trial = _Trial(splats, looked)
     coded = codec.quantise(splats)
     grid = codec.grid(coded)

@@ -25,7 +25,7 @@ def relative_turns(quats: F64, first: F64) -> F64:
 
 
 def _nearest(quats: F64, back: F64, before: F64) -> F64:
-    """Of the ways to write the turn ``quats`` x ``back`` [n, 4] the nearest to ``before`` [n, 4]."""
+    """The rotation ``quats`` x ``back`` [n, 4], with the sign that is nearest to ``before`` [n, 4]."""
     ways = [product(product(quats, np.broadcast_to(half, quats.shape)), back) for half in _HALF_TURNS]
     closeness = np.stack([(way * before).sum(axis=1) for way in ways])
     best = np.abs(closeness).argmax(axis=0)

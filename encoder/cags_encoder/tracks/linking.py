@@ -99,7 +99,7 @@ class Looks:
 
     @staticmethod
     def of(splats: Splats) -> Looks:
-        """Those of ``splats``."""
+        """The looks of ``splats``."""
         logs = np.clip(splats.log_scales, -60, 60)
         rest = splats.sh_rest.reshape(len(splats), -1)
         parts = (
@@ -135,12 +135,12 @@ class Tracks:
 
     @staticmethod
     def begun(looks: Looks) -> Tracks:
-        """Those of a first frame."""
+        """Tracks of a first frame."""
         still = np.zeros((len(looks), 3))
         return Tracks(looks, still, still, np.zeros(len(looks), np.int64))
 
     def continued(self, after: Looks, rows: Rows) -> Tracks:
-        """Those of the next frame, whose splats continue ``rows`` [m], or none (-1)."""
+        """Tracks of the next frame, whose splats continue ``rows`` [m]; -1: a new track."""
         found = rows >= 0
         step, bends = np.zeros((len(after), 3)), np.zeros((len(after), 3))
         ages = np.zeros(len(after), np.int64)

@@ -46,7 +46,7 @@ class TrackCounter:
             self._judge(before, after, rows, np.flatnonzero(found))
 
     def statistics(self) -> TrackStatistics:
-        """Of the frames so far."""
+        """Statistics of the frames so far."""
         ended = _added(self._ended, _bins(self._ages))
         return TrackStatistics(
             frames=self._frames,

@@ -137,7 +137,7 @@ class FlowControl:
         return AckResult(acked, self._take_lost(largest), rtt_us, rate, newest.app_limited, newest.window_limited)
 
     def _round_trip_us(self, sent_us: int, received_us: int, delay_us: int, now_us: int) -> int:
-        """Of a packet: the shortest, and how much longer it travelled one way than the fastest did.
+        """Round trip of a packet: the shortest one, plus the excess of its one-way delay over the shortest.
 
         No more than the time until now: a client's clock that was set counts for nothing.
         """

@@ -273,4 +273,4 @@ class ServerSession(Session[ev.ServerEvent]):
 
 
 def _unheard(entry: Entry, reason: str) -> None:
-    """Of a queue whose session is over."""
+    """Ignore drops from a queue whose session is over."""

@@ -63,7 +63,7 @@ class LstmWeights:
     @staticmethod
     @cache
     def shipped() -> LstmWeights:
-        """Those of the package, read once: every viewer's network has them."""
+        """The shipped weights, read once and shared by all viewers."""
         return LstmWeights.load()
 
     @staticmethod

@@ -35,7 +35,7 @@ class Capacity:
 
 
 def capacity(settings: ServeSettings, fps: float, stats: Iterable[StreamStats], cores: int | None = None) -> Capacity:
-    """By what all sessions, ended ones too, have measured; ``cores`` None: those of this process."""
+    """Capacity estimated from the costs measured in all sessions so far. ``cores`` None: those of this process."""
     cores = cores or available_cores()
     every = list(stats)
     count = sum(each.references for each in every)

@@ -41,7 +41,7 @@ class WaitingList(Generic[T]):
         return None if most is None else next(iter(most))
 
     def longer_than(self, seconds: float) -> list[T]:
-        """Those that have waited longer."""
+        """The items that have waited for more than ``seconds``."""
         limit_s, late = time.monotonic() - seconds, list[T]()
         for of_peer in self._by_peer.values():
             for item, since_s in of_peer.items():

@@ -88,7 +88,7 @@ class PooledWeights:
     @staticmethod
     @cache
     def shipped() -> PooledWeights:
-        """Those of the package, read once: every viewer's predictor has them."""
+        """The shipped weights, read once and shared by all viewers."""
         return PooledWeights.load()
 
     @staticmethod

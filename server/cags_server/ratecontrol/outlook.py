@@ -10,7 +10,7 @@ NEAR = 2.0
 
 
 def lacking_bytes(observation: Observation) -> int:
-    """Of the visible tiles, up to the level from which each is good; tiles count less the later they begin."""
+    """Bytes missing until every visible tile reaches a good level; tiles that begin later count less."""
     errors = errors_of(observation)
     return round(sum(_early(tile, observation.frame) * _bytes(tile, errors.lods) for tile in observation.tiles))
 

@@ -93,9 +93,9 @@ class Errors:
     """Squared errors relative to that of a base layer."""
 
     lods: tuple[float, ...]
-    """Of a tile that is held up to each LoD."""
+    """Error of a tile held up to each LoD."""
     held: float
-    """Of the looks that the client holds, in the mean over the picture."""
+    """Mean error, over the picture, of the looks that the client holds."""
 
 
 def errors_of(observation: Observation) -> Errors:

@@ -90,7 +90,7 @@ class Coded:
     before: float = 0.0
     """Mean squared error of the client's render from the reference camera, [0, 1] RGB."""
     after: float = 0.0
-    """Of that view once it is corrected, seen from the reference's pose."""
+    """The same after correction."""
 
 
 class _Video:
@@ -170,7 +170,7 @@ class ReferenceCoder:
 
     @property
     def knee(self) -> float:
-        """Of the compander, of the last difference: the next one's in all likelihood."""
+        """Knee of the compander in the last difference, and most likely in the next."""
         return self._knee
 
     def code(self, truth: F32, mirror: F32 | None, *, idr: bool) -> Coded:

@@ -19,7 +19,7 @@ PATIENCE, MOST_PATIENCE = 60, 1920
 
 
 class Lateness:
-    """Of one client's references."""
+    """Keeps track of how often one client's references come late."""
 
     def __init__(self) -> None:
         self.often = False

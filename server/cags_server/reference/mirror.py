@@ -62,7 +62,10 @@ _Event: TypeAlias = _Layers | _End | _Restart
 
 
 class Mirror:
-    """Of one client. The event loop tells what was sent and marked; one job at a time asks for the scene."""
+    """What one client holds, as the server knows it.
+
+    The event loop reports what was sent and marked; one render job at a time asks for the scene.
+    """
 
     def __init__(self, library: SceneLibrary, threads: int) -> None:
         """``threads`` of decoding and of motion."""
@@ -120,7 +123,7 @@ class Mirror:
                 self._most = len(self._log) + MAX_LOG
 
     def _forget_groups(self) -> None:
-        """Of groups of frames before the one that stays on display while the newest that has begun comes."""
+        """Forget groups of frames that can no longer be displayed."""
         gof_of = self._library.manifest.gof_of
         ended = max((gof_of(event.frame) for _, event in self._log if isinstance(event, _End)), default=0)
         kept = [item for item in self._log if isinstance(item[1], _Restart) or gof_of(item[1].frame) >= ended - 1]
@@ -144,7 +147,7 @@ class Mirror:
 
     @property
     def splats(self) -> Splats | None:
-        """Those of :meth:`scene_at`, by splat id; None where there were none. They change with the next call."""
+        """Splats of the last :meth:`scene_at`, by id; None if there were none. The next call changes them."""
         store = self._store.on_display
         return store.splats if store is not None and store.begun else None
 

@@ -15,7 +15,7 @@ SOON_FRAMES, LONG_FRAMES = 40.0, 60.0
 
 
 class Worth:
-    """Of one client's references."""
+    """Decides whether one client's references are worth making."""
 
     def __init__(self) -> None:
         self._tiles_will_do = False

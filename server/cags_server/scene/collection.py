@@ -43,7 +43,7 @@ class SceneEntry:
     seconds: float
     frames: int
     bytes: int
-    """Of everything that a viewer may be sent of it."""
+    """Total size of what a viewer may be sent."""
 
 
 class Collection:
@@ -95,12 +95,12 @@ class Collection:
 
     @property
     def manifests(self) -> Sequence[Manifest]:
-        """Of all scenes."""
+        """The manifests of all scenes."""
         return [reader.manifest for reader in list(self._readers.values())]
 
     @property
     def title(self) -> str:
-        """For people: the scene's name, or how many there are."""
+        """Title to display: the scene's name, or the number of scenes."""
         manifests = self.manifests
         return f"{len(manifests)} scenes" if self.several else manifests[0].name
 
@@ -128,7 +128,7 @@ class Collection:
         return library
 
     def manifest(self, name: str | None) -> Manifest:
-        """Of a scene; None: the only one. Raises :class:`UnknownSceneError`."""
+        """The manifest of scene ``name``; None: of the only scene. Raises :class:`UnknownSceneError`."""
         return self._readers[self._known(name)].manifest
 
     def thumbnail(self, name: str | None) -> bytes:

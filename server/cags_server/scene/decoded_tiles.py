@@ -79,7 +79,7 @@ class DecodedTiles:
 
     @property
     def nbytes(self) -> int:
-        """Of all that is kept."""
+        """Bytes of all tiles kept."""
         return self._recent.bytes
 
     def entry(self, key: Key) -> TileEntry:

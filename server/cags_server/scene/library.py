@@ -33,7 +33,7 @@ class SceneLibrary:
         self.decoded = DecodedTiles(reader, decoded_bytes)
         """What clients make of tiles."""
         self.weights = reader.weights()
-        """Of a restorer, trained for this content; clients are offered them."""
+        """Weights of a restorer trained for this content, offered to clients."""
         self._owners = Recent[tuple[int, int], Owners](OWNER_BYTES, least=OWNER_FRAMES)  # by (group, frame)
         self._stays = Recent[int, Stays](OWNER_BYTES)  # by frame
         self._maps: dict[int, TileMap] = {}  # by group

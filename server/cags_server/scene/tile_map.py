@@ -23,7 +23,7 @@ Numbers = NDArray[np.int32]
 
 
 class TileMap:
-    """Of one group of frames; constant."""
+    """The tiles of one group of frames, numbered in order of frames. Immutable."""
 
     def __init__(self, entries: list[FrameEntry]) -> None:
         """``entries``: the group's frames in order. Raises :class:`BundleError` for motion of looks that it lacks."""

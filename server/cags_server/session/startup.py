@@ -50,7 +50,7 @@ class FirstFrame:
 
 
 class Startup:
-    """Of one client, from its Hello until its first picture is there."""
+    """What one client is sent from its Hello until its first picture is complete."""
 
     def __init__(self, library: SceneLibrary, tiles: TileSender) -> None:
         self.resumed = False

@@ -329,7 +329,7 @@ class Streamer:
         self._restart_if_forgotten(frame, now_us)
 
     def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
-        """Of a frame that is served without a render; the render's own where that is out."""
+        """The plan for a frame that is served without a render, or the pending render's own plan."""
         if self._render_plan is not None and self._schedule.is_out(tick):
             return self._render_plan
         return self._plan(tick, frame, ticks_covered, now_us, drawn=False)
@@ -373,7 +373,7 @@ class Streamer:
         return self._visibility.tells_of(ahead)
 
     def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int, *, drawn: bool = True) -> FramePlan:
-        """Of a frame that gets a reference, or is served without being ``drawn``."""
+        """The plan for a frame, with a reference render or (not ``drawn``) without."""
         display_us = self._schedule.timeline.display_us(tick)
         self._viewer.ensure_pose(now_us)
         predicted = self._viewer.predict(display_us)

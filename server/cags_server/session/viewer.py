@@ -32,7 +32,7 @@ class Viewer:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Of the viewer's own picture."""
+        """Intrinsics of the viewer's display."""
         return self._intrinsics
 
     def observe(self, samples: tuple[PoseSample, ...], arrival_us: int) -> None:

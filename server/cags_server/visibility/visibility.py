@@ -15,7 +15,7 @@ from cags_server.visibility.inventory import ClientInventory
 
 
 class Visibility:
-    """Of one client. A tile is visible from ``visible_px`` pixels of contribution on."""
+    """What one client can see. A tile is visible from ``visible_px`` pixels of contribution on."""
 
     def __init__(self, library: SceneLibrary, visible_px: float) -> None:
         self.stale = StaleSplats(library, visible_px)

@@ -44,7 +44,7 @@ class Layout:
     """What stands in a room, and how it is divided into splats. Nothing of it changes."""
 
     patches: tuple[Patch, ...]
-    """Those of the furniture, then the actors' at rest."""
+    """Patches of the furniture, then of the actors at rest."""
     actors: tuple[Actor, ...]
     surfels: Surfel
 

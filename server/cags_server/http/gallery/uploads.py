@@ -61,9 +61,9 @@ class Job:
     state: str = "idle"
     """``idle``, ``receiving``, ``encoding``, ``done`` or ``failed``."""
     text: str = ""
-    """For people, in a line."""
+    """Status to display, one line."""
     share: float | None = None
-    """Of the stage that ``text`` names, 0..1; None while it is not known."""
+    """Progress of the stage that ``text`` names, 0..1; None while unknown."""
     scene: str = ""
     """The name of the scene that has come of it."""
 
