@@ -91,4 +91,4 @@ restore.check_name("reference")
 assert "torch" not in sys.modules
 """)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[3] == "UtilityPolicy BufferPolicy NoTilesPolicy PaperPolicy"
+    assert done.stdout.splitlines()[3] == "UtilityPolicy BufferPolicy EvenPolicy NoTilesPolicy PaperPolicy"
