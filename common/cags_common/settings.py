@@ -14,6 +14,7 @@ import math
 import tomllib
 import types
 import typing
+from collections.abc import Collection
 from dataclasses import MISSING, Field, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, cast
@@ -59,6 +60,15 @@ def check_settings(settings: DataclassInstance) -> None:
         if value is None and optional:
             continue
         _check_value(f, kind, value)
+
+
+def names_in(text: str, name: str, known: Collection[str]) -> list[str]:
+    """The names in ``text``, separated by commas, of setting ``name``. Raises :class:`ConfigError` for unknown ones."""
+    names = [word.strip() for word in text.split(",")]
+    for word in names:
+        if word not in known:
+            raise ConfigError(f"{name}: {word!r} is unknown; known: {', '.join(known)}")
+    return names
 
 
 def add_settings(parser: argparse.ArgumentParser, cls: type[DataclassInstance]) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cags_common.errors import ConfigError
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_settings, names_in, setting
 
 
 @dataclass(frozen=True)
@@ -57,8 +56,4 @@ class DemoBenchSettings:
     @property
     def part_list(self) -> list[str]:
         """Parts to run, of :data:`PARTS`."""
-        names = [name.strip() for name in self.parts.split(",")]
-        for name in names:
-            if name not in PARTS:
-                raise ConfigError(f"parts: {name!r} is unknown; known: {', '.join(PARTS)}")
-        return names
+        return names_in(self.parts, "parts", PARTS)

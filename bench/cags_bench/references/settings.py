@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cags_bench.references.methods import METHODS
 from cags_common.errors import ConfigError
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_settings, names_in, setting
 
 QUICK = {"frames": 45, "width": 480, "height": 360}
 
@@ -51,11 +51,7 @@ class ReferenceBenchSettings:
     @property
     def method_list(self) -> list[str]:
         """Methods to compare, of :data:`METHODS`."""
-        names = [name.strip() for name in self.methods.split(",")]
-        for name in names:
-            if name not in METHODS:
-                raise ConfigError(f"methods: {name!r} is unknown; known: {', '.join(METHODS)}")
-        return names
+        return names_in(self.methods, "methods", METHODS)
 
     @property
     def link_list(self) -> list[float]:

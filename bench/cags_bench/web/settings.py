@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cags_common.errors import ConfigError
-from cags_common.settings import check_settings, setting
+from cags_common.settings import check_settings, names_in, setting
 from cags_shaper.trace import open_trace
 
 PUBLISHED, SERVER = "published", "server"
@@ -42,8 +41,4 @@ class WebBenchSettings:
     @property
     def source_list(self) -> list[str]:
         """Sources to play, of :data:`SOURCES`."""
-        names = [name.strip() for name in self.sources.split(",")]
-        for name in names:
-            if name not in SOURCES:
-                raise ConfigError(f"sources: {name!r} is unknown; known: {', '.join(SOURCES)}")
-        return names
+        return names_in(self.sources, "sources", SOURCES)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import pytest
 
 from cags_common.errors import ConfigError
-from cags_common.settings import add_settings, check_settings, load_settings, setting
+from cags_common.settings import add_settings, check_settings, load_settings, names_in, setting
 
 
 @dataclass(frozen=True)
@@ -117,3 +117,11 @@ def test_what_only_research_changes_is_shown_when_asked_for(capsys, flag, shown)
 def test_help_all_is_there_only_where_it_shows_more():
     with pytest.raises(SystemExit):
         parse("--help-all")
+
+
+def test_names_of_a_list_are_taken_in_order_and_an_unknown_one_is_told():
+    assert names_in("b, a,b", "letters", ("a", "b")) == ["b", "a", "b"]
+    with pytest.raises(ConfigError, match="letters: 'c' is unknown; known: a, b"):
+        names_in("a,c", "letters", ("a", "b"))
+    with pytest.raises(ConfigError, match="letters: '' is unknown"):
+        names_in("", "letters", ("a", "b"))
