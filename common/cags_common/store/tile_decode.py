@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -152,11 +153,15 @@ class TileOpener:
     def __init__(self, codec: TileCodec | None, threads: int) -> None:
         """``codec`` may follow as :attr:`codec`, before anything is opened."""
         self.codec, self.threads = codec, threads
-        self._pool = ThreadPoolExecutor(threads, "cags-tiles") if threads > 1 else None
+        self._inside = threading.local()
+        self._pool = ThreadPoolExecutor(threads, "cags-tiles", self._enter) if threads > 1 else None
+
+    def _enter(self) -> None:
+        self._inside.pool = True
 
     def open(self, payloads: Sequence[memoryview]) -> list[Opened | DecodeError]:
         """What each LoD 0 payload holds, or why it cannot be read."""
-        return list(self._pool.map(self._try, payloads) if self._pool else map(self._try, payloads))
+        return self.run(self._try, payloads)
 
     def opened(self, firsts: Sequence[First]) -> list[Opened | DecodeError]:
         """A decoder for each tile, or why it cannot be read."""
@@ -180,8 +185,13 @@ class TileOpener:
         return self.run(_dequantised, tiles)
 
     def run(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
-        """``work`` on each of ``items``, in order."""
-        return list(self._pool.map(work, items) if self._pool else map(work, items))
+        """``work`` on each of ``items``, in order.
+
+        Work that runs in the pool opens tiles itself, one after the other: threads that waited for the pool's own would
+        wait for ever.
+        """
+        alone = self._pool is None or getattr(self._inside, "pool", False)
+        return list(map(work, items) if alone or self._pool is None else self._pool.map(work, items))
 
     def merged(self, tiles: Sequence[TileDecoder], sh_degree: int) -> Splats:
         """All splats of different ``tiles`` in order."""
