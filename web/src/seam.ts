@@ -140,7 +140,7 @@ export interface FrameRequest {
   readonly frame: number;
   /** Media frames after `frame`, 0 <= share < 1; above 0 only what moves is brought there, after the frame itself. */
   readonly share?: number;
-  /** Show what came up to this mark of the store; undefined: everything. {@link References.basisAt} says which. */
+  /** Show what came up to this mark of the store; undefined: everything. {@link References.basis} says which. */
   readonly basis?: number;
   /** Ask which splats have changed, for the veto of a correction. */
   readonly changedSince?: ChangedSince;

@@ -42,7 +42,7 @@ TARGETS = {
     ),
     BUSY: (("displayed_per_s", ">=", 15.0), ("least_second_kbps", ">", 0.0)),
 }
-"""Of the medians."""
+"""What the medians of today's state are asked for."""
 
 SPIN = "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nwhile True:\n    pass\n"
 
@@ -52,21 +52,29 @@ def demo_lines(settings: DemoBenchSettings) -> Iterator[JsonObject]:
     pythons = {NOW: sys.executable}
     if settings.before:
         pythons[BEFORE] = str(executable("before", settings.before))
-    cores = sorted(os.sched_getaffinity(0))
-    if BUSY in settings.part_list and settings.busy_cores > len(cores):
-        raise ConfigError(f"busy_cores = {settings.busy_cores}: this process may use {len(cores)}; ask for fewer")
+    cores = _cores_to_load(settings) if BUSY in settings.part_list else []
     lines: list[JsonObject] = []
     for python in pythons.values():
         _played(python, settings)  # warm-up: the scene is encoded, files are in memory
     for part in settings.part_list:
         for number in range(settings.runs):
             for state, python in pythons.items():
-                with _spinning(cores[: settings.busy_cores] if part == BUSY else []):
+                with _spinning(cores if part == BUSY else []):
                     figures = _played(python, settings)
                 line = {"benchmark": "demo", "case": part, "state": state, "run": number, **figures}
                 lines.append(line)
                 yield line | {"cores": usable_cores(), "seed": 0, "warm_up": 1, "repetitions": 1, **provenance()}
     yield summary("demo", checks_of(lines), figures=figures_of(lines), repetitions=settings.runs)
+
+
+def _cores_to_load(settings: DemoBenchSettings) -> list[int]:
+    """Numbers of the cores on which a process spins. Raises :class:`ConfigError` where there are too few."""
+    if not hasattr(os, "sched_getaffinity"):
+        raise ConfigError("parts: busy needs Linux, where a process can be bound to a core; give --parts quiet")
+    cores = sorted(os.sched_getaffinity(0))
+    if settings.busy_cores > len(cores):
+        raise ConfigError(f"busy_cores = {settings.busy_cores}: this process may use {len(cores)}; ask for fewer")
+    return cores[: settings.busy_cores]
 
 
 def _played(python: str, settings: DemoBenchSettings) -> JsonObject:
@@ -115,11 +123,11 @@ def _least_second_kbps(frames: Sequence[Mapping[str, Any]]) -> float:
 
 
 @contextlib.contextmanager
-def _spinning(cores: Sequence[int]) -> Iterator[None]:
+def _spinning(cores: Sequence[int]) -> Iterator[list[subprocess.Popen[bytes]]]:
     """A process on each of ``cores`` that takes all it can get."""
     running = [subprocess.Popen([sys.executable, "-c", SPIN, str(core)]) for core in cores]
     try:
-        yield
+        yield running
     finally:
         for process in running:
             process.kill()

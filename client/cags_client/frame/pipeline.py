@@ -206,7 +206,8 @@ class ClientPipeline:
         if self._restorer_wanted != self.live.restore:
             self._restorer_wanted = self.live.restore
             self._restorer = self._made_restorer()
-        reference = self._references.newest(frame, self.settings.reference_age)
+        self._references.show(frame, self.info.frames)
+        reference = self._references.newest(self.settings.reference_age)
         with watch("update"):
             store, committed = self._committed(frame, share, reference)
             scene = self._updated(store, committed)
@@ -263,10 +264,10 @@ class ClientPipeline:
         the newest mark. While an own reference is late, what is shown stays as the one before assumes. Without any
         reference there are no marks.
         """
-        coming = self._references.next_basis(frame, self.info.frames)
         if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
             self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
             return self._committed_mark
+        coming = self._references.next_basis()
         self._committed_mark = self._marked if coming is None else min(coming, self._marked)
         return self._committed_mark or None
 

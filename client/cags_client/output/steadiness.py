@@ -13,26 +13,24 @@ import numpy as np
 from cags_common.geometry import F64
 
 EVEN_MS = 50.0
-"""A picture that follows the one before within this time follows evenly: one and a half frames at 30 a second."""
+"""Gaps between pictures up to this are even: one and a half frames at 30 frames a second."""
 
 FREEZE_FACTOR, FREEZE_EXTRA_MS = 3.0, 150.0
-"""A gap is a freeze where it is at least so many times the mean gap and so much longer (W3C webrtc-stats,
-``freezeCount``).
-"""
+"""A gap of at least this many mean gaps, and this much longer than one, is a freeze (W3C webrtc-stats)."""
 
 STEPS_OF = ("psnr_restored_db", "psnr_covered_restored_db")
-"""Figures whose steps from picture to picture are told."""
+"""Figures whose steps between consecutive pictures are reported."""
 
 LEVEL_STEP = 0.5
-"""The mean quality level of what is in view falls where it falls by more than this."""
+"""Smallest drop of the mean quality level in view that counts as a fall."""
 
 
 def steadiness(records: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Figures of a play's records, one a displayed media frame (:func:`.report.frame_stats`), in order.
+    """Figures of one play. ``records`` has one entry per displayed media frame, in order (:func:`.report.frame_stats`).
 
-    Frames a second, share of even gaps, the gap that 95 % do not exceed [ms], freezes and their time [ms], falls of the
-    quality level, and of each PSNR that was measured the value that 95 % exceed and the step that 95 % do not [dB].
-    Empty for fewer than two frames.
+    Frames a second, share of even gaps, 95th percentile of gaps [ms], number and duration of freezes [ms], falls of the
+    quality level, and for each measured PSNR its 5th percentile and the 95th percentile of its steps [dB]. Empty for
+    fewer than two frames.
     """
     if len(records) < 2:
         return {}
@@ -52,7 +50,7 @@ def steadiness(records: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     for name in STEPS_OF:
         values = _series(records, name)
         known, steps = values[np.isfinite(values)], np.abs(np.diff(values))
-        steps = steps[np.isfinite(steps)]  # none where only every so many-th picture was measured
+        steps = steps[np.isfinite(steps)]  # none if only every n-th picture was measured
         stem = name.removesuffix("_db")
         if len(known):
             out[f"{stem}_p5_db"] = float(np.percentile(known, 5))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from cags_client.output.report import STAGE
+from cags_client.output.steadiness import EVEN_MS
 
 Row = tuple[str, str]
 
@@ -39,11 +40,12 @@ def _shown(summary: Mapping[str, Any], clip_frames: int) -> str:
 
 
 def _steady(summary: Mapping[str, Any]) -> str:
-    text = f"{summary['frames_per_s']:.0f} frames a second, {100 * summary['even_share']:.0f} % of them evenly"
+    even = f"{100 * summary['even_share']:.0f} % of gaps at most {EVEN_MS:.0f} ms"
+    text = f"{summary['frames_per_s']:.0f} frames a second, {even}"
     if summary["freezes"]:
         text += f"; frozen {summary['freezes']} times, {summary['frozen_ms'] / 1e3:.1f} s in all"
     if summary.get("psnr_restored_step_p95_db") is not None:
-        text += f"; 95 % of frames within {summary['psnr_restored_step_p95_db']:.1f} dB of the one before"
+        text += f"; 95 % of frames within {summary['psnr_restored_step_p95_db']:.1f} dB of the previous one"
     return text
 
 

@@ -16,6 +16,9 @@ from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 KEPT = 24
 """References kept: those sent ahead of display and the last few shown."""
 
+LATEST = 0.25
+"""A reference is late by at most this share of the clip; in a loop, any other belongs to the next round."""
+
 MAX_REFERENCE_PIXELS = 1 << 21
 """Largest reference that is decoded."""
 
@@ -67,7 +70,8 @@ class References:
         self.last_decoded = 0
         """Sequence number of the last picture that was decoded; 0 before any."""
         self._received: dict[int, Received] = {}
-        self._to_come: set[int] = set()  # frames that were not reached yet
+        self._to_come: set[int] = set()  # their frames that were not reached yet
+        self._frame = -1  # on display
         self._lock = threading.Lock()
 
     def add(self, message: ReferenceFrame, access_unit: memoryview, basis: int) -> bool:
@@ -96,7 +100,9 @@ class References:
             )
             self._to_come.add(message.frame)
             while len(self._received) > KEPT:
-                del self._received[next(iter(self._received))]
+                oldest = next(iter(self._received))
+                del self._received[oldest]
+                self._to_come.discard(oldest)
         return True
 
     def _decoded(self, message: ReferenceFrame, access_unit: memoryview) -> F32 | None:
@@ -114,22 +120,34 @@ class References:
         self.last_decoded = message.seq
         return rgb
 
-    def newest(self, frame: int, max_age: int) -> Received | None:
-        """The reference of ``frame``, or the newest one of the ``max_age`` frames before it; never a later frame's."""
-        with self._lock:
-            past = [f for f in self._received if 0 <= frame - f <= max_age]
-            return self._received[max(past)] if past else None
+    def show(self, frame: int, frames: int) -> None:
+        """Display media frame ``frame`` of a clip of ``frames``; :meth:`newest` and :meth:`next_basis` speak of it.
 
-    def next_basis(self, frame: int, frames: int) -> int | None:
-        """The mark that the next references assume, of those that have come for frames after ``frame`` in a clip of
-        ``frames`` that may be played in a loop. None where none has come, or they assume nothing. Call it for every
-        frame on display.
-
-        A frame that was reached once, or was skipped, is never one to come again: its reference is not looked at any
-        more and must not hold back what came since, not even half a clip later, when a loop would reach it next.
+        Each round of a loop has its own references. A reference whose frame was displayed or skipped is not awaited any
+        more, and it is dropped when the next round begins, where it would be wrong.
         """
         with self._lock:
-            self._to_come = {f for f in self._to_come & self._received.keys() if 0 < (f - frame) % frames < frames / 2}
+            coming = {f: self._received[f] for f in self._to_come}
+            reached = {} if frame < self._frame else self._received
+            self._frame = frame
+            self._to_come = {f for f in coming if 0 < (f - frame) % frames < frames / 2}
+            self._received = {
+                f: r
+                for f, r in {**reached, **coming}.items()
+                if f <= frame or f in self._to_come or (frame - f) % frames > LATEST * frames
+            }
+
+    def newest(self, max_age: int) -> Received | None:
+        """The reference of the frame on display, or the newest one of the ``max_age`` frames before it."""
+        with self._lock:
+            past = [f for f in self._received if f not in self._to_come and 0 <= self._frame - f <= max_age]
+            return self._received[max(past)] if past else None
+
+    def next_basis(self) -> int | None:
+        """The mark that the next references assume, of those that have come for later frames than that on display. None
+        where none has come, or they assume nothing.
+        """
+        with self._lock:
             waiting = [self._received[f] for f in self._to_come]
             return min((r.basis for r in waiting if r.assumes), default=None)
 

@@ -81,7 +81,7 @@ def test_frames_a_second_and_drag_to_photon_are_recorded(tmp_path: Path) -> None
     median, p95 = photon[len(photon) // 2], photon[int(len(photon) * 0.95)]
     checks = [
         check("displayed frames a second", ">= 24", round(fps, 1), fps >= 24),
-        check("drag to photon, median", "<= 150 ms", round(median), median <= 150),
+        check("drag to photon, median", "<= 120 ms", round(median), median <= 120),
     ]
     figures = {"scene": SCENE, "size": f"{WIDTH}x{HEIGHT}", "fps": round(fps, 1), "codec": found["codec"]}
     line = summary(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import sys
+import os
+import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cags_bench.demo.experiment import SPIN, TARGETS, _spinning, checks_of, figures_of, figures_of_play
+from cags_bench.demo.experiment import TARGETS, _spinning, checks_of, demo_lines, figures_of, figures_of_play
 from cags_bench.demo.settings import DemoBenchSettings
 from cags_common.errors import ConfigError
 
@@ -71,10 +73,25 @@ def test_of_several_plays_the_median_counts_and_the_extremes_are_told() -> None:
     assert (figures["lowest"], figures["median"]) == (pytest.approx(FPS / 2), pytest.approx(FPS))
 
 
-def test_the_load_is_bounded_and_ends_with_the_play() -> None:
-    with _spinning([0]) as _:
-        pass
-    assert "sched_setaffinity" in SPIN
+def test_the_load_keeps_one_core_busy_and_ends_with_the_play() -> None:
+    core = min(os.sched_getaffinity(0))
+    with _spinning([core]) as (process,):
+        deadline = time.monotonic() + 20
+        while os.sched_getaffinity(process.pid) != {core} or _ticks(process.pid) < 20:
+            assert process.poll() is None, "it has ended"
+            assert time.monotonic() < deadline, "it takes no time of its core"
+            time.sleep(0.02)
+    assert process.poll() is not None
+
+
+def _ticks(pid: int) -> int:
+    """Processor time in user mode, 10 ms each."""
+    return int(Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[11])
+
+
+def test_more_cores_than_there_are_cannot_be_loaded() -> None:
+    with pytest.raises(ConfigError, match=r"busy_cores = 256: this process may use \d+; ask for fewer"):
+        next(demo_lines(DemoBenchSettings(busy_cores=256)))
 
 
 @pytest.mark.parametrize(
@@ -86,8 +103,5 @@ def test_wrong_settings_are_told(settings: dict[str, Any], words: str) -> None:
 
 
 def test_an_earlier_state_that_is_no_program_is_told() -> None:
-    from cags_bench.demo.experiment import demo_lines
-
     with pytest.raises(ConfigError, match="before = '/nowhere' is no program"):
         next(demo_lines(DemoBenchSettings(before="/nowhere")))
-    assert sys.executable

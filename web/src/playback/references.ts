@@ -10,6 +10,9 @@ const KEPT = 24;
 /** Frames for which a late reference is waited for before more is shown than the one before it assumes. */
 const PATIENCE_FRAMES = 3;
 
+/** A reference is late by at most this share of the clip; in a loop, any other belongs to the next round. */
+const LATEST = 0.25;
+
 export interface Received<P> {
   readonly reference: Reference;
   /** null: it says nothing. */
@@ -23,8 +26,10 @@ function assumes(reference: Reference): boolean {
 
 export class References<P> {
   private readonly received = new Map<number, Received<P>>();
-  /** Frames that were not reached yet. */
+  /** Frames of theirs that were not reached yet. */
   private readonly toCome = new Set<number>();
+  /** On display. */
+  private frame = -1;
   private mark = 0;
   private committed = 0;
   /** References up to this order are of no use, should they still be decoded. */
@@ -36,7 +41,30 @@ export class References<P> {
     this.received.delete(reference.frame);
     this.received.set(reference.frame, { reference, picture });
     this.toCome.add(reference.frame);
-    while (this.received.size > KEPT) this.received.delete(this.received.keys().next().value!);
+    while (this.received.size > KEPT) this.drop(this.received.keys().next().value!);
+  }
+
+  private drop(frame: number): void {
+    this.received.delete(frame);
+    this.toCome.delete(frame);
+  }
+
+  /**
+   * Display media frame `frame` of a clip of `frames`. Call this before `newest` and `basis`.
+   *
+   * Each round of a loop has its own references. A reference whose frame was displayed or skipped no longer counts as one
+   * to come, and it is dropped when the next round begins, where it would be wrong.
+   */
+  show(frame: number, frames: number): void {
+    const begins = frame < this.frame;
+    this.frame = frame;
+    for (const at of [...this.received.keys()]) {
+      const ahead = (((at - frame) % frames) + frames) % frames;
+      const coming = this.toCome.has(at);
+      if (coming && (ahead === 0 || ahead >= frames / 2)) this.toCome.delete(at);
+      const late = at > frame && !this.toCome.has(at) && (frames - ahead) % frames <= LATEST * frames;
+      if ((begins && !coming) || late) this.drop(at);
+    }
   }
 
   /** The newest mark of the store: of every `mark` event, or of a frame's update. */
@@ -44,59 +72,49 @@ export class References<P> {
     this.mark = Math.max(this.mark, mark);
   }
 
-  /** That of `frame`, or the newest of the `maxAge` frames before it; never one of a frame to come. */
-  newest(frame: number, maxAge: number): Received<P> | undefined {
+  /** The reference of the frame on display, or the newest one of the `maxAge` frames before it. */
+  newest(maxAge: number): Received<P> | undefined {
     let best: Received<P> | undefined;
     for (const [at, one] of this.received) {
-      if (at <= frame && frame - at <= maxAge && (!best || at > best.reference.frame)) best = one;
+      const age = this.frame - at;
+      if (this.toCome.has(at) || age < 0 || age > maxAge) continue;
+      if (!best || at > best.reference.frame) best = one;
     }
     return best;
   }
 
   /**
-   * The mark up to which `frame` is shown, with `found` as its reference: call once a picture, right before it is
-   * committed, of a clip of `frames`. undefined: all that has come.
+   * The mark up to which the frame on display is shown, with `found` as its reference: call once a picture, right before
+   * it is committed. undefined: all that has come.
    *
    * That which the frame's own reference assumes. A picture assumes none: as much is shown as no coming reference falls
    * behind. While an own reference is late, what is shown stays as the one before assumes.
    */
-  basisAt(frame: number, found: Received<P> | undefined, frames: number): number | undefined {
+  basis(found: Received<P> | undefined): number | undefined {
     const reference = found?.reference;
-    const coming = this.nextBasis(frame, frames);
-    if (reference && assumes(reference) && frame - reference.frame <= PATIENCE_FRAMES) {
-      if (reference.frame === frame) this.committed = reference.basis;
+    if (reference && assumes(reference) && this.frame - reference.frame <= PATIENCE_FRAMES) {
+      if (reference.frame === this.frame) this.committed = reference.basis;
       return this.committed;
     }
-    this.committed = coming === undefined ? this.mark : Math.min(coming, this.mark);
+    this.committed = Math.min(this.nextBasis(), this.mark);
     return this.committed || undefined;
   }
 
-  /**
-   * The mark that the next references assume, of those that have come for frames after `frame` in a clip of `frames`.
-   * A frame that was reached once, or was skipped, is never one to come again: its reference must not hold back what came
-   * since, not even half a clip later, when a loop would reach it next.
-   */
-  private nextBasis(frame: number, frames: number): number | undefined {
-    let least: number | undefined;
+  /** The mark that the next references assume, of those that have come for later frames; Infinity: none does. */
+  private nextBasis(): number {
+    let least = Infinity;
     for (const at of this.toCome) {
-      const ahead = (((at - frame) % frames) + frames) % frames;
-      const one = this.received.get(at);
-      if (!one || ahead === 0 || ahead >= frames / 2) this.toCome.delete(at);
-      else if (assumes(one.reference)) least = Math.min(least ?? Infinity, one.reference.basis);
+      const { reference } = this.received.get(at)!;
+      if (assumes(reference)) least = Math.min(least, reference.basis);
     }
     return least;
   }
-
-  /** Another connection's video follows; what is there stays in use. */
-  restart(): void {}
 
   /** Forget everything (the viewer jumped), or references up to the order `until`. */
   reset(until = Infinity): void {
     if (until < Infinity) this.forgotten = until;
     for (const [frame, { reference }] of this.received) {
-      if (reference.order > until) continue;
-      this.received.delete(frame);
-      this.toCome.delete(frame);
+      if (reference.order <= until) this.drop(frame);
     }
   }
 }

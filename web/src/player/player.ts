@@ -262,7 +262,6 @@ export class Player {
         this.#references.reset();
         break;
       case "restarted":
-        this.#references.restart();
         if (event.resumeAt) this.#cadence.restart(event.resumeAt.frame);
         break;
       case "notice":
@@ -323,7 +322,8 @@ export class Player {
 
   /** A picture before the play: first of a reference or of the frame itself, then now and then of what more has come. */
   #preview(now: number): (() => Promise<void>) | null {
-    const there = this.#startup.endsUs !== undefined || this.#references.newest(this.frame, REFERENCE_AGE);
+    this.#references.show(this.frame, this.info!.frames);
+    const there = this.#startup.endsUs !== undefined || this.#references.newest(REFERENCE_AGE);
     const due = this.shown ? this.#news && this.#startup.preview(now) : there;
     return due ? () => this.#present(this.frame, 0, false) : null;
   }
@@ -359,8 +359,9 @@ export class Player {
   async #present(frame: number, share: number, media: boolean): Promise<void> {
     const begun = performance.now();
     this.#news = false;
-    const reference = this.#references.newest(frame, REFERENCE_AGE);
-    const basis = this.#references.basisAt(frame, reference, this.info!.frames);
+    this.#references.show(frame, this.info!.frames);
+    const reference = this.#references.newest(REFERENCE_AGE);
+    const basis = this.#references.basis(reference);
     const { camera } = this.#camera();
     const speaks = this.correct && reference?.picture ? reference : undefined;
     const update = await this.#source.frame({
@@ -377,7 +378,7 @@ export class Player {
 
   async #draw(frame: number, share: number, update: FrameUpdate, begun: number): Promise<void> {
     const { camera, footprint, key } = this.#camera();
-    const found = this.correct ? this.#references.newest(frame, REFERENCE_AGE) : undefined;
+    const found = this.correct ? this.#references.newest(REFERENCE_AGE) : undefined;
     const options = this.#frameOptions(frame, share, update, camera, footprint, found?.picture ? found : undefined);
     const times = await this.#renderer.draw(camera, options);
     this.#drawnView = key;

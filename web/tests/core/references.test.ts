@@ -5,6 +5,17 @@ import type { Reference } from "../../src/seam.ts";
 
 const CLIP = 90;
 
+/** What a frame on display gets. */
+function shown<P>(references: References<P>, frame: number, maxAge = 0): P | undefined {
+  references.show(frame, CLIP);
+  return references.newest(maxAge)?.picture;
+}
+
+function basisOf<P>(references: References<P>, frame: number): number | undefined {
+  references.show(frame, CLIP);
+  return references.basis(undefined);
+}
+
 function silent(frame: number, order: number, basis: number): Reference {
   return { frame, order, basis, kind: "nothing" } as unknown as Reference;
 }
@@ -14,7 +25,7 @@ for (const skipped of [19, 8]) {
     const references = new References<null>();
     references.marked(9);
     references.add(silent(skipped, 1, 4), null);
-    assert.equal(references.basisAt(20, undefined, CLIP), 9);
+    assert.equal(basisOf(references, 20), 9);
   });
 }
 
@@ -22,15 +33,15 @@ test("in a loop the next references are of the clip's first frames", () => {
   const references = new References<null>();
   references.marked(9);
   references.add(silent(2, 1, 4), null);
-  assert.equal(references.basisAt(88, undefined, CLIP), 4);
-  assert.equal(references.basisAt(3, undefined, CLIP), 9);
+  assert.equal(basisOf(references, 88), 4);
+  assert.equal(basisOf(references, 3), 9);
 });
 
 test("a reference of a frame that was skipped holds nothing back, nor half a clip later", () => {
   const references = new References<null>();
   references.marked(9);
   references.add(silent(1, 1, 4), null);
-  for (let frame = 2; frame < 3 * CLIP; frame += 2) assert.equal(references.basisAt(frame % CLIP, undefined, CLIP), 9);
+  for (let frame = 2; frame < 3 * CLIP; frame += 2) assert.equal(basisOf(references, frame % CLIP), 9);
 });
 
 test("references that greeted are forgotten, decoded late too; those after them stay", () => {
@@ -38,9 +49,22 @@ test("references that greeted are forgotten, decoded late too; those after them 
   for (const [frame, order] of [[0, 1], [3, 2]] as const) references.add(silent(frame, order, 4), `of ${frame}`);
   references.reset(1);
   references.add(silent(1, 1, 4), "late");
-  assert.equal(references.newest(2, 10), undefined);
-  assert.equal(references.newest(4, 10)?.picture, "of 3");
+  assert.equal(shown(references, 2, 10), undefined);
+  assert.equal(shown(references, 4, 10), "of 3");
   references.reset();
   references.add(silent(5, 3, 4), "of 5");
-  assert.deepEqual([references.newest(4, 10), references.newest(6, 10)?.picture], [undefined, "of 5"]);
+  assert.deepEqual([shown(references, 4, 10), shown(references, 6, 10)], [undefined, "of 5"]);
+});
+
+test("a round of a loop shows no reference of the round before, and those of its own that came early", () => {
+  const references = new References<string>();
+  for (let frame = 0; frame < 4; frame++) {
+    references.add(silent(frame, frame + 1, 4), `first ${frame}`);
+    assert.equal(shown(references, frame), `first ${frame}`);
+  }
+  for (let frame = 4; frame < CLIP - 2; frame++) shown(references, frame);
+  references.add(silent(1, 9, 5), "second 1");
+  for (let frame = CLIP - 2; frame < 2 * CLIP; frame++) {
+    assert.equal(shown(references, frame % CLIP), frame === CLIP + 1 ? "second 1" : undefined, `frame ${frame}`);
+  }
 });

@@ -107,7 +107,9 @@ def test_what_was_drawn_for_a_client_without_splats_is_forgotten_when_the_clip_p
     server.queue(ev.Outgoing(nothing), now_us=0)
     first_frame_comes(client, server, 100_000)
     assert client.pipeline is not None
-    assert client.pipeline._references.newest(0, 0) is not None
+    references = client.pipeline._references
+    references.show(0, 8)
+    assert references.newest(0) is not None
     later = ReferenceFrame(1, 0, Pose.identity(), client.settings.intrinsics, False, "nothing")
     server.queue(ev.Outgoing(later), now_us=150_000)
     for data in server.data_to_send(150_000):
@@ -116,8 +118,10 @@ def test_what_was_drawn_for_a_client_without_splats_is_forgotten_when_the_clip_p
         client.done(action, action.run(), 150_000)
     client.handle_timer(100_000 + QUIET_US)
     assert client.stats.started_us is not None
-    assert client.pipeline._references.newest(0, 0) is None
-    assert client.pipeline._references.newest(1, 0) is not None, "it came after the first frame was whole"
+    references.show(0, 8)
+    assert references.newest(0) is None
+    references.show(1, 8)
+    assert references.newest(0) is not None, "it came after the first frame was whole"
 
 
 def test_the_first_thing_that_is_sent_is_a_hello_with_the_viewers_camera() -> None:

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cags_client.store.references import KEPT, References
+from cags_client.store.references import KEPT, Received, References
 from cags_common.errors import DecodeError
 from cags_common.geometry import Intrinsics, Pose
 from cags_common.video.h264 import H264Encoder
 from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 
 VIEW = Intrinsics.of_fov(64, 48, 1.2, 1.0)
+CLIP = 90
 
 
 class Video:
@@ -32,8 +33,19 @@ class Video:
         return message, memoryview(unit), basis
 
 
+def shown(references: References, frame: int, max_age: int = 0, frames: int = CLIP) -> Received | None:
+    """What a frame on display gets."""
+    references.show(frame, frames)
+    return references.newest(max_age)
+
+
+def next_basis(references: References, frame: int, frames: int = CLIP) -> int | None:
+    references.show(frame, frames)
+    return references.next_basis()
+
+
 def grey(references: References, frame: int, max_age: int = 0) -> float | None:
-    picture = references.newest(frame, max_age)
+    picture = shown(references, frame, max_age)
     return None if picture is None or picture.coded is None else float(picture.coded.mean())
 
 
@@ -77,7 +89,7 @@ def test_a_picture_of_another_size_than_it_says_is_refused() -> None:
     references, video = References(), Video()
     with pytest.raises(DecodeError, match="reference 1 is 64x48, said 32x24"):
         references.add(*video.picture(0, view=Intrinsics.of_fov(32, 24, 1.2, 1.0)))
-    assert references.newest(0, 9) is None
+    assert shown(references, 0, 9) is None
 
 
 @pytest.mark.parametrize("damage", [b"", b"\x00\x00\x01"], ids=["empty", "no picture"])
@@ -98,7 +110,7 @@ def test_pictures_are_bounded_and_forgotten_on_a_jump_while_the_video_goes_on() 
     assert grey(references, 1, max_age=1) is None
     assert grey(references, 2) is not None
     references.reset()
-    assert references.newest(KEPT + 1, KEPT) is None
+    assert shown(references, KEPT + 1, KEPT) is None
     assert references.add(*video.picture(KEPT + 2))
 
 
@@ -130,7 +142,7 @@ def test_what_says_nothing_is_a_reference_without_a_picture_and_leaves_the_video
     assert references.add(*video.picture(0))
     assert references.add(*nothing(1, basis=4, seq=1))
     assert references.add(*video.picture(2)), "no gap"
-    silent = references.newest(1, 0)
+    silent = shown(references, 1, 0)
     assert silent is not None
     assert (silent.coded, silent.picture, silent.basis) == (None, None, 4)
     message, _, basis = nothing(3, basis=5)
@@ -142,7 +154,7 @@ def test_correctors_and_aligners_get_what_is_theirs() -> None:
     references, video = References(), Video()
     assert references.add(*video.picture(0))
     assert references.add(*difference(video, 1, basis=3))
-    picture, lacking = (references.newest(frame, 0) for frame in range(2))
+    picture, lacking = (shown(references, frame, 0) for frame in range(2))
     assert picture is not None
     assert lacking is not None
     assert picture.coded is not None
@@ -155,16 +167,16 @@ def test_correctors_and_aligners_get_what_is_theirs() -> None:
 
 def test_the_next_basis_is_the_least_that_waits_and_pictures_assume_none() -> None:
     references, video = References(), Video()
-    assert references.next_basis(0, 90) is None
+    assert next_basis(references, 0) is None
     assert references.add(*difference(video, 5, basis=3))
     assert references.add(*difference(video, 6, basis=4))
-    assert references.next_basis(4, 90) == 3
-    assert references.next_basis(5, 90) == 4, "the first has been reached"
-    assert references.next_basis(6, 90) is None
+    assert next_basis(references, 4) == 3
+    assert next_basis(references, 5) == 4, "the first has been reached"
+    assert next_basis(references, 6) is None
     assert references.add(*video.picture(7, basis=9))
-    assert references.next_basis(6, 90) is None, "a picture assumes nothing"
+    assert next_basis(references, 6) is None, "a picture assumes nothing"
     assert references.add(*nothing(8, basis=7))
-    assert references.next_basis(6, 90) == 7
+    assert next_basis(references, 6) == 7
 
 
 @pytest.mark.parametrize("frames", [2, 5, 24, 90])
@@ -173,24 +185,59 @@ def test_a_reference_of_a_frame_that_was_skipped_or_came_late_never_holds_anythi
     references = References()
     assert references.add(*nothing(1, basis=4))
     for frame in range(step, 3 * frames, step):  # the frame itself is skipped, or on display
-        assert references.next_basis(frame % frames, frames) is None, f"frame {frame}"
+        assert next_basis(references, frame % frames, frames) is None, f"frame {frame}"
     assert references.add(*nothing(0, basis=5))
     for frame in range(3 * frames + 1, 6 * frames, step):
-        assert references.next_basis(frame % frames, frames) is None, f"late, at frame {frame}"
+        assert next_basis(references, frame % frames, frames) is None, f"late, at frame {frame}"
 
 
 def test_in_a_loop_the_next_references_are_of_the_clips_first_frames() -> None:
     references = References()
     assert references.add(*nothing(2, basis=4))
-    assert references.next_basis(88, 90) == 4
-    assert references.next_basis(3, 90) is None
+    assert next_basis(references, 88) == 4
+    assert next_basis(references, 3) is None
+
+
+@pytest.mark.parametrize("frames", [12, 90])
+def test_a_round_of_a_loop_shows_no_reference_of_the_round_before(frames: int) -> None:
+    """They were the last to come, since nothing was lacking any more: the picture fell from 44 to 21 dB there."""
+    references = References()
+    for frame in range(4):
+        assert references.add(*nothing(frame, basis=4))
+        assert shown(references, frame, 10, frames) is not None
+    for frame in range(4, 3 * frames):
+        received = shown(references, frame % frames, 3, frames)
+        assert received is None or frame < 7, f"frame {frame}"
+
+
+@pytest.mark.parametrize("frames", [12, 90])
+def test_references_of_the_next_round_come_before_it_begins_and_stay(frames: int) -> None:
+    references = References()
+    assert references.add(*nothing(1, basis=4))
+    assert shown(references, 1, frames=frames) is not None
+    assert shown(references, frames - 2, frames=frames) is None
+    for frame in (0, 1, 2):
+        assert references.add(*nothing(frame, basis=10 + frame))
+    for frame in (frames - 1, 0, 1, 2):
+        received = shown(references, frame, frames=frames)
+        assert (None if received is None else received.basis) == (None if frame == frames - 1 else 10 + frame)
+
+
+def test_a_reference_that_comes_when_the_next_round_has_begun_is_of_no_use_in_it() -> None:
+    references = References()
+    assert shown(references, CLIP - 1) is None
+    assert shown(references, 1) is None
+    assert references.add(*nothing(CLIP - 2, basis=4))
+    for frame in range(2, CLIP):
+        assert shown(references, frame) is None
+        assert references.next_basis() is None
 
 
 def test_a_picture_says_what_coding_has_left_in_it() -> None:
     references, video = References(), Video()
     message, unit, basis = video.picture(0)
     assert references.add(replace(message, error=1e-4), unit, basis)
-    received = references.newest(0, 0)
+    received = shown(references, 0, 0)
     assert received is not None
     assert received.coded is not None
     assert received.reference.error == pytest.approx(1e-4)
