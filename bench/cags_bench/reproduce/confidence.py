@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 BLOCK_FRAMES = 9
 """Frames that count as one observation: neighbours are alike, 0.3 s apart they hardly are."""
 
-_T_95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18, 2.16, 2.14, 2.13, 2.12, 2.11, 2.10)
-_T_MANY = 1.98
-"""Student's t of 95 %, two-sided, by degrees of freedom from 1; and beyond the table."""
+SHARE = 0.95
+"""Of intervals that hold the true mean."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def interval(values: Sequence[float]) -> Interval:
     mean = float(found.mean())
     if len(found) < 2:
         return Interval(mean, -math.inf, math.inf)
-    t = _T_95[len(found) - 2] if len(found) - 2 < len(_T_95) else _T_MANY
+    t = float(student.ppf((1 + SHARE) / 2, len(found) - 1))
     spread = t * float(found.std(ddof=1)) / math.sqrt(len(found))
     return Interval(mean, mean - spread, mean + spread)
 

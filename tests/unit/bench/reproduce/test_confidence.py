@@ -17,6 +17,13 @@ def test_the_interval_is_students() -> None:
     assert not found.above(0.0), "it may be less"
 
 
+@pytest.mark.parametrize(("count", "student"), [(2, 12.706), (5, 2.776), (30, 2.045), (200, 1.972)])
+def test_fewer_observations_are_less_sure(count: int, student: float) -> None:
+    values = np.random.default_rng(2).normal(size=count)
+    found = interval(values.tolist())
+    assert found.high - found.mean == pytest.approx(student * values.std(ddof=1) / math.sqrt(count), rel=1e-3)
+
+
 def test_nineteen_in_twenty_intervals_hold_the_truth() -> None:
     rng = np.random.default_rng(1)
     held = [(found := interval(rng.normal(3.0, 1.0, 5).tolist())).low <= 3.0 <= found.high for _ in range(2000)]
