@@ -10,7 +10,7 @@ const QUIET_US = 250_000;
 /** While tiles arrive, the held frame is redrawn at this interval. */
 const PREVIEW_EVERY_US = 200_000;
 
-/** Of one play. */
+/** Decides how long one play holds its first frame. */
 export class Startup {
   readonly #mostUs: number;
   #newestUs: number;
