@@ -47,9 +47,9 @@ class Seen:
         """``picture`` brought to this view, its ``colours`` at once or when they are looked at."""
         return (aligner or align.create("fast")).align(picture, self.depth, self.camera, colours=colours)
 
-    def restored(self, picture: ReferencePicture, restorer: Restorer) -> F32:
-        """The picture that a client shows that restores by an aligned one [H, W, 3] in [0, 1]."""
-        return restorer.restore(RestoreInput(self.distorted, self.aligned(picture)))
+    def restored(self, picture: ReferencePicture, restorer: Restorer, level: float) -> F32:
+        """The picture that a client shows that restores by an aligned one [H, W, 3] in [0, 1]; ``level`` in [0, 1]."""
+        return restorer.restore(RestoreInput(self.distorted, self.aligned(picture), level))
 
 
 def see(scene: RasterScene, camera: Camera, options: RenderOptions | None = None) -> Seen:

@@ -62,7 +62,8 @@ def _ways(moment: Moment) -> Stage:
         restorer = restore.create(name)
 
         def restored(restorer: restore.Restorer = restorer) -> F32:
-            return restorer.restore(RestoreInput(view.rgb, aligner.align(picture, depth, moment.camera, colours=True)))
+            aligned = aligner.align(picture, depth, moment.camera, colours=True)
+            return restorer.restore(RestoreInput(view.rgb, aligned, moment.level))
 
         points.append(Point(name, restored, judge))
     return Stage("correction", "what is done", "client", "corrected_psnr_db", tuple(points), repetitions=3)

@@ -8,6 +8,7 @@ from typing import Any
 
 from cags_bench.sim.session import Scenario, simulate
 from cags_client.frame.presented import PresentedFrame
+from cags_client.frame.restore import level_of
 from cags_client.output.truth import BundleTruth
 from cags_client.settings import ClientSettings
 from cags_common import raster
@@ -36,6 +37,8 @@ class Moment:
     """The unquantised splats."""
     held: RasterScene
     """What the client draws when all has come up to LoD ``JUDGED_LOD``."""
+    level: float
+    """``JUDGED_LOD`` as a share of the ladder, as restorers are told it."""
     truth: F32  # [H, W, 3] in [0, 1]
     source: Splats
 
@@ -78,7 +81,9 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
     chosen = kept[len(kept) // 4 :: max(len(kept) // (MOMENTS + 1), 1)][:MOMENTS]
     truth = BundleTruth(str(bundle), replace(scenario.client, exactness="exact"))
     reader = BundleReader.open(str(bundle))
-    decoder = BundlePlayer(reader, min(JUDGED_LOD, reader.manifest.lods - 1))
+    lods = reader.manifest.lods
+    held_lod = min(JUDGED_LOD, lods - 1)
+    decoder = BundlePlayer(reader, held_lod)
     rasteriser = raster.create("auto")
     moments = []
     for presented in chosen:
@@ -91,6 +96,7 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
                 reference_camera=presented.reference.camera,
                 true=rasteriser.load(source),
                 held=rasteriser.load(decoder.frame(frame).splats),
+                level=level_of(held_lod, lods),
                 truth=truth(frame, presented.camera)[0].clip(0, 1),
                 source=source,
             )

@@ -18,7 +18,7 @@ from cags_client.frame.changes import Changes
 from cags_client.frame.painting import Canvas, Painter, StagedPictures
 from cags_client.frame.presented import PresentedFrame
 from cags_client.frame.resolution import Resolutions
-from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer
+from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer, level_of
 from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
@@ -221,8 +221,10 @@ class ClientPipeline:
         canvas = Canvas(scene, self._scene_changes, camera, half, self._options(plan))
         pictures: FramePictures
         aligned, used = None, reference if reference is not None and reference.coded is not None else None
+        lod_mean = store.shown.lod_mean(camera)
         if used is not None and Pass.RESTORATION in plan:
-            aligned, pictures = self._restored(plan, canvas, used, frame, watch)
+            freshness, level = self._freshness(used, frame), level_of(lod_mean, self.info.lods)
+            aligned, pictures = self._restored(plan, canvas, used, watch, freshness=freshness, level=level)
         else:
             given = self._correction(plan, canvas, store, used, frame) if used and Pass.CORRECTION in plan else None
             pictures = self._painter.paint(canvas, given, watch)
@@ -234,7 +236,7 @@ class ClientPipeline:
             pictures=pictures,
             aligned=aligned,
             reference=reference,
-            lod_mean=store.shown.lod_mean(camera),
+            lod_mean=lod_mean,
             missed=committed.missed,
             buffer_ms=self._store.ahead(frame) * 1e3 / self.info.fps,
             stages_ms=watch.stages_ms,
@@ -315,7 +317,7 @@ class ClientPipeline:
         return Correction(reference.reference, self.settings.intrinsics, changed=changed, stale=stale)
 
     def _restored(
-        self, plan: PassPlan, canvas: Canvas, reference: Received, frame: int, watch: Stopwatch
+        self, plan: PassPlan, canvas: Canvas, reference: Received, watch: Stopwatch, *, freshness: float, level: float
     ) -> tuple[Aligned | None, StagedPictures]:
         """The aligned picture, and what the restorer makes of it."""
         view, picture = self._painter.view(canvas, watch), reference.picture
@@ -326,9 +328,9 @@ class ClientPipeline:
             occlusion, colours = Pass.OCCLUSION in plan, Pass.EROSION in self._restorer.needs
             aligned = self._aligner.align(picture, view.depth, canvas.camera, occlusion=occlusion, colours=colours)
             if Pass.FADE in plan:
-                aligned = _faded(aligned, self._freshness(reference, frame))
+                aligned = _faded(aligned, freshness)
         with watch("restore"):
-            rgb = self._restorer.restore(RestoreInput(view.rgb, aligned))
+            rgb = self._restorer.restore(RestoreInput(view.rgb, aligned, level))
         return aligned, self._painter.finished(canvas, StagedPictures.of(view, rgb, aligned.confidence), watch)
 
     def _updated(self, store: GofBuffer, committed: Committed) -> RasterScene:

@@ -26,7 +26,7 @@ def frame(depth, pose=None, reference_value=0.5, size=(40, 56), reference_size=(
     depths = np.full(size, depth, np.float32)
     distorted = np.random.default_rng(0).uniform(size=(*size, 3)).astype(np.float32)
     aligned = align.create("fast").align(reference, depths, client)
-    return RestoreInput(distorted, aligned)
+    return RestoreInput(distorted, aligned, 0.0)
 
 
 BEHIND = Pose((0.0, 0.0, 50.0), (1.0, 0.0, 0.0, 0.0))

@@ -99,7 +99,7 @@ def test_pictures_of_one_colour_are_restored_to_finite_colours(restorer: str, le
     flat = np.full((36, 48, 3), level, np.float32)
     reference = ReferencePicture(np.full((36, 48, 3), 1 - level, np.float32), Camera(SMALL, Pose.identity()), 0)
     aligned = _aligned(reference, np.full((36, 48), 2.0, np.float32))
-    shown = create_restorer(restorer).restore(RestoreInput(flat, aligned))
+    shown = create_restorer(restorer).restore(RestoreInput(flat, aligned, 0.0))
     assert np.isfinite(shown).all()
     assert shown.min() >= 0
     assert shown.max() <= 1

@@ -33,7 +33,7 @@ def test_a_picture_corrects_what_the_client_draws():
     corrected = seen.corrected(Reference(picture, SMALL, picture=True))
     before, after = (float(np.square(rgb - truth).mean()) for rgb in (seen.distorted, corrected.rgb))
     assert after < 0.3 * before
-    restored = seen.restored(ReferencePicture(picture, SMALL, 0), restore.create("reference"))
+    restored = seen.restored(ReferencePicture(picture, SMALL, 0), restore.create("reference"), 0.0)
     assert restored.shape == truth.shape
 
 

@@ -109,7 +109,7 @@ def _client_works(view: View, reader: BundleReader) -> dict[str, Callable[[], An
     seen = see(view.held, view.camera)
     picture = ReferencePicture(view.picture.coded, view.picture.camera, 0)
     aligner, network, corrector = align.create("fast"), restore.create("srresnet"), correction.create("auto")
-    inputs = RestoreInput(seen.distorted, seen.aligned(picture, aligner, colours=True))
+    inputs = RestoreInput(seen.distorted, seen.aligned(picture, aligner, colours=True), AlignBenchSettings().lod)
     return {
         "decode base layers (Draco)": lambda: [decode_base(base, books) for base in bases],
         "decode layers (SVQ)": _layer_decoder(reader, books, tiles, bases),

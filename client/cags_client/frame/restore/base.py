@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,6 +20,18 @@ class RestoreInput:
 
     distorted: F32  # [H, W, 3] in [0, 1]: the client's own render, premultiplied over black
     aligned: Aligned
+    level: float
+    """Detail of what is on screen in [0, 1] (:func:`level_of`). 0: all at the base; 1: all at the top of the ladder."""
+
+
+def level_of(lod_mean: float, lods: int) -> float:
+    """What a mean LoD of the splats in view (``Shown.lod_mean``) is of a ladder of ``lods`` levels, in [0, 1].
+
+    0 where nothing is in view (NaN): what a reference shows there is all there is. 1 on a ladder of one level.
+    """
+    if math.isnan(lod_mean):
+        return 0.0
+    return lod_mean / (lods - 1) if lods > 1 else 1.0
 
 
 class Restorer(Protocol):

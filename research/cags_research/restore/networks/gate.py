@@ -1,11 +1,18 @@
-"""How much of a restored picture is shown: the error expected of the client's own picture, told from both pictures.
+"""How much of a restored picture is shown: told from the level of what is on screen and from both pictures.
 
 At the base level a client's picture is 25 dB from the truth and an aligned reference 35; at the top of the ladder it
 is 50 dB. A network that sees twelve pixels around each has to restore the one and leave the other alone, and left to
-itself it does not learn when: it wins 7 dB at the base and loses 6 at the top. What tells the two apart is how the
-pictures differ over a region: wrong colours differ in patches, a reference's blur and misregistration around edges.
-The latter can be told from the client's own picture: a blurred and shifted copy of it differs from it by a mixture of
-its own sharp parts and slopes. What such a mixture does not explain is error, of the one picture or of the other.
+itself it does not learn when: it wins 7 dB at the base and loses 6 at the top. A gate that has to guess the level from
+the pictures does not either (+6.4, -1.3, -3.8 and -6.5 dB at 0, 0.3, 0.6 and 1 of the ladder). The client knows it.
+
+Of two pictures with errors that have nothing to do with each other the best mixture has the shares of the other's mean
+square: its log-odds are the difference in decibels. The client's picture gets better by about the root of the level, so
+the log-odds fall with that root, by construction: the gate learns from the pictures where and how steeply.
+
+What the pictures tell is how they differ over a region: wrong colours differ in patches, a reference's blur and
+misregistration around edges. The latter can be told from the client's own picture: a blurred and shifted copy of it
+differs from it by a mixture of its own sharp parts and slopes. What such a mixture does not explain is error, of the
+one picture or of the other.
 """
 
 from __future__ import annotations
@@ -28,31 +35,37 @@ _LOG_MIDDLE, _LOG_SPREAD = -9.0, 3.0
 """Of the logarithms of mean squares between the floor and 1: about 0 in the middle, within two either way."""
 
 
+START, FALL = 2.0, 5.6
+"""Untrained log-odds at the base, and by how much they fall to the top: 9 dB for the reference, 15 dB against it."""
+
+
 class ErrorGate(nn.Module):
-    """Share [B, H, W, 1] in (0, 1) of a restored picture, from the aligned reference and the client's own picture.
+    """Share [B, H, W, 1] in (0, 1) of a restored picture, from the aligned reference, the client's own picture and its
+    level. It never rises with the level.
 
     Seven mean squares a cell (of the difference: its part that the client's picture does not explain, its means over 7,
     15 and 31 pixels, its sharp part; of either picture: the sharp part) go through two 3x3 convolutions of 16 channels
-    and one 1x1.
+    and one 1x1, which says the log-odds at the base and how fast they fall with the root of the level.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.first = nn.Conv2d(_MEASURES, WIDTH, 3, padding=1)
-        self.second = nn.Conv2d(WIDTH, WIDTH, 3, padding=2, dilation=2)
-        self.last = nn.Conv2d(WIDTH, 1, 1)
-        nn.init.zeros_(self.last.weight)  # untrained, it halves everywhere
+        self.first = nn.Conv2d(_MEASURES, WIDTH, 3, padding=1, padding_mode="replicate")
+        self.second = nn.Conv2d(WIDTH, WIDTH, 3, padding=2, dilation=2, padding_mode="replicate")
+        self.last = nn.Conv2d(WIDTH, 2, 1)
+        nn.init.zeros_(self.last.weight)  # untrained, the level alone decides
         assert self.last.bias is not None
         nn.init.zeros_(self.last.bias)
 
-    def forward(self, aligned: Tensor, distorted: Tensor) -> Tensor:
-        """Images are [B, H, W, 3] of any size."""
+    def forward(self, aligned: Tensor, distorted: Tensor, level: Tensor) -> Tensor:
+        """Images are [B, H, W, 3] of any size; ``level`` [B, 1, 1, 1] is in [0, 1] (``RestoreInput.level``)."""
         height, width = aligned.shape[1], aligned.shape[2]
         spare = (0, -width % CELL_PX, 0, -height % CELL_PX)
         a, d = (functional.pad(image.permute(0, 3, 1, 2), spare, mode="replicate") for image in (aligned, distorted))
         features = functional.leaky_relu(self.first(_measures(a, d)), 0.1)
         features = functional.leaky_relu(self.second(features), 0.1)
-        shares = torch.sigmoid(self.last(features))
+        base, fall = self.last(features).split(1, dim=1)
+        shares = torch.sigmoid(START + base - FALL * torch.exp(fall) * torch.sqrt(level))
         full = functional.interpolate(shares, scale_factor=CELL_PX, mode="bilinear", align_corners=False)
         return full[:, :, :height, :width].permute(0, 2, 3, 1)
 

@@ -16,12 +16,15 @@ def network_of(weights: Weights) -> nn.Module:
     """The network of ``weights``, filled with them. Raises :class:`ConfigError` where they do not fit."""
     import torch
 
-    network = _new(weights.network, gated=any(name.startswith("gate.") for name in weights.arrays))
+    network = _new(weights.network, gated=weights.gated)
     wanted = {name: tuple(p.shape) for name, p in network.named_parameters()}
     given = {name: array.shape for name, array in weights.arrays.items()}
     if wanted != given:
         odd = sorted(set(wanted.items()) ^ set(given.items()))[0][0]
-        raise ConfigError(f"weights of {weights.network!r}: array {odd!r} is missing, unknown or of another shape")
+        raise ConfigError(
+            f"weights of {weights.network!r}: array {odd!r} is missing, unknown or of another shape; "
+            "train them anew with 'cags-train restore'"
+        )
     network.load_state_dict({name: torch.from_numpy(array.copy()) for name, array in weights.arrays.items()})
     return network
 

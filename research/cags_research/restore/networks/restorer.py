@@ -19,16 +19,18 @@ class PictureRestorer:
 
     needs = ALIGNED
 
-    def __init__(self, runtime: Runtime, name: str, *, replaces: bool) -> None:
+    def __init__(self, runtime: Runtime, name: str, *, replaces: bool, levelled: bool = False) -> None:
+        """``levelled``: the network is given the level of what is on screen as a third input."""
         self.name, self.replaces = name, replaces
-        self._runtime = runtime
+        self._runtime, self._levelled = runtime, levelled
 
     def restore(self, inputs: RestoreInput) -> F32:
         """See :class:`cags_client.frame.restore.base.Restorer`."""
         distorted, aligned = inputs.distorted, inputs.aligned
         if not self.replaces and not aligned.confidence.any():
             return distorted
-        shown = self._runtime.run(filled(aligned.rgb, aligned.confidence, distorted), distorted)
+        level = (np.full((1, 1, 1), inputs.level, np.float32),) if self._levelled else ()
+        shown = self._runtime.run(filled(aligned.rgb, aligned.confidence, distorted), distorted, *level)
         if not self.replaces:
             shown = distorted + reach(aligned.confidence)[..., None] * (shown - distorted)
         return np.clip(shown, 0.0, 1.0)

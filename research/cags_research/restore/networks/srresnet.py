@@ -4,8 +4,9 @@
 batch norm) -> two more convolutions with LeakyReLU -> 3x3 convolution to RGB, plus the reference. At full resolution:
 54,051 weights, 103 GMAC at 1600x1200 (Ledig et al. 2017, made light; FINDINGS of this project).
 
-``srresnet`` may have a gate (:mod:`cags_research.restore.networks.gate`; 3,361 weights more), which says how much of
-its answer is shown in place of the distorted picture. The paper has none: its network decides that itself.
+``srresnet`` may have a gate (:mod:`cags_research.restore.networks.gate`; 3,378 weights more), which says how much of
+its answer is shown in place of the distorted picture, by the level of what is on screen. The paper has none: its
+network is given two pictures and decides that itself. ``SrResNet(gated=False)`` is the paper's.
 
 ``sr-align-ref`` sees the aligned reference alone (super-resolution), ``cr-no-ref`` the distorted picture alone (colour
 restoration without a reference, which it then adds to).
@@ -99,8 +100,11 @@ class SrResNet(nn.Module):
             self.head.weight[channel, 3 + colour, 1, 1] = -sign
             self.tail.weight[colour, channel, 1, 1] = sign / (1 + SLOPE)
 
-    def forward(self, aligned: Tensor, distorted: Tensor) -> Tensor:
-        """The restored picture before clipping: the loss looks at this, so that no gradient dies."""
+    def forward(self, aligned: Tensor, distorted: Tensor, level: Tensor | None = None) -> Tensor:
+        """The restored picture before clipping: the loss looks at this, so that no gradient dies.
+
+        ``level`` [B, 1, 1, 1] is for the gate: :class:`ValueError` is raised where there is one and no level.
+        """
         base = distorted if self.sees is Sees.DISTORTED else aligned
         seen = torch.cat([aligned, distorted], dim=3) if self.sees is Sees.BOTH else base
         features = functional.leaky_relu(self.head(seen.permute(0, 3, 1, 2)), SLOPE, inplace=True)
@@ -110,7 +114,9 @@ class SrResNet(nn.Module):
             features = functional.leaky_relu(convolution(features), SLOPE, inplace=True)
         restored: Tensor = base + self.tail(features).permute(0, 2, 3, 1)
         if self.gate is not None:
-            restored = distorted + self.gate(aligned, distorted) * (restored - distorted)
+            if level is None:
+                raise ValueError("level = None: a network with a gate needs the level of what is on screen")
+            restored = distorted + self.gate(aligned, distorted, level) * (restored - distorted)
         return restored
 
 

@@ -43,6 +43,11 @@ class Weights:
         """Number of single weights."""
         return sum(array.size for array in self.arrays.values())
 
+    @property
+    def gated(self) -> bool:
+        """Whether their network has a gate, and is given the level as a third input."""
+        return any(name.startswith("gate.") for name in self.arrays)
+
     def to_bytes(self) -> bytes:
         """An ``.npz`` archive; equal weights give equal bytes."""
         about = json.dumps({"version": VERSION, "network": self.network, **self.about}, sort_keys=True)

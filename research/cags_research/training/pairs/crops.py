@@ -37,7 +37,7 @@ class Crops:
     confidence: Bytes  # [N, S, S]
     truth: Bytes  # [N, S, S, 3]
     covered: Bytes  # [N, S, S] alpha of the truth
-    level: F32  # [N] mean LoD of the tiles in their view's frame, as a share of the ladder
+    level: F32  # [N] that of the client's whole view, in [0, 1] (RestoreInput.level)
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -100,7 +100,7 @@ def _crops_at(areas: Sequence[tuple[slice, slice]], pair: Pair) -> Crops:
         confidence=_cut(inputs.aligned.confidence, areas),
         truth=_cut(pair.truth, areas),
         covered=_cut(pair.truth_alpha, areas),
-        level=np.full(len(areas), pair.level, np.float32),
+        level=np.full(len(areas), inputs.level, np.float32),
     )
 
 

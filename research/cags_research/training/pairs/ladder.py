@@ -10,10 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cags_client.frame.restore import level_of
 from cags_common.bundle import BundleReader, Manifest
 from cags_common.bundle.codecs import MotionTile
 from cags_common.bundle.reader import MANIFEST_NAME
+from cags_common.geometry import Camera
 from cags_common.splats import Splats
+from cags_common.store.tile_decode import OpenTile, in_view, open_tile
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.updates import UpdateState
 from cags_encoder.pipeline import encode
@@ -30,6 +33,13 @@ class Ladder:
         self._codec = reader.codec
         looks = [tile for tile in reader.frame(0).tiles if tile.kind is TileKind.LOOKS]  # motion begins at rest
         self._payloads = [[reader.payload(0, t.tile, lod) for lod in range(len(t.lod_bytes))] for t in looks]
+        self._opened = [self._bare(memoryview(payloads[0])) for payloads in self._payloads]
+
+    def _bare(self, base: memoryview) -> OpenTile:
+        """Where a tile is and how many splats it has."""
+        opened = open_tile(self._codec, base)
+        assert isinstance(opened, OpenTile)
+        return opened
 
     @classmethod
     def of_scene(cls, spec: str, settings: EncodeSettings) -> Ladder:
@@ -55,6 +65,15 @@ class Ladder:
     def top(self) -> int:
         """The highest LoD."""
         return self.manifest.lods - 1
+
+    def level(self, lods: Sequence[int] | NDArray[np.integer], camera: Camera) -> float:
+        """What a client at ``camera`` says of its picture with each tile at its LoD of ``lods`` [tiles]: the mean over
+        the splats of tiles in view as a share of the ladder (``Shown.lod_mean``), over all where none is in view.
+        """
+        counts = np.array([len(tile.state) for tile in self._opened], np.float64)
+        weights = counts * in_view([tile.sphere for tile in self._opened], camera)
+        weights = weights if weights.sum() > 0 else counts
+        return level_of(float((weights * np.asarray(lods)).sum() / weights.sum()), self.manifest.lods)
 
     def at(self, lods: Sequence[int] | NDArray[np.integer]) -> Splats:
         """All splats, each tile decoded to its own LoD of ``lods`` [tiles], 0 to :attr:`top`."""

@@ -28,7 +28,6 @@ class Pair:
     inputs: RestoreInput
     truth: F32  # [H, W, 3] in [0, 1]
     truth_alpha: F32  # [H, W]
-    level: float  # mean LoD of the tiles, as a share of the ladder
 
 
 @dataclass(frozen=True)
@@ -107,9 +106,8 @@ class PairMaker:
         reference = video.reference(scene, view.reference)
         assert distorted.depth is not None
         aligned = self._aligner.align(reference, distorted.depth, view.client)
-        inputs = RestoreInput(colours.of(distorted.rgb), aligned)
-        level = float(np.mean(lods)) / max(self.ladder.top, 1)
-        return Pair(inputs, truth=colours.of(truth.rgb), truth_alpha=truth.alpha, level=level)
+        inputs = RestoreInput(colours.of(distorted.rgb), aligned, self.ladder.level(lods, view.client))
+        return Pair(inputs, truth=colours.of(truth.rgb), truth_alpha=truth.alpha)
 
     def _render(self, scene: RasterScene, camera: Camera) -> RenderedView:
         return scene.render(camera, RenderOptions(threads=self._threads))

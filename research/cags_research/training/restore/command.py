@@ -31,7 +31,7 @@ EXAMPLES = """\
 
 HELD_OUT_VIEWS_SHARE = 0.2
 
-HELD_OUT_LEVELS = "0 0.3 0.6 1"
+HELD_OUT_LEVELS = "0 0.1 0.3 0.6 1"
 """Shares of the ladder at which held-out views are scored."""
 
 

@@ -19,7 +19,8 @@ Task = Callable[[nn.Module, Batch, torch.device], Tensor]
 def restore_srresnet(network: nn.Module, batch: Batch, device: torch.device) -> Tensor:
     """The paper's network and its one-input variants."""
     aligned = filled(batch.aligned, batch.confidence[..., 0], batch.distorted)
-    restored: Tensor = network(torch.from_numpy(aligned).to(device), torch.from_numpy(batch.distorted).to(device))
+    images = (aligned, batch.distorted, batch.level)
+    restored: Tensor = network(*(torch.from_numpy(image).to(device) for image in images))
     return restored
 
 

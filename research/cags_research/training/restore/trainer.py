@@ -30,6 +30,9 @@ SMALLEST_RATE = 0.01
 
 MAX_GRADIENT_NORM = 1.0
 
+ADAM = ("step", "exp_avg", "exp_avg_sq")
+"""What Adam keeps of a parameter that has had a gradient."""
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -72,6 +75,7 @@ class Trainer:
     def _begin_with(self, network: nn.Module) -> None:
         self._network = channels_last(network, self._device)
         self._average = {name: p.detach().clone() for name, p in self._network.named_parameters()}
+        self._gated = any(name.startswith("gate.") for name in self._average)
         self._optimiser = torch.optim.Adam(self._network.parameters(), lr=self.settings.rate)
 
     @property
@@ -97,17 +101,26 @@ class Trainer:
         while not self.finished:
             self._advance()
             line = None
-            if self._step % self.settings.evaluate_every == 0 or self._step == self.settings.steps:
+            if self._is_told():
                 line = self._evaluated()
                 save(self.checkpoint())
             tell(self._step, self.settings.steps, line)
 
+    def _is_told(self) -> bool:
+        """Whether what the steps so far have made is scored: regularly, at the end, and what the gate wins alone."""
+        s = self.settings
+        alone = self._gated and self._step == s.gate_steps
+        return alone or self._step % s.evaluate_every == 0 or self._step == s.steps
+
     def _advance(self) -> None:
         s = self.settings
+        for name, parameter in self._network.named_parameters():
+            parameter.requires_grad_(not self._gated or self._step >= s.gate_steps or name.startswith("gate."))
         batch = draw_batch(self.train, s.batch, s.patch, (self.seed, self._step), self._chances)
         for group in self._optimiser.param_groups:
             group["lr"] = s.rate * _schedule(self._step / s.steps)
-        value = batch_loss(self._task(self._network, batch, self._device), batch, self._device)
+        restored = as_used(s.network, self._task(self._network, batch, self._device), batch)
+        value = batch_loss(restored, batch, self._device)
         self._optimiser.zero_grad(set_to_none=True)
         value.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRADIENT_NORM)
@@ -163,9 +176,8 @@ class Trainer:
             arrays[f"network/{name}"] = parameter.detach().cpu().numpy().copy()
             arrays[f"average/{name}"] = self._average[name].cpu().numpy().copy()
             state = self._optimiser.state.get(parameter, {})
-            for moment in ("exp_avg", "exp_avg_sq"):
-                if moment in state:
-                    arrays[f"{moment}/{name}"] = state[moment].cpu().numpy().copy()
+            for moment in ADAM if state else ():
+                arrays[f"{moment}/{name}"] = state[moment].cpu().numpy().copy()
         history = [list(astuple(line)) for line in self.history]
         facts: dict[str, Any] = {"step": self._step, "history": history, "key": self._key()}
         return Checkpoint(arrays, facts)
@@ -182,9 +194,11 @@ class Trainer:
         for name, parameter in self._network.named_parameters():
             parameter.data.copy_(torch.from_numpy(arrays[f"network/{name}"]))
             self._average[name].copy_(torch.from_numpy(arrays[f"average/{name}"]))
-            if f"exp_avg/{name}" in arrays:
-                moments = {m: self._tensor(arrays[f"{m}/{name}"].copy()) for m in ("exp_avg", "exp_avg_sq")}
-                self._optimiser.state[parameter] = {"step": torch.tensor(float(self._step)), **moments}
+            if f"{ADAM[0]}/{name}" in arrays:
+                kept = {what: torch.from_numpy(arrays[f"{what}/{name}"].copy()) for what in ADAM}
+                self._optimiser.state[parameter] = {
+                    what: value if what == "step" else value.to(self._device) for what, value in kept.items()
+                }
 
     def _key(self) -> str:
         return repr((self.settings, self.seed, len(self.train), len(self.held_out)))

@@ -28,7 +28,7 @@ def inputs(truth: np.ndarray, distorted: np.ndarray) -> RestoreInput:
     """The same view from the same pose, on a flat wall."""
     small = cv2.resize(truth, (40, 30), interpolation=cv2.INTER_AREA)
     reference = ReferencePicture(small, Camera(SMALL, Pose.identity()), 0)
-    return RestoreInput(distorted, create("fast").align(reference, np.full((120, 160), 2.0, np.float32), CAMERA))
+    return RestoreInput(distorted, create("fast").align(reference, np.full((120, 160), 2.0, np.float32), CAMERA), 0.0)
 
 
 @pytest.mark.parametrize("name", OF_PICTURES)

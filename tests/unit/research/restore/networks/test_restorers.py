@@ -25,7 +25,7 @@ def scene(height=48, width=64, seed=0, error=0.1):
     reference = ReferencePicture(small, other, 0)
     settings = AlignSettings(border_px=0.0)
     aligned = align.create("fast", settings).align(reference, np.ones((height, width), np.float32), client)
-    return RestoreInput(truth - np.float32(error), aligned), truth
+    return RestoreInput(truth - np.float32(error), aligned, 0.0), truth
 
 
 def weights_of(network, name):
