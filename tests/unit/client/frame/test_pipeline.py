@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cags_client.frame import pipeline
+from cags_client.frame import pipeline, restore
 from cags_client.frame.pipeline import ClientPipeline
+from cags_client.frame.restore import RestoreInput
 from cags_client.output.score import averages, score
 from cags_client.playback.jobs import Decode
 from cags_client.settings import ClientSettings
@@ -75,6 +76,34 @@ def test_a_restorer_that_replaces_the_picture_does_so_at_the_top_too(reader: Bun
     shown = stage.show(0, pose)
     assert shown.aligned is not None
     assert not np.array_equal(shown.rgb, shown.distorted)
+
+
+def test_a_restorer_is_told_the_level_of_what_is_on_screen(
+    reader: BundleReader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mean over the splats in view: half of the tiles at the top are not half of the level, where they hold more."""
+    told: list[float] = []
+    plain = restore.create("reference")
+
+    class Listening:
+        name, needs, replaces = "reference", plain.needs, True
+
+        def restore(self, inputs: RestoreInput) -> np.ndarray:
+            told.append(inputs.level)
+            return plain.restore(inputs)
+
+    monkeypatch.setattr(restore, "create", lambda name, **_: Listening())
+    pose, top = walk(reader), reader.manifest.lods - 1
+    for lods, every in ((1, 1), (top // 2 + 1, 1), (top + 1, 2), (top + 1, 1)):
+        stage = Stage(reader, restore="reference")
+        stage.send(0)
+        if lods > 1:
+            stage.send(0, lods, first=1, every=every)
+        stage.refer(0, pose, PICTURE)
+        shown = stage.show(0, pose)
+        assert told[-1] == pytest.approx(shown.lod_mean / top)
+    assert [told[0], told[1], told[3]] == [0, pytest.approx(top // 2 / top), 1]
+    assert 0 < told[2] < 1
 
 
 @pytest.mark.parametrize(("restorer", "kind"), [("correct", DIFFERENCE), ("correct", PICTURE), ("reference", PICTURE)])

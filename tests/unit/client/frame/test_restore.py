@@ -8,7 +8,7 @@ import pytest
 
 from cags_client.frame import restore
 from cags_client.frame.align import ReferencePicture, create
-from cags_client.frame.restore import CORRECT, NONE, RESTORERS, RestoreInput, references_wanted, switchable
+from cags_client.frame.restore import CORRECT, NONE, RESTORERS, RestoreInput, level_of, references_wanted, switchable
 from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
 
@@ -53,6 +53,14 @@ def test_reference_shows_the_aligned_picture_and_the_clients_own_where_it_says_n
     inside = confidence == 1
     assert inside.any()
     np.testing.assert_allclose(shown[inside], given.aligned.rgb[inside], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lod_mean", "lods", "level"),
+    [(0.0, 25, 0.0), (6.0, 25, 0.25), (24.0, 25, 1.0), (float("nan"), 25, 0.0), (0.0, 1, 1.0)],
+)
+def test_a_level_is_a_share_of_the_ladder(lod_mean: float, lods: int, level: float) -> None:
+    assert level_of(lod_mean, lods) == level
 
 
 @pytest.mark.parametrize("name", ["magic", "magic@torch", "", "@torch"])

@@ -3,16 +3,23 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("torch")
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.sim.session import Scenario, simulate
+from cags_client.frame.restore import level_of
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
+from cags_common.bundle.codecs import tile_codec
 from cags_common.bundle.weights import store_weights
 from cags_common.cli import EXIT_USAGE
+from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.store.tile_decode import Arrival
+from cags_common.store.tile_store import TileStore
+from cags_common.tiles.kinds import TileKind
 from cags_encoder import EncodeSettings
 from cags_research.restore.networks import Weights
 from cags_research.training.cli import main
@@ -37,7 +44,7 @@ def test_from_scenes_to_a_weights_file_with_a_report(tmp_path: Path) -> None:
     weights = Weights.load(out / "srresnet.npz")
     assert weights.network == "srresnet"
     assert weights.about["last"]["step"] == 4
-    assert list(weights.about["last"]["gains_db"]) == ["0", "0.3", "0.6", "1"]
+    assert list(weights.about["last"]["gains_db"]) == ["0", "0.1", "0.3", "0.6", "1"]
     page = (out / "report.md").read_text()
     assert "| 4 |" in page
     assert (out / "curves.png").stat().st_size > 1000
@@ -68,6 +75,27 @@ def test_a_bundle_of_frames_that_move_has_a_ladder_of_its_splats(bundle: Path) -
     ladder = Ladder.of_scene(str(bundle), EncodeSettings())
     for lod in (0, ladder.top):
         assert len(ladder.at([lod] * ladder.tiles)) == len(ladder.truth)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.4])
+def test_training_is_told_the_level_that_a_client_would_tell(bundle: Path, offset: float) -> None:
+    """The same tiles at the same levels, in a client's store, seen from a place where not all of them are in view."""
+    with BundleReader.open(str(bundle)) as reader:
+        ladder, info, codec = Ladder(reader), reader.manifest, tile_codec(reader.manifest, reader.codebooks())
+        store = TileStore(info, codec)
+        lods = np.random.default_rng(1).integers(0, ladder.top + 1, ladder.tiles)
+        looks = [tile for tile in reader.frame(0).tiles if tile.kind is TileKind.LOOKS]
+        for tile, lod in zip(looks, lods, strict=True):
+            parts = [memoryview(reader.payload(0, tile.tile, level)) for level in range(lod + 1)]
+            store.add_all([Arrival(0, tile.tile, 0, parts)])
+        store.end(0, reader.removed_ids(0))
+    x, y, z = info.focus_centre
+    camera = Camera(
+        Intrinsics.of_fov(64, 48, 0.5, 0.4), Pose((x + offset * info.focus_radius, y, z), (1.0, 0.0, 0.0, 0.0))
+    )
+    told = level_of(store.commit(0)[0].shown.lod_mean(camera), info.lods)
+    assert ladder.level(lods, camera) == pytest.approx(told)
+    assert told != pytest.approx(lods.mean() / ladder.top), "not all of the tiles are in view"
 
 
 def test_the_client_fetches_the_bundles_weights_and_plays_with_them(bundle: Path) -> None:

@@ -34,7 +34,7 @@ def crops(count=12, seed=0):
 
 
 def settings(**changes):
-    small = {"steps": 6, "batch": 2, "patch": 16, "evaluate_every": 2, "rate": 1e-3}
+    small = {"steps": 6, "batch": 2, "patch": 16, "evaluate_every": 2, "rate": 1e-3, "gate_steps": 0}
     return TrainSettings(**{**small, **changes})
 
 
@@ -153,16 +153,52 @@ def test_every_class_of_distorted_pictures_is_drawn_as_often():
     assert 0.2 < (steps.mean(axis=(1, 2, 3)) > 50 / 255).mean() < 0.46
 
 
-def test_resumed_training_ends_where_unbroken_training_does(tmp_path):
-    saved = run(whole := Trainer(settings(), crops(), crops(4, seed=1), 0))
-    saved[0].save(tmp_path / "c.npz")
-    resumed = Trainer(settings(), crops(), crops(4, seed=1), 0)
+@pytest.mark.parametrize("gate_steps", [0, 1, 3])
+def test_resumed_training_ends_where_unbroken_training_does(tmp_path, gate_steps):
+    """With a gate that learns alone, the two parts of the network are not of the same number of steps."""
+    chosen = settings(gate_steps=gate_steps)
+    whole = Trainer(chosen, crops(), crops(4, seed=1), 0)
+    saved = {save.facts["step"]: save for save in run(whole)}
+    saved[2].save(tmp_path / "c.npz")
+    resumed = Trainer(chosen, crops(), crops(4, seed=1), 0)
     resumed.resume(Checkpoint.load(tmp_path / "c.npz"))
     assert resumed.step == 2
     run(resumed)
     for name, array in whole.weights.items():
         np.testing.assert_allclose(resumed.weights[name], array, atol=1e-6)
-    assert [line.step for line in resumed.history] == [2, 4, 6]
+    assert [line.step for line in resumed.history] == [line.step for line in whole.history]
+
+
+def test_the_gate_learns_alone_for_its_first_steps_and_is_scored_then():
+    trainer = Trainer(settings(gate_steps=3), crops(), crops(4, seed=1), 0)
+    before, (_, alone, *_, end) = trainer.checkpoint().arrays, run(trainer)
+    assert [line.step for line in trainer.history] == [2, 3, 4, 6]
+    assert alone.facts["step"] == 3
+    for name in (f"network/{name}" for name in trainer.weights):
+        assert np.array_equal(before[name], alone.arrays[name]) == (not name.startswith("network/gate.")), name
+        assert not np.array_equal(alone.arrays[name], end.arrays[name]), name
+
+
+def test_what_is_shown_is_trained_and_not_what_lies_beyond_the_reach_of_the_reference():
+    """There the distorted picture is shown, whatever the network answers."""
+    blind = replace(crops(), confidence=np.zeros_like(crops().confidence))
+    trainer = Trainer(settings(), blind, crops(4), 0)
+    before = trainer.checkpoint().arrays
+    run(trainer)
+    for name, array in trainer.weights.items():
+        np.testing.assert_array_equal(before[f"network/{name}"], array)
+
+
+def test_a_gate_learns_from_the_level_what_the_pictures_do_not_tell():
+    """At the base the reference is right, at the top the client's picture is: the pictures are drawn alike."""
+    base = crops(24)
+    top = replace(base, distorted=base.truth, aligned=base.distorted)
+    mixed = Crops.concatenate([replace(base, level=np.zeros(24, "f")), replace(top, level=np.ones(24, "f"))])
+    trainer = Trainer(settings(steps=60, gate_steps=60, rate=1e-2, evaluate_every=60), mixed, mixed, 0)
+    run(trainer)
+    gains = trainer.history[-1].gains_db
+    assert gains["0"] > 6
+    assert gains["1"] > -0.5
 
 
 def test_a_checkpoint_of_other_settings_is_refused():
