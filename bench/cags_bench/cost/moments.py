@@ -38,7 +38,7 @@ class Moment:
     held: RasterScene
     """What the client draws when all has come up to LoD ``JUDGED_LOD``."""
     level: float
-    """``JUDGED_LOD`` as a share of the ladder, as restorers are told it."""
+    """Of the splats that are held, as restorers are told it."""
     truth: F32  # [H, W, 3] in [0, 1]
     source: Splats
 
@@ -81,8 +81,7 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
     chosen = kept[len(kept) // 4 :: max(len(kept) // (MOMENTS + 1), 1)][:MOMENTS]
     truth = BundleTruth(str(bundle), replace(scenario.client, exactness="exact"))
     reader = BundleReader.open(str(bundle))
-    lods = reader.manifest.lods
-    held_lod = min(JUDGED_LOD, lods - 1)
+    held_lod = min(JUDGED_LOD, reader.manifest.lods - 1)
     decoder = BundlePlayer(reader, held_lod)
     rasteriser = raster.create("auto")
     moments = []
@@ -96,7 +95,7 @@ def capture(bundle: Path, width: int, height: int, trace: str, poses: str) -> Wo
                 reference_camera=presented.reference.camera,
                 true=rasteriser.load(source),
                 held=rasteriser.load(decoder.frame(frame).splats),
-                level=level_of(held_lod, lods),
+                level=level_of(held_lod, reader.manifest),
                 truth=truth(frame, presented.camera)[0].clip(0, 1),
                 source=source,
             )

@@ -223,7 +223,7 @@ class ClientPipeline:
         aligned, used = None, reference if reference is not None and reference.coded is not None else None
         lod_mean = store.shown.lod_mean(camera)
         if used is not None and Pass.RESTORATION in plan:
-            freshness, level = self._freshness(used, frame), level_of(lod_mean, self.info.lods)
+            freshness, level = self._freshness(used, frame), level_of(lod_mean, self.info)
             aligned, pictures = self._restored(plan, canvas, used, watch, freshness=freshness, level=level)
         else:
             given = self._correction(plan, canvas, store, used, frame) if used and Pass.CORRECTION in plan else None

@@ -6,7 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from cags_client.frame.align.base import Aligned
+from cags_common.bundle.manifest import Manifest
 from cags_common.geometry import F32
 from cags_common.passes import Pass
 
@@ -24,14 +27,21 @@ class RestoreInput:
     """Detail of what is on screen in [0, 1] (:func:`level_of`). 0: all at the base; 1: all at the top of the ladder."""
 
 
-def level_of(lod_mean: float, lods: int) -> float:
-    """What a mean LoD of the splats in view (``Shown.lod_mean``) is of a ladder of ``lods`` levels, in [0, 1].
+def level_of(lod_mean: float, info: Manifest) -> float:
+    """How far up the ladder a mean LoD of the splats in view (``Shown.lod_mean``) is, in [0, 1] and in decibels: the
+    share that its levels have of what all levels of the content win, as the encoder measured it.
 
-    0 where nothing is in view (NaN): what a reference shows there is all there is. 1 on a ladder of one level.
+    Where it did not, the root of the share of levels: of what was measured that is near. 0 where nothing is in view
+    (NaN): what a reference shows there is all there is. 1 on a ladder of one level.
     """
     if math.isnan(lod_mean):
         return 0.0
-    return lod_mean / (lods - 1) if lods > 1 else 1.0
+    if info.lods == 1:
+        return 1.0
+    won = np.cumsum([0.0, *(max(gain, 0.0) for gain in info.lod_gains_db)])
+    if won[-1] <= 0:
+        return math.sqrt(lod_mean / (info.lods - 1))
+    return float(np.interp(lod_mean, np.arange(len(won)), won) / won[-1])
 
 
 class Restorer(Protocol):

@@ -6,8 +6,9 @@ itself it does not learn when: it wins 7 dB at the base and loses 6 at the top. 
 the pictures does not either (+6.4, -1.3, -3.8 and -6.5 dB at 0, 0.3, 0.6 and 1 of the ladder). The client knows it.
 
 Of two pictures with errors that have nothing to do with each other the best mixture has the shares of the other's mean
-square: its log-odds are the difference in decibels. The client's picture gets better by about the root of the level, so
-the log-odds fall with that root, by construction: the gate learns from the pictures where and how steeply.
+square: its log-odds are the difference in decibels. So the log-odds fall with the level, which counts decibels, by
+construction: the gate learns from the pictures where and how steeply. It does so for what is smooth and for what is
+sharp of the difference: of a reference's colours more is right than of its edges.
 
 What the pictures tell is how they differ over a region: wrong colours differ in patches, a reference's blur and
 misregistration around edges. The latter can be told from the client's own picture: a blurred and shifted copy of it
@@ -38,36 +39,47 @@ _LOG_MIDDLE, _LOG_SPREAD = -9.0, 3.0
 START, FALL = 2.0, 5.6
 """Untrained log-odds at the base, and by how much they fall to the top: 9 dB for the reference, 15 dB against it."""
 
+SMOOTH_PX = 7
+"""Side of the box that parts what is smooth from what is sharp, client pixels."""
+
 
 class ErrorGate(nn.Module):
-    """Share [B, H, W, 1] in (0, 1) of a restored picture, from the aligned reference, the client's own picture and its
-    level. It never rises with the level.
+    """What is shown of a restored picture: a share in (0, 1) of its smooth difference from the client's own, another of
+    the sharp rest. Neither share rises with the level.
 
-    Seven mean squares a cell (of the difference: its part that the client's picture does not explain, its means over 7,
-    15 and 31 pixels, its sharp part; of either picture: the sharp part) go through two 3x3 convolutions of 16 channels
-    and one 1x1, which says the log-odds at the base and how fast they fall with the root of the level.
+    Seven mean squares a cell (of the aligned reference's difference: its part that the client's picture does not
+    explain, its means over 7, 15 and 31 pixels, its sharp part; of either picture: the sharp part) go through two 3x3
+    convolutions of 16 channels and one 1x1, which says the log-odds at the base and how fast they fall with the level.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.first = nn.Conv2d(_MEASURES, WIDTH, 3, padding=1, padding_mode="replicate")
         self.second = nn.Conv2d(WIDTH, WIDTH, 3, padding=2, dilation=2, padding_mode="replicate")
-        self.last = nn.Conv2d(WIDTH, 2, 1)
+        self.last = nn.Conv2d(WIDTH, 4, 1)  # at the base, smooth and sharp; the fall, smooth and sharp
         nn.init.zeros_(self.last.weight)  # untrained, the level alone decides
         assert self.last.bias is not None
         nn.init.zeros_(self.last.bias)
 
-    def forward(self, aligned: Tensor, distorted: Tensor, level: Tensor) -> Tensor:
-        """Images are [B, H, W, 3] of any size; ``level`` [B, 1, 1, 1] is in [0, 1] (``RestoreInput.level``)."""
+    def shares(self, aligned: Tensor, distorted: Tensor, level: Tensor) -> Tensor:
+        """Shares [B, 2, H, W] of what is smooth and of what is sharp. See :meth:`forward`."""
         height, width = aligned.shape[1], aligned.shape[2]
         spare = (0, -width % CELL_PX, 0, -height % CELL_PX)
         a, d = (functional.pad(image.permute(0, 3, 1, 2), spare, mode="replicate") for image in (aligned, distorted))
         features = functional.leaky_relu(self.first(_measures(a, d)), 0.1)
         features = functional.leaky_relu(self.second(features), 0.1)
-        base, fall = self.last(features).split(1, dim=1)
-        shares = torch.sigmoid(START + base - FALL * torch.exp(fall) * torch.sqrt(level))
-        full = functional.interpolate(shares, scale_factor=CELL_PX, mode="bilinear", align_corners=False)
-        return full[:, :, :height, :width].permute(0, 2, 3, 1)
+        base, fall = self.last(features).split(2, dim=1)
+        cells = torch.sigmoid(START + base - FALL * torch.exp(fall) * level)
+        full = functional.interpolate(cells, scale_factor=CELL_PX, mode="bilinear", align_corners=False)
+        return full[:, :, :height, :width]
+
+    def forward(self, aligned: Tensor, distorted: Tensor, restored: Tensor, level: Tensor) -> Tensor:
+        """What is shown [B, H, W, 3]. Images are [B, H, W, 3] of any size; ``level`` [B, 1, 1, 1] is in [0, 1]
+        (``RestoreInput.level``)."""
+        difference = (restored - distorted).permute(0, 3, 1, 2)
+        smooth = _blurred(difference, SMOOTH_PX)
+        of_smooth, of_sharp = self.shares(aligned, distorted, level).split(1, dim=1)
+        return distorted + (of_smooth * smooth + of_sharp * (difference - smooth)).permute(0, 2, 3, 1)
 
 
 def _measures(aligned: Tensor, distorted: Tensor) -> Tensor:

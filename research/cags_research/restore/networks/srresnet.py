@@ -4,7 +4,7 @@
 batch norm) -> two more convolutions with LeakyReLU -> 3x3 convolution to RGB, plus the reference. At full resolution:
 54,051 weights, 103 GMAC at 1600x1200 (Ledig et al. 2017, made light; FINDINGS of this project).
 
-``srresnet`` may have a gate (:mod:`cags_research.restore.networks.gate`; 3,378 weights more), which says how much of
+``srresnet`` may have a gate (:mod:`cags_research.restore.networks.gate`; 3,412 weights more), which says how much of
 its answer is shown in place of the distorted picture, by the level of what is on screen. The paper has none: its
 network is given two pictures and decides that itself. ``SrResNet(gated=False)`` is the paper's.
 
@@ -116,7 +116,7 @@ class SrResNet(nn.Module):
         if self.gate is not None:
             if level is None:
                 raise ValueError("level = None: a network with a gate needs the level of what is on screen")
-            restored = distorted + self.gate(aligned, distorted, level) * (restored - distorted)
+            restored = self.gate(aligned, distorted, restored, level)
         return restored
 
 

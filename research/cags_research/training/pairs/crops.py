@@ -38,6 +38,7 @@ class Crops:
     truth: Bytes  # [N, S, S, 3]
     covered: Bytes  # [N, S, S] alpha of the truth
     level: F32  # [N] that of the client's whole view, in [0, 1] (RestoreInput.level)
+    ladder: F32  # [N] mean LoD of the tiles, as a share of the ladder
 
     def __len__(self) -> int:
         return len(self.truth)
@@ -101,6 +102,7 @@ def _crops_at(areas: Sequence[tuple[slice, slice]], pair: Pair) -> Crops:
         truth=_cut(pair.truth, areas),
         covered=_cut(pair.truth_alpha, areas),
         level=np.full(len(areas), inputs.level, np.float32),
+        ladder=np.full(len(areas), pair.ladder, np.float32),
     )
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_client.frame.restore import level_of
 from cags_common.bundle import BundleReader, Manifest
 from cags_common.bundle.codecs import MotionTile
 from cags_common.bundle.reader import MANIFEST_NAME
@@ -66,14 +65,13 @@ class Ladder:
         """The highest LoD."""
         return self.manifest.lods - 1
 
-    def level(self, lods: Sequence[int] | NDArray[np.integer], camera: Camera) -> float:
-        """What a client at ``camera`` says of its picture with each tile at its LoD of ``lods`` [tiles]: the mean over
-        the splats of tiles in view as a share of the ladder (``Shown.lod_mean``), over all where none is in view.
+    def lod_mean(self, lods: Sequence[int] | NDArray[np.integer], camera: Camera) -> float:
+        """What a client at ``camera`` tells of its detail with each tile at its LoD of ``lods`` [tiles]: the mean over
+        the splats of tiles in view (``Shown.lod_mean``); NaN where none is.
         """
         counts = np.array([len(tile.state) for tile in self._opened], np.float64)
         weights = counts * in_view([tile.sphere for tile in self._opened], camera)
-        weights = weights if weights.sum() > 0 else counts
-        return level_of(float((weights * np.asarray(lods)).sum() / weights.sum()), self.manifest.lods)
+        return float((weights * np.asarray(lods)).sum() / weights.sum()) if weights.any() else float("nan")
 
     def at(self, lods: Sequence[int] | NDArray[np.integer]) -> Splats:
         """All splats, each tile decoded to its own LoD of ``lods`` [tiles], 0 to :attr:`top`."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from cags_client.frame import align
 from cags_client.frame.align import ReferencePicture
-from cags_client.frame.restore import RestoreInput
+from cags_client.frame.restore import RestoreInput, level_of
 from cags_common import raster
 from cags_common.geometry import F32, Camera
 from cags_common.poses import PoseTrace
@@ -28,6 +28,7 @@ class Pair:
     inputs: RestoreInput
     truth: F32  # [H, W, 3] in [0, 1]
     truth_alpha: F32  # [H, W]
+    ladder: float  # mean LoD of the tiles, as a share of the ladder
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,10 @@ class PairMaker:
         reference = video.reference(scene, view.reference)
         assert distorted.depth is not None
         aligned = self._aligner.align(reference, distorted.depth, view.client)
-        inputs = RestoreInput(colours.of(distorted.rgb), aligned, self.ladder.level(lods, view.client))
-        return Pair(inputs, truth=colours.of(truth.rgb), truth_alpha=truth.alpha)
+        level = level_of(self.ladder.lod_mean(lods, view.client), self.ladder.manifest)
+        inputs = RestoreInput(colours.of(distorted.rgb), aligned, level)
+        share = float(np.mean(lods)) / max(self.ladder.top, 1)
+        return Pair(inputs, truth=colours.of(truth.rgb), truth_alpha=truth.alpha, ladder=share)
 
     def _render(self, scene: RasterScene, camera: Camera) -> RenderedView:
         return scene.render(camera, RenderOptions(threads=self._threads))

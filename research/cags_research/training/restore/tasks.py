@@ -48,7 +48,7 @@ def as_used(name: str, restored: Tensor, batch: Batch) -> Tensor:
     return distorted + torch.from_numpy(shares).to(restored.device) * (restored - distorted)
 
 
-HARM = 4.0
+HARM = 1.0
 """What a decibel that is lost counts more than one that is won."""
 
 ERROR_FLOOR = 1e-6
@@ -59,7 +59,7 @@ def batch_loss(restored: Tensor, batch: Batch, device: torch.device) -> Tensor:
     """The loss of a batch: the log error of what is restored, and :data:`HARM` times its excess over the distorted.
 
     The gain of a coarse picture and the loss of a fine one weigh the same in decibels, but a viewer was promised the
-    gain: where it is not known which of the two it will be, the picture is to be left alone.
+    gain: where the level and the pictures do not tell which of the two it will be, less is to be changed.
     """
     truth, covered, distorted = (
         torch.from_numpy(image).to(device) for image in (batch.truth, batch.covered, batch.distorted)

@@ -136,7 +136,7 @@ class Trainer:
         network = copy.deepcopy(self._network)
         network.load_state_dict(self._average)
         after, before = self._scores(network.eval())
-        gains, levels = after - before, np.round(self.held_out.level, 1)
+        gains, levels = after - before, np.round(self.held_out.ladder, 1)
         line = Progress(
             step=self._step,
             loss=float(np.mean(self._losses)) if self._losses else math.nan,
