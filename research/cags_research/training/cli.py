@@ -14,12 +14,14 @@ EXAMPLES = """\
   cags-train predictor --poses poses/ --held-out 09,10,11,12 --out autoregressive.npz
   cags-train fov --poses poses/ --held-out 09,10,11,12 --out lstm.npz --seed 1
   cags-train restore --scene a.ply --held-out c.sog --steps 12000 --out srresnet/
+  cags-train score --scene c.sog srresnet/srresnet.npz srresnet reference
 """
 
 SUBCOMMANDS = {
     "predictor": ("cags_research.training.predictor", "fit the autoregressive viewport predictor"),
     "fov": ("cags_research.training.fov_command", "train the LSTM that chooses the reference's field of view"),
     "restore": ("cags_research.training.restore.command", "train the networks that restore colours"),
+    "score": ("cags_research.training.restore.score", "score restorers on whole pictures of held-out scenes"),
 }
 """Name -> module with ``add_arguments(parser)``, ``run(arguments) -> exit code`` and ``EXAMPLES``; and its help."""
 

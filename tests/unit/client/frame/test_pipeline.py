@@ -8,7 +8,7 @@ import pytest
 
 from cags_client.frame import pipeline, restore
 from cags_client.frame.pipeline import ClientPipeline
-from cags_client.frame.restore import RestoreInput
+from cags_client.frame.restore import RestoreInput, level_of
 from cags_client.output.score import averages, score
 from cags_client.playback.jobs import Decode
 from cags_client.settings import ClientSettings
@@ -98,7 +98,7 @@ def test_a_restorer_is_told_the_level_of_what_is_on_screen(
         stage.send(0, lod + 1)
         stage.refer(0, pose, PICTURE)
         stage.show(0, pose)
-        assert told.pop() == pytest.approx(lod / top)
+        assert told.pop() == pytest.approx(level_of(lod, reader.manifest))
     assert not told
 
 

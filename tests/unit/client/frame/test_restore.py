@@ -1,5 +1,6 @@
 """What is done with references: restorers of aligned pictures, and what can be asked for and changed to."""
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -9,8 +10,10 @@ import pytest
 from cags_client.frame import restore
 from cags_client.frame.align import ReferencePicture, create
 from cags_client.frame.restore import CORRECT, NONE, RESTORERS, RestoreInput, level_of, references_wanted, switchable
+from cags_common.bundle.manifest import Manifest
 from cags_common.errors import ConfigError
 from cags_common.geometry import Camera, Intrinsics, Pose
+from cags_common.tiles.lod import LodLayer
 
 LARGE = Intrinsics.of_fov(160, 120, 1.0, 0.8)
 SMALL = Intrinsics.of_fov(40, 30, 1.0, 0.8)
@@ -55,12 +58,36 @@ def test_reference_shows_the_aligned_picture_and_the_clients_own_where_it_says_n
     np.testing.assert_allclose(shown[inside], given.aligned.rgb[inside], atol=1e-6)
 
 
+def info(*gains_db: float, levels: int | None = None) -> Manifest:
+    """What a client knows of a ladder whose levels win ``gains_db``, or of one of ``levels`` that was not measured."""
+    order = (LodLayer("scale", 1),) * (len(gains_db) if levels is None else levels)
+    flat = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    return Manifest("", 30.0, 1, (0,), (1,), 0, flat, order, gains_db)
+
+
 @pytest.mark.parametrize(
-    ("lod_mean", "lods", "level"),
-    [(0.0, 25, 0.0), (6.0, 25, 0.25), (24.0, 25, 1.0), (float("nan"), 25, 0.0), (0.0, 1, 1.0)],
+    ("lod_mean", "gains_db", "level"),
+    [
+        (0.0, (12.0, 6.0, 2.0), 0.0),
+        (0.5, (12.0, 6.0, 2.0), 0.3),
+        (1.0, (12.0, 6.0, 2.0), 0.6),
+        (3.0, (12.0, 6.0, 2.0), 1.0),
+        (1.0, (10.0, -1.0, 10.0), 0.5),
+        (2.0, (10.0, -1.0, 10.0), 0.5),
+        (math.nan, (12.0, 6.0, 2.0), 0.0),
+        (0.0, (), 1.0),
+    ],
 )
-def test_a_level_is_a_share_of_the_ladder(lod_mean: float, lods: int, level: float) -> None:
-    assert level_of(lod_mean, lods) == level
+def test_a_level_is_the_share_of_the_decibels_that_levels_win(
+    lod_mean: float, gains_db: tuple[float, ...], level: float
+) -> None:
+    assert level_of(lod_mean, info(*gains_db)) == pytest.approx(level)
+
+
+@pytest.mark.parametrize("gains_db", [(), (0.0,) * 16])
+def test_where_nothing_was_measured_a_level_is_the_root_of_its_share(gains_db: tuple[float, ...]) -> None:
+    for lod, level in ((0, 0.0), (1, 0.25), (4, 0.5), (16, 1.0)):
+        assert level_of(lod, info(*gains_db, levels=16)) == level
 
 
 @pytest.mark.parametrize("name", ["magic", "magic@torch", "", "@torch"])

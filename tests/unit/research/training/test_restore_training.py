@@ -29,8 +29,16 @@ def crops(count=12, seed=0):
     off = rng.integers(-40, 40, (count, 1, 1, 3))
     distorted, truth = ((truth + shift).astype(np.uint8) for shift in (off, 0))
     full = np.full((count, SIDE, SIDE), 255, np.uint8)
-    level = np.linspace(0, 1, count).astype(np.float32).round(1)
-    return Crops(distorted=distorted, aligned=truth, confidence=full, truth=truth, covered=full, level=level)
+    ladder = np.linspace(0, 1, count).astype(np.float32).round(1)
+    return Crops(
+        distorted=distorted,
+        aligned=truth,
+        confidence=full,
+        truth=truth,
+        covered=full,
+        level=np.sqrt(ladder),
+        ladder=ladder,
+    )
 
 
 def settings(**changes):
@@ -131,7 +139,7 @@ def test_the_last_weights_are_kept_where_earlier_ones_scored_better():
         np.testing.assert_array_equal(array, saved[-1].arrays[f"average/{name}"])
 
 
-def test_gains_are_told_by_level():
+def test_gains_are_told_by_the_share_of_the_ladder():
     trainer = Trainer(settings(steps=2), crops(), crops(3, seed=1), 0)
     run(trainer)
     gains = trainer.history[-1].gains_db
@@ -193,7 +201,8 @@ def test_a_gate_learns_from_the_level_what_the_pictures_do_not_tell():
     """At the base the reference is right, at the top the client's picture is: the pictures are drawn alike."""
     base = crops(24)
     top = replace(base, distorted=base.truth, aligned=base.distorted)
-    mixed = Crops.concatenate([replace(base, level=np.zeros(24, "f")), replace(top, level=np.ones(24, "f"))])
+    parts = [replace(of, level=np.full(24, x, "f"), ladder=np.full(24, x, "f")) for of, x in ((base, 0), (top, 1))]
+    mixed = Crops.concatenate(parts)
     trainer = Trainer(settings(steps=60, gate_steps=60, rate=1e-2, evaluate_every=60), mixed, mixed, 0)
     run(trainer)
     gains = trainer.history[-1].gains_db

@@ -128,7 +128,9 @@ def test_whatever_a_gate_has_learnt_its_share_falls_with_the_level_everywhere():
     torch = pytest.importorskip("torch")
     aligned, distorted = torch.rand(2, 1, 40, 56, 3, generator=torch.Generator().manual_seed(2))
     with torch.no_grad():
-        shares = torch.cat([learnt_gate().gate.shares(aligned, distorted, plane(level)) for level in np.linspace(0, 1, 9)])
+        shares = torch.cat(
+            [learnt_gate().gate.shares(aligned, distorted, plane(level)) for level in np.linspace(0, 1, 9)]
+        )
     assert (shares[1:] < shares[:-1]).all()
     assert shares.std(dim=(1, 2, 3)).min() > 1e-4, "the pictures have a say, too"
 
