@@ -24,18 +24,18 @@ def restore_srresnet(network: nn.Module, batch: Batch, device: torch.device) -> 
     return restored
 
 
-def _started_at_blurred() -> SrResNet:
-    network = SrResNet(Sees.BOTH, gated=True)
+def _started_at_blurred(gated: bool) -> SrResNet:
+    network = SrResNet(Sees.BOTH, gated=gated)
     network.start_at_blurred()
     return network
 
 
-NETWORKS: Mapping[str, tuple[Callable[[], nn.Module], Task]] = {
+NETWORKS: Mapping[str, tuple[Callable[[bool], nn.Module], Task]] = {
     "srresnet": (_started_at_blurred, restore_srresnet),
-    "sr-align-ref": (lambda: SrResNet(Sees.REFERENCE), restore_srresnet),
-    "cr-no-ref": (lambda: SrResNet(Sees.DISTORTED), restore_srresnet),
+    "sr-align-ref": (lambda gated: SrResNet(Sees.REFERENCE), restore_srresnet),
+    "cr-no-ref": (lambda gated: SrResNet(Sees.DISTORTED), restore_srresnet),
 }
-"""Network, as training begins with it, and task by name."""
+"""Network, as training begins with it (with a gate or without, where it may have one), and task by name."""
 
 
 def as_used(name: str, restored: Tensor, batch: Batch) -> Tensor:

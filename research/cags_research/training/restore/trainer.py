@@ -59,7 +59,7 @@ class Trainer:
         torch.manual_seed(self.seed)
         self._device = torch.device(self.settings.device)
         make, self._task = NETWORKS[self.settings.network]
-        self._begin_with(make())
+        self._begin_with(make(self.settings.gate))
         self._chances = even_chances(self.train)
         self._step = 0
         self._losses: list[float] = []

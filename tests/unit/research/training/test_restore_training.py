@@ -126,7 +126,7 @@ def test_every_network_trains_to_the_last_step(name):
     assert trainer.finished
     assert [line.step for line in trainer.history] == [2, 4, 6]
     assert len(saved) == 3
-    assert set(trainer.weights) == {n for n, _ in NETWORKS[name][0]().named_parameters()}
+    assert set(trainer.weights) == {n for n, _ in NETWORKS[name][0](True).named_parameters()}
 
 
 def test_the_last_weights_are_kept_where_earlier_ones_scored_better():
@@ -185,6 +185,16 @@ def test_the_gate_learns_alone_for_its_first_steps_and_is_scored_then():
     for name in (f"network/{name}" for name in trainer.weights):
         assert np.array_equal(before[name], alone.arrays[name]) == (not name.startswith("network/gate.")), name
         assert not np.array_equal(alone.arrays[name], end.arrays[name]), name
+
+
+def test_the_papers_network_trains_without_a_gate_and_is_told_no_level():
+    trainer = Trainer(settings(gate=False, gate_steps=3), crops(), crops(4, seed=1), 0)
+    before = trainer.checkpoint().arrays
+    run(trainer)
+    assert [line.step for line in trainer.history] == [2, 4, 6], "nothing learns alone"
+    assert not np.array_equal(before["network/head.weight"], trainer.weights["head.weight"])
+    assert not Weights("srresnet", trainer.weights, {}).gated
+    assert Weights("srresnet", Trainer(settings(), crops(), crops(4), 0).weights, {}).gated
 
 
 def test_what_is_shown_is_trained_and_not_what_lies_beyond_the_reach_of_the_reference():
