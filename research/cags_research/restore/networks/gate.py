@@ -68,8 +68,8 @@ class ErrorGate(nn.Module):
         a, d = (functional.pad(image.permute(0, 3, 1, 2), spare, mode="replicate") for image in (aligned, distorted))
         features = functional.leaky_relu(self.first(_measures(a, d)), 0.1)
         features = functional.leaky_relu(self.second(features), 0.1)
-        base, fall = self.last(features).split(2, dim=1)
-        cells = torch.sigmoid(START + base - FALL * torch.exp(fall) * level)
+        said = self.last(features)
+        cells = torch.sigmoid(START + said[:, :2] - FALL * torch.exp(said[:, 2:]) * level)
         full = functional.interpolate(cells, scale_factor=CELL_PX, mode="bilinear", align_corners=False)
         return full[:, :, :height, :width]
 
@@ -78,8 +78,9 @@ class ErrorGate(nn.Module):
         (``RestoreInput.level``)."""
         difference = (restored - distorted).permute(0, 3, 1, 2)
         smooth = _blurred(difference, SMOOTH_PX)
-        of_smooth, of_sharp = self.shares(aligned, distorted, level).split(1, dim=1)
-        return distorted + (of_smooth * smooth + of_sharp * (difference - smooth)).permute(0, 2, 3, 1)
+        shares = self.shares(aligned, distorted, level)
+        shown = shares[:, :1] * smooth + shares[:, 1:] * (difference - smooth)
+        return distorted + shown.permute(0, 2, 3, 1)
 
 
 def _measures(aligned: Tensor, distorted: Tensor) -> Tensor:
