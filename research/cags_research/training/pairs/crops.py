@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -69,21 +69,31 @@ def make_crops(
 ) -> Crops:
     """The crops of ``settings.views`` drawn views; ``tell(done, total)`` is called after each view.
 
-    Views that hardly show the scene are drawn again, at most as often as there are views.
+    Raises what :func:`pairs_of_views` does.
     """
     parts: list[Crops] = []
-    views, done = settings.views, 0
-    for _ in range(2 * views):
+    for done, pairs in enumerate(pairs_of_views(maker, settings, rng), 1):
+        parts += crops_of(pairs, settings, rng)
+        tell(done, settings.views)
+    return Crops.concatenate(parts)
+
+
+def pairs_of_views(maker: PairMaker, settings: PairSettings, rng: np.random.Generator) -> Iterator[list[Pair]]:
+    """The pairs of each of ``settings.views`` drawn views: one for each of the settings' levels, or one.
+
+    Views that hardly show the scene are drawn again, at most as often as there are views. Raises :class:`SceneError`
+    where none shows it.
+    """
+    done = 0
+    for _ in range(2 * settings.views):
         pairs = maker.draw_levels(rng, settings.level_list) if settings.level_list else [maker.draw(rng)]
         if (pairs[0].truth_alpha > COVERED_ALPHA).mean() >= SHOWN_SHARE:
-            parts += crops_of(pairs, settings, rng)
+            yield pairs
             done += 1
-            tell(done, views)
-        if done == views:
-            break
-    if not parts:
+        if done == settings.views:
+            return
+    if not done:
         raise SceneError("no view of the scene shows it; give walks that look at it, or another focus")
-    return Crops.concatenate(parts)
 
 
 def crops_of(pairs: Sequence[Pair], settings: PairSettings, rng: np.random.Generator) -> list[Crops]:

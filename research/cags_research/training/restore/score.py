@@ -14,6 +14,7 @@ import numpy as np
 
 from cags_common.metrics import covered_mask, psnr
 from cags_common.settings import add_flags, load_settings
+from cags_research.training.pairs.crops import pairs_of_views
 from cags_research.training.pairs.ladder import Ladder
 from cags_research.training.pairs.maker import Pair, PairMaker
 from cags_research.training.pairs.settings import PairSettings
@@ -82,15 +83,15 @@ def _restorer(spec: str) -> Restorer:
 def _scores(
     spec: str, walks: Sequence[str], settings: PairSettings, restorers: Mapping[str, Restorer]
 ) -> Iterator[Score]:
-    """The same drawn views of a scene at each of the settings' levels."""
+    """The same drawn views of a scene, of those that show it, at each of the settings' levels."""
     from cags_encoder.settings import EncodeSettings
 
     quantiser = settings.quantiser_list[0]
     ladder = Ladder.of_scene(spec, EncodeSettings(seed=settings.seed, quantiser=quantiser))
     placed = open_walks(tuple(walks), focus_of_manifest(ladder.manifest), settings.seed)
     maker, rng = PairMaker(ladder, placed, settings), np.random.default_rng((settings.seed, zlib.crc32(spec.encode())))
-    for _ in range(settings.views):
-        for pair in maker.draw_levels(rng, settings.level_list):
+    for pairs in pairs_of_views(maker, settings, rng):
+        for pair in pairs:
             yield score_of(pair, spec, restorers)
 
 

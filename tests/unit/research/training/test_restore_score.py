@@ -1,6 +1,7 @@
 """``cags-train score``: restorers on whole pictures, by the share of the ladder that is held."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +12,14 @@ from cags_client.frame import align
 from cags_client.frame.align import ReferencePicture
 from cags_client.frame.restore import RestoreInput
 from cags_common.cli import EXIT_USAGE
+from cags_common.errors import SceneError
 from cags_common.geometry import Camera, Intrinsics, Pose
 from cags_research.restore.networks.srresnet import SrResNet
 from cags_research.restore.networks.weights import Weights
 from cags_research.training.cli import main
+from cags_research.training.pairs.crops import pairs_of_views
 from cags_research.training.pairs.maker import Pair
+from cags_research.training.pairs.settings import PairSettings
 from cags_research.training.restore.score import MAX_DB, Score, score_of, table
 
 
@@ -47,6 +51,31 @@ def test_gains_are_over_what_the_scene_covers():
     assert score.distorted_db == pytest.approx(20, abs=1e-4)
     assert score.gains_db == pytest.approx({"half": 6.0206, "true": MAX_DB - 20, "worse": -6.0206}, abs=1e-3)
     assert (score.ladder, score.level, score.width) == (0.3, 0.4, 6)
+
+
+class Drawn:
+    """A maker whose views show this much of the scene, one after the other."""
+
+    def __init__(self, *shown):
+        self._shown = iter(shown)
+
+    def draw_levels(self, rng, levels):
+        one = pair()
+        covered = np.zeros((10, 20), np.float32)
+        covered.flat[: next(self._shown)] = 1
+        return [replace(one, truth_alpha=covered, ladder=level) for level in levels]
+
+
+def test_views_that_hardly_show_the_scene_are_drawn_again():
+    """A picture with nothing in it has nothing to get wrong: whole scenes were scored at 60 dB and no gain."""
+    settings = PairSettings(views=2, levels="0 1")
+    drawn = list(pairs_of_views(Drawn(0, 1, 200, 50), settings, np.random.default_rng(0)))
+    assert [[(p.truth_alpha.sum(), p.ladder) for p in pairs] for pairs in drawn] == [
+        [(200, 0), (200, 1)],
+        [(50, 0), (50, 1)],
+    ]
+    with pytest.raises(SceneError, match="no view of the scene shows it"):
+        list(pairs_of_views(Drawn(0, 1, 0, 0), settings, np.random.default_rng(0)))
 
 
 def test_the_table_has_means_by_share_of_the_ladder_and_the_worst_picture():
