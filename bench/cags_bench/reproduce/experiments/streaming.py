@@ -6,9 +6,9 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from cags_bench.confidence import pooled
 from cags_bench.jsonl import JsonObject, check
 from cags_bench.reproduce.cases import StreamCase, averaged
-from cags_bench.reproduce.confidence import pooled
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Curve, Picture, Plot, Section, Strip
