@@ -112,8 +112,14 @@ class FilmMaker:
         self._add(frame, camera, picture)
         self._last = camera, picture
 
-    def film(self) -> Film:
-        """The whole film; it can be looked at until the maker is left."""
+    def film(self, end: int | None = None) -> Film:
+        """The whole film, to media frame ``end`` (not included) where it goes on after the last frame that was shown.
+
+        It can be looked at until the maker is left.
+        """
+        if self._last is not None:
+            for frame in range(self._frames[-1] + 1, end or 0):
+                self._add(frame, *self._last)
         self._shown.close()
         self._true.close()
         return Film(self._shown, self._true, self._fps, tuple(self._frames))

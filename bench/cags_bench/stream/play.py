@@ -54,16 +54,17 @@ class Play:
         wanted = [metric for metric in settings.metrics if metric not in lacking(settings.metrics)]
         with ExitStack() as stack:
             watchers: list[Watcher] = []
-            maker = None
+            maker, end = None, 0
             if wanted or settings.record or settings.strip is not None:
-                maker = stack.enter_context(FilmMaker(truth, frames_per_second(scenario)))
+                fps, end = rate_and_end(scenario)
+                maker = stack.enter_context(FilmMaker(truth, fps))
                 watchers.append(maker.watch)
             if settings.out:
                 watchers.append(stack.enter_context(self._stages(truth)))
             result = simulate(scenario, _all(watchers), truth)
             line = dict(result.summary)
             if maker is not None:
-                film = maker.film()
+                film = maker.film(end)
                 line |= measure(film, wanted)
                 self._write_film(film, result)
         if settings.out:
@@ -146,10 +147,13 @@ def _all(watchers: list[Watcher]) -> Watcher | None:
     return watch
 
 
-def frames_per_second(scenario: Scenario) -> float:
-    """Frame rate of the scenario's bundle."""
+def rate_and_end(scenario: Scenario) -> tuple[float, int]:
+    """Frames a second of the scenario's bundle, and the media frame before which the play ends."""
     with open_bundle(scenario.bundle) as reader:
-        return reader.manifest.fps
+        count, fps = reader.manifest.frames, reader.manifest.fps
+    client = scenario.client
+    end = count if client.duration is None else client.start_frame + round(client.duration * fps)
+    return fps, min(count, end)
 
 
 def write_report(out: Path, scenario: Scenario, result: SessionResult) -> None:

@@ -101,9 +101,7 @@ def test_a_strip_shows_twelve_frames_what_they_should_have_been_and_the_error(ma
 
 
 @pytest.mark.parametrize(("start", "message"), [(1, "give 2 to 3"), (4, "give 2 to 3"), (99, "give 2 to 3")])
-def test_a_strip_outside_of_the_film_is_refused(
-    maker: FilmMaker, tmp_path: Path, start: int, message: str
-) -> None:
+def test_a_strip_outside_of_the_film_is_refused(maker: FilmMaker, tmp_path: Path, start: int, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         write_strip(filmed(maker, range(2, 15)), start, [None] * 13, tmp_path / "strip.png")
 

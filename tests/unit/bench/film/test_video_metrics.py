@@ -17,9 +17,7 @@ from cags_common.geometry import F32, Camera, Pose
 from cags_common.metrics import MAX_PSNR_DB
 
 WIDTH, HEIGHT, FRAMES = 160, 120, 15
-CAMERA = Camera(
-    ClientSettings(width=WIDTH, height=HEIGHT).intrinsics, Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-)
+CAMERA = Camera(ClientSettings(width=WIDTH, height=HEIGHT).intrinsics, Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
 needs_ffmpeg = pytest.mark.skipif(ffmpeg.program() is None, reason="the extra video-metrics is not installed")
 needs_jod = pytest.mark.skipif(not available(), reason="the extra jod is not installed")
 
@@ -78,18 +76,21 @@ def test_a_colour_error_alone_is_seen_by_xpsnr() -> None:
 
 
 @needs_jod
+@pytest.mark.slow
 def test_equal_films_have_ten_jod() -> None:
     with film(SAME) as same:
         assert jod(same) == pytest.approx(10.0)
 
 
 @needs_jod
+@pytest.mark.slow
 def test_flicker_costs_jod_and_a_steady_error_of_the_same_size_less() -> None:
     with film(STEADY) as steady, film(FLICKERING) as flickering:
         assert jod(flickering) < jod(steady) - 0.2
 
 
 @needs_jod
+@pytest.mark.slow
 def test_a_frozen_film_has_less_jod() -> None:
     with film(FROZEN) as frozen:
         assert jod(frozen) < 9
