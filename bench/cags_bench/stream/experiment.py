@@ -23,7 +23,7 @@ def stream_lines(settings: StreamSettings) -> Iterator[JsonObject]:
     Raises :class:`CagsError`; what can be refused is refused before anything is encoded.
     """
     states = states_of(settings)
-    seeds = range(settings.seeds)
+    seeds = settings.seed_list
     plays = {state: [_play(what, state, seed, settings) for seed in seeds] for state, what in states}
     for one in plays.values():
         one[0].check()
@@ -31,7 +31,7 @@ def stream_lines(settings: StreamSettings) -> Iterator[JsonObject]:
     for seed in seeds:
         for state, one in plays.items():
             line = one[seed].line()
-            if len(states) == 1 and settings.seeds == 1:
+            if len(states) == len(seeds) == 1:
                 yield {**line, "benchmark": "stream", "checks": [], **provenance()}
                 return
             lines[state].append(line)
@@ -42,7 +42,7 @@ def stream_lines(settings: StreamSettings) -> Iterator[JsonObject]:
     else:
         (some,) = lines.values()
         found = {figure.key: _told(interval(values)) for figure in FIGURES if (values := _values(figure, some))}
-        yield summary("stream", [], seeds=settings.seeds, figures=found, **_shared(some))
+        yield summary("stream", [], seeds=len(seeds), figures=found, **_shared(some))
 
 
 def states_of(settings: StreamSettings) -> list[tuple[str, StreamSettings]]:
@@ -58,7 +58,7 @@ def states_of(settings: StreamSettings) -> list[tuple[str, StreamSettings]]:
 
 def _play(settings: StreamSettings, state: str, seed: int, whole: StreamSettings) -> Play:
     words = [state.replace("/", "_").replace(":", "_")] if state else []
-    words += [f"seed{seed}"] if whole.seeds > 1 else []
+    words += [f"seed{seed}"] if len(whole.seed_list) > 1 else []
     return Play(settings, seed, "-".join(words))
 
 
@@ -85,7 +85,7 @@ def _compared(
             name = f"{figure.name}: {second[0]} is not worse than {first[0]}"
             checks.append(check(name, "not surely worse", f"{found}", not verdict.startswith("worse")))
     name = settings.compare.partition("=")[0]
-    compared = {"name": name, "values": [first[0], second[0]], "seeds": settings.seeds}
+    compared = {"name": name, "values": [first[0], second[0]], "seeds": len(settings.seed_list)}
     return summary("stream", checks, compare=compared, figures=differences, **_shared([*first[1], *second[1]]))
 
 

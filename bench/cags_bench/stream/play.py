@@ -18,6 +18,7 @@ from cags_bench.sim.truth import LastTruth
 from cags_bench.stream.settings import DEFAULT_FRAMES, StreamSettings
 from cags_bench.stream.stages import StageSaver
 from cags_bench.stream_report import STAGES_EVERY
+from cags_bench.traces import scaled_trace
 from cags_client.frame import restore
 from cags_client.frame.presented import PresentedFrame
 from cags_common.errors import ConfigError
@@ -25,6 +26,7 @@ from cags_encoder import EncodeSettings
 from cags_server.fov import create_fov_policy
 from cags_server.predict import create_predictor
 from cags_server.ratecontrol import create_rate_policy
+from cags_shaper.trace import open_trace
 
 NOT_TOLD = {"cache", "out", "record", "record_truth", "strip", "seeds", "compare"}
 """Settings that decide no figure of a play."""
@@ -46,6 +48,7 @@ class Play:
         create_predictor(server.predictor)
         create_fov_policy(server.fov)
         restore.check_name(client.restore)
+        open_trace(self.settings.trace)
 
     def line(self) -> dict[str, Any]:
         """Play, write what is to be written, and return the figures. Raises :class:`CagsError`."""
@@ -78,7 +81,7 @@ class Play:
         bundle, duration = self._bundle()
         return Scenario(
             bundle=bundle,
-            trace=settings.trace,
+            trace=self._trace(),
             poses=settings.poses,
             server=settings.server,
             client=replace(settings.client, duration=duration),
@@ -89,6 +92,13 @@ class Play:
             lpips=settings.lpips,
             seed=self.seed,
         )
+
+    def _trace(self) -> str:
+        """The trace, its rates times the share."""
+        trace, share = self.settings.trace, self.settings.share
+        if share == 1.0:
+            return trace
+        return str(scaled_trace(trace, share, seconds=open_trace(trace).duration_us / 1e6))
 
     def _bundle(self) -> tuple[Path, float | None]:
         """The bundle, and how much of it is played in seconds; None: all."""

@@ -19,6 +19,9 @@ from cags_server.settings import ServerSettings, ServeSettings
 DEFAULT_FRAMES = 60
 """Media frames of a scene that are encoded and played."""
 
+COMPARED_SEEDS = 3
+"""Plays of each of two compared settings."""
+
 UNREAL = frozenset(
     {"duration", "drop_late", "interpolate", "display_rate", "join_timeout", "reconnect_s", "token", "ca"}
 )
@@ -36,11 +39,17 @@ class StreamSettings:
         "procedural", "scene or ready bundle: a file, a folder, motion:PATH or procedural[:size=N,...]"
     )
     trace: str = setting("generated:lte-driving", "network trace: a file or generated:NAME")
+    share: float = setting(1.0, "factor on the trace's bandwidth", low=1e-3, high=10)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
     frames: int = setting(
         0, f"media frames to play; 0: all of a bundle, {DEFAULT_FRAMES} of a scene", low=0, high=1_000_000
     )
-    seeds: int = setting(1, "plays, each with another walk and another part of the trace", low=1, high=1000)
+    seeds: int = setting(
+        0,
+        f"plays, each with another walk and another part of the trace; 0: one, or {COMPARED_SEEDS} with --compare",
+        low=0,
+        high=1000,
+    )
     compare: str = setting("", "NAME=A,B: play with both values of a setting over the same seeds, and compare")
     estimator: str = setting("measured", "bandwidth estimator", choices=("measured", "oracle"), research=True)
     delay_ms: float = setting(20.0, "one-way propagation delay in milliseconds", low=0, high=10_000)
@@ -76,6 +85,11 @@ class StreamSettings:
             raise ConfigError(f"record = {self.record!r} must end in .mp4")
         if self.record_truth and not self.record:
             raise ConfigError("record_truth = True has no film to go with; name one with --record FILE.mp4")
+
+    @property
+    def seed_list(self) -> range:
+        """Seeds that are played."""
+        return range(self.seeds or (COMPARED_SEEDS if self.compare else 1))
 
     @property
     def metrics(self) -> tuple[str, ...]:

@@ -47,7 +47,8 @@ def _row(line: Mapping[str, Any]) -> str:
 def _heading(line: Mapping[str, Any]) -> str:
     told = line["settings"]
     client = told["client"]
-    return f"{told['scene']} over {told['trace']}, {told['poses']}, {client['width']}x{client['height']}"
+    share = "" if told["share"] == 1.0 else f" at {100 * told['share']:g} % of its rate"
+    return f"{told['scene']} over {told['trace']}{share}, {told['poses']}, {client['width']}x{client['height']}"
 
 
 def _table(title: str) -> Table:

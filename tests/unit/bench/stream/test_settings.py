@@ -124,3 +124,11 @@ def test_unknown_names_are_refused_before_anything_is_encoded(name: str, value: 
 def test_settings_that_do_not_go_together_are_refused(changes: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         StreamSettings(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "plays"),
+    [({}, 1), ({"seeds": 4}, 4), ({"compare": "abr=paper,utility"}, 3), ({"compare": "a=b", "seeds": 1}, 1)],
+)
+def test_a_comparison_has_three_seeds_unless_told_otherwise(changes: dict, plays: int) -> None:
+    assert list(StreamSettings(**changes).seed_list) == list(range(plays))

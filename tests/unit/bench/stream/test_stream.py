@@ -86,6 +86,13 @@ def test_what_a_bundle_cannot_give_is_refused(settings: StreamSettings, changes:
         only(replace(settings, **changes))
 
 
+def test_a_share_of_the_trace_is_played(settings: StreamSettings) -> None:
+    whole = only(replace(settings, trace="generated:steady-20"))
+    share = only(replace(settings, trace="generated:steady-20", share=0.05))
+    assert share["capacity_mbps"] == pytest.approx(whole["capacity_mbps"] / 20, rel=0.1)
+    assert share["first_frame_ms"] > whole["first_frame_ms"]
+
+
 def test_a_slow_client_drops_frames_and_is_told(settings: StreamSettings) -> None:
     line = only(replace(settings, draw_ms=80.0))
     assert line["frames"] < FRAMES
