@@ -27,7 +27,7 @@ class ServerSettings:
     )
     fov_gain: float = setting(0.7, "factor on the margins of the LSTM field of view", low=0.0, high=10.0)
     abr: str = setting("utility", "rate policy: utility sends the layers with the largest gain a byte first")
-    lead_frames: int = setting(6, "frames between planning a frame and its display", low=1, high=60)
+    lead_frames: int = setting(4, "frames between planning a frame and its display", low=1, high=60)
     references: str = setting(
         "auto",
         "content of references: difference to the client's splats, picture of the scene, auto: the better of both, "

@@ -23,8 +23,8 @@ RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
 it, and either in a group of which nothing was seen. Periods, but no longer than such a share of the lead.
 """
 
-MAX_LEAD_STRETCH = 3.0
-"""A slow renderer or link makes the server plan earlier, up to so many times the lead; beyond it frames are skipped."""
+LONGEST_LEAD_US = 600_000
+"""A slow renderer or link makes the server plan earlier, up to so long before display; beyond it frames are skipped."""
 
 
 JUMP_US = 1_000_000
@@ -65,15 +65,15 @@ class Schedule:
 
     def lead_us(self, rtt_us: int) -> float:
         """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
-        wanted = self._lead_frames * 1e6 / self.timeline.fps
-        return min(max(wanted, self.pace.needed_us(rtt_us)), MAX_LEAD_STRETCH * wanted)
+        wanted_us = self._lead_frames * 1e6 / self.timeline.fps
+        return max(wanted_us, min(self.pace.needed_us(rtt_us), LONGEST_LEAD_US))
 
     def follow_clock(self, now_us: int) -> None:
         """A pose has told the client's time: a clock that was set back leaves ticks of a pause far in the future."""
         t = self.timeline
         if self._controlled and not t.playing and not self.rendering:
             due_us = self._clock.to_server(t.display_us(self.next_tick))
-            if due_us - now_us > JUMP_US + MAX_LEAD_STRETCH * self._lead_frames * t.period_us:
+            if due_us - now_us > JUMP_US + max(LONGEST_LEAD_US, self._lead_frames * t.period_us):
                 self.timeline = replace(t, at_us=self._clock.to_client(now_us))
                 self._count_anew()
 
