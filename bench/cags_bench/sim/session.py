@@ -112,6 +112,18 @@ def simulate(scenario: Scenario, watch: Watcher | None = None, truth: LastTruth 
         return _Simulation(scenario, scenario.link(), _library(scenario, reader), truth).run(watch)
 
 
+def watched_by(watchers: Sequence[Watcher]) -> Watcher | None:
+    """One watcher that stands for all of ``watchers``; None where there are none."""
+    if not watchers:
+        return None
+
+    def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
+        for one in watchers:
+            one(presented, record)
+
+    return watch
+
+
 STEP_TOGETHER_US = 10_000
 """Sessions that are played together are at most so far apart."""
 

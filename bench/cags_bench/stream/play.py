@@ -13,7 +13,7 @@ from cags_bench.film.film import Film, FilmMaker
 from cags_bench.film.metrics import lacking, measure
 from cags_bench.jsonl import dump
 from cags_bench.sim.bundle import is_bundle, open_bundle
-from cags_bench.sim.session import Scenario, SessionResult, Watcher, simulate
+from cags_bench.sim.session import Scenario, SessionResult, Watcher, simulate, watched_by
 from cags_bench.sim.truth import LastTruth
 from cags_bench.stream.settings import DEFAULT_FRAMES, StreamSettings
 from cags_bench.stream.stages import StageSaver
@@ -64,7 +64,7 @@ class Play:
                 watchers.append(maker.watch)
             if settings.out:
                 watchers.append(stack.enter_context(self._stages(truth)))
-            result = simulate(scenario, _all(watchers), truth)
+            result = simulate(scenario, watched_by(watchers), truth)
             line = dict(result.summary)
             if maker is not None:
                 film = maker.film(end)
@@ -144,17 +144,6 @@ class Play:
         if not self.label:
             return path
         return path / self.label if path.suffix != ".mp4" else path.with_stem(f"{path.stem}-{self.label}")
-
-
-def _all(watchers: list[Watcher]) -> Watcher | None:
-    if not watchers:
-        return None
-
-    def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
-        for one in watchers:
-            one(presented, record)
-
-    return watch
 
 
 def rate_and_end(scenario: Scenario) -> tuple[float, int]:

@@ -63,7 +63,11 @@ FIGURES = {
     "PSNR [dB]": PSNR,
     "SSIM": SSIM,
     "LPIPS": LPIPS,
+    "VMAF": "vmaf",
+    "XPSNR [dB]": "xpsnr_db",
+    "JOD": "jod",
     "flicker [1/255]": FLICKER,
+    "steps, 95th percentile [dB]": "psnr_restored_step_p95_db",
     "goodput here [Mbps]": "goodput_mbps",
 }
 """Columns of streamed results, and where they are in a summary. Flicker is 0 for an error that does not change."""
