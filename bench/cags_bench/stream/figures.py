@@ -48,6 +48,8 @@ class Figure:
         return "" if value is None else self.text(value)
 
 
+PICTURE = "picture"
+
 GROUPS: dict[str, tuple[Figure, ...]] = {
     "motion": (
         Figure("frames", "shown", "frames", HIGHER, _plain(0)),
@@ -60,7 +62,7 @@ GROUPS: dict[str, tuple[Figure, ...]] = {
         Figure("first_picture_ms", "picture", "ms", LOWER, _plain(0)),
         Figure("first_frame_ms", "play", "ms", LOWER, _plain(0)),
     ),
-    "picture": (
+    PICTURE: (
         Figure("psnr_restored_db", "PSNR", "dB", HIGHER, _plain(2)),
         Figure("psnr_restored_p5_db", "PSNR", "p5, dB", HIGHER, _plain(2)),
         Figure("psnr_restored_step_p95_db", "steps", "p95, dB", LOWER, _plain(2)),

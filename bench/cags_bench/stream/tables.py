@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import IO, TYPE_CHECKING, Any
 
-from cags_bench.sim.bundle import TOP_LEVEL
-from cags_bench.stream.figures import FIGURES, GROUPS, Figure
+from cags_bench.stream.figures import FIGURES, GROUPS, PICTURE, Figure
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,7 +30,8 @@ def print_plays(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
     console.print(_heading(last), markup=False, soft_wrap=True)
     for title, figures in GROUPS.items():
         known = [figure for figure in figures if any(figure.of(play) is not None for play in plays)]
-        _print_group(console, title, known, plays)
+        against = f", against {last['truth']}" if title == PICTURE and "truth" in last else ""
+        _print_group(console, title + against, known, plays)
     if "compare" in last:
         _print_comparison(console, last)
     for note in _notes(last):
@@ -94,11 +94,7 @@ def _interval(figure: Figure, found: Mapping[str, float]) -> str:
 
 
 def _notes(line: Mapping[str, Any]) -> list[str]:
-    notes = []
-    if line.get("truth") == TOP_LEVEL:
-        notes.append(f"Pictures are compared with {TOP_LEVEL}: it holds no source frames.")
     outs: dict[str, list[str]] = {}
     for metric, way_out in (line.get("left_out") or {}).items():
         outs.setdefault(way_out, []).append(metric)
-    notes += [f"{', '.join(metrics)} not measured: {way_out}" for way_out, metrics in outs.items()]
-    return notes
+    return [f"{', '.join(metrics)} not measured: {way_out}" for way_out, metrics in outs.items()]

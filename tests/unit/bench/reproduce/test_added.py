@@ -5,16 +5,19 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cags_bench.reproduce import added
+from cags_bench.film import ffmpeg
+from cags_bench.reproduce import added, run
 from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner, StreamCase
 from cags_bench.reproduce.experiments.streaming import fixed
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.plan import Context, Plan
+from cags_bench.reproduce.settings import ReproduceSettings
 from cags_server.predict import PREDICTORS
 from cags_server.ratecontrol import RATE_POLICIES
 
@@ -101,3 +104,23 @@ def test_the_policy_is_played_and_has_a_row_of_the_table(installed: Path, tmp_pa
 
     rows = {row[0]: row for row in fixed(Fast(plan, runner, lambda _: None)).rows}
     assert rows["CAGS, abr thrifty"][2] == pytest.approx(theirs["summary"]["psnr_restored_db"])
+
+
+@pytest.mark.skipif(ffmpeg.program() is None, reason="the extra video-metrics is not installed")
+def test_films_of_its_plays_are_measured_where_that_is_asked_for(tmp_path: Path) -> None:
+    runner = Runner(ResultCache(tmp_path / "results"), str(tmp_path / "bundles"), threads=1, progress=False)
+    case = StreamCase(SCENE, "cags", "synthetic:walking", 6, 64, 48, "generated:steady-5", video=("vmaf", "xpsnr"))
+    found, plain = runner.compute(case), runner.compute(replace(case, video=()))
+    assert 10 < found["summary"]["vmaf"] < 100
+    assert found["summary"]["xpsnr_db"] > 20
+    assert {"vmaf", "xpsnr_db"} == set(found["summary"]) - set(plain["summary"])
+    assert found["summary"]["psnr_restored_db"] == plain["summary"]["psnr_restored_db"]
+    assert case.key("auto") != replace(case, video=()).key("auto")
+
+
+def test_metrics_that_cannot_be_had_are_told_once_and_left_out(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(run, "lacking", lambda metrics: {"vmaf": "pip install it"})
+    assert run._plan(ReproduceSettings(quick=True)).video == ("xpsnr",)
+    assert capsys.readouterr().err == "reproduce: vmaf is not measured: pip install it\n"

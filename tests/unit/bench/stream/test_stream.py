@@ -71,7 +71,7 @@ def test_a_published_folder_is_compared_with_its_top_level(
     assert line["psnr_distorted_db"] > only(replace(settings, trace="generated:steady-60"))["psnr_distorted_db"] + 3
     said = io.StringIO()
     print_plays([line], said)
-    assert "compared with the bundle's top level" in said.getvalue()
+    assert "picture, against the bundle's top level" in said.getvalue()
 
 
 @pytest.mark.parametrize(
