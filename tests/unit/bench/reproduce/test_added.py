@@ -106,6 +106,7 @@ def test_the_policy_is_played_and_has_a_row_of_the_table(installed: Path, tmp_pa
     assert rows["CAGS, abr thrifty"][2] == pytest.approx(theirs["summary"]["psnr_restored_db"])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(ffmpeg.program() is None, reason="the extra video-metrics is not installed")
 def test_films_of_its_plays_are_measured_where_that_is_asked_for(tmp_path: Path) -> None:
     runner = Runner(ResultCache(tmp_path / "results"), str(tmp_path / "bundles"), threads=1, progress=False)

@@ -242,6 +242,7 @@ def test_a_report_has_a_strip_of_twelve_frames_and_a_film_beside_the_truth(
     assert (frames[0].width, frames[0].height) == (192, 72)
 
 
+@pytest.mark.slow
 def test_plays_of_a_comparison_are_written_apart(settings: StreamSettings, tmp_path: Path) -> None:
     out, film = tmp_path / "report", tmp_path / "film.mp4"
     whole = replace(settings, frames=4, compare="abr=paper,utility", seeds=2, out=str(out), record=str(film))
