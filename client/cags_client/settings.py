@@ -80,7 +80,7 @@ class ClientSettings:
     start_frame: int = setting(0, "first media frame to play", low=0)
     duration: float | None = setting(None, "seconds to play; the whole clip if not given", low=0.001)
     startup_ms: int = setting(
-        700,
+        1500,
         "longest hold of the first frame while more of it arrives, in milliseconds; 0 plays at once",
         low=0,
         high=10_000,

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import ceil
 
 from cags_common.errors import ProtocolError
 from cags_protocol.delivery.round_trips import RoundTrips
@@ -26,6 +27,11 @@ REORDER_PACKETS = 64
 
 MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
 """Least credit: one packet on the wire, one to follow it."""
+
+PACING_GAIN = 1.5
+"""Packets leave at most so many times as fast as the link is thought to be: credit that comes at once is spread out,
+and a reference that is queued meanwhile does not wait on the link behind all of it.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +75,7 @@ class FlowControl:
         self._round_trips = RoundTrips()
         self._one_way = RoundTrips()  # from the server's clock to the client's: of any sign
         self._window_full = False
+        self._ahead_bytes, self._ahead_us = 0.0, now_us - window_us  # more than the pace allows, and since when
         self.in_flight_bytes = 0
         self.delivered_bytes = 0
         self.sent_bytes = 0
@@ -99,8 +106,26 @@ class FlowControl:
         self._window_full = self._window_full or not open_
         return open_
 
+    @property
+    def paced_until_us(self) -> int:
+        """When the next packet may leave, if there is credit for it, of the server's clock; at once where nothing is in
+        flight: too low an estimate must not hold an empty link up.
+        """
+        if not self._flights:
+            return self._ahead_us
+        return self._ahead_us + ceil(self._ahead_bytes * 8e6 / (PACING_GAIN * self.rate_bps))
+
+    def _pace_bytes(self, time_us: float) -> float:
+        return PACING_GAIN * self.rate_bps * time_us / 8e6
+
+    def _ahead(self, now_us: int) -> float:
+        """By how many bytes more was sent than the pace allows; negative: by how many less."""
+        return self._ahead_bytes - self._pace_bytes(now_us - self._ahead_us)
+
     def on_sent(self, entry: Entry, size: int, now_us: int) -> None:
         """Account for packet ``next_seq``, which carries ``size`` bytes of ``entry``."""
+        self._ahead_bytes = max(self._ahead(now_us), -self._pace_bytes(self._window_us)) + size
+        self._ahead_us = now_us
         if not self._flights:
             self._first_sent_us = self._delivered_us = now_us
         self._flights[self._next_seq] = Flight(

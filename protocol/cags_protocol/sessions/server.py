@@ -30,6 +30,9 @@ from cags_protocol.wire.messages import (
 REFERENCE_RESERVE_BYTES = 2 * limits.PACKET_BYTES
 """Credit that only reference pictures may use, so that they never wait for tiles to be acknowledged."""
 
+PACING_STEP_US = 5_000
+"""Packets that wait for their time alone leave in steps of this: a timer for each would cost more than it brings."""
+
 ENDS_OF_THEIR_OWN = frozenset({RefusalCode.MALFORMED, RefusalCode.UNEXPECTED, RefusalCode.TIMEOUT})
 """Refusals that :class:`cags_protocol.events.Closed` tells apart; every other one is "refused" there."""
 
@@ -63,6 +66,7 @@ class ServerSession(Session[ev.ServerEvent]):
         self._queue = SendQueue(self._settings.max_queue_bytes, self._settings.max_queue_messages, self._on_drop)
         self._flow = FlowControl(self._settings.window_us, self._settings.initial_rate_bps, now_us)
         self._abandoned: list[int] = []
+        self._next_packet_us: int | None = None  # when what waits for its time alone may leave
 
     # ------------------------------------------------------------------------------------------------------- decisions
 
@@ -144,23 +148,30 @@ class ServerSession(Session[ev.ServerEvent]):
         return out
 
     def next_timer_us(self) -> int | None:
-        """See :class:`Session`; also when the next queued message becomes stale."""
-        times = [t for t in (super().next_timer_us(), self._queue.next_deadline_us()) if t is not None]
+        """See :class:`Session`; also when the next packet may leave, and when a queued message becomes stale."""
+        every = super().next_timer_us(), self._queue.next_deadline_us(), self._next_packet_us
+        times = [t for t in every if t is not None]
         return min(times) if times and not self.closed else None
 
     def handle_timer(self, *, now_us: int) -> None:
-        """See :class:`Session`."""
+        """See :class:`Session`. Then ask for data to send: a packet may be due."""
         self._now_us = now_us
         self._queue.expire(now_us)
+        if self._next_packet_us is not None and self._next_packet_us <= now_us:
+            self._next_packet_us = None
         super().handle_timer(now_us=now_us)
 
     def _next_packet(self, now_us: int) -> bytes | None:
+        self._next_packet_us = None
         entry = self._queue.peek()
         if entry is None:
             if self._flow.has_credit():
                 self._flow.on_idle()
             return None
         if not self._flow.has_credit(REFERENCE_RESERVE_BYTES if entry.is_reference else 0):
+            return None
+        if not entry.is_reference and now_us < self._flow.paced_until_us:
+            self._next_packet_us = max(self._flow.paced_until_us, now_us + PACING_STEP_US)
             return None
         packet = self._queue.take_fragment(entry, self._flow.next_seq)
         if self._trace is not None:

@@ -133,6 +133,7 @@ class ClientTask:
                 if not await self._sent(packet):
                     return
             if not packets:
+                self._to_plan.set()  # what was not sent may be due at a time
                 await self._to_send.wait()
 
     async def _sent(self, packet: bytes) -> bool:

@@ -11,14 +11,19 @@ SPREAD = 2.0
 MARGIN_US = 15_000
 """Time for the client to decode and align the picture before it is due."""
 
+MAX_CAUTION_US, CAUTION_LOST = 200_000, 0.05
+"""Bound of what is added to the lead for references that were late, and the share of it that each timely one takes."""
+
 
 class Pace:
-    """Running mean and spread of the time that references take."""
+    """Running mean and spread of the time that references take, and by how much they were late nevertheless."""
 
     def __init__(self) -> None:
         self._mean_us = 0.0
         self._deviation_us = 0.0
         self._seen = False
+        self.caution_us = 0.0
+        """Added to the lead: queues on the link that nobody foresaw made references late."""
 
     def observe(self, work_us: int, size_bytes: int, rate_bps: float) -> None:
         """A reference of ``size_bytes`` was ready ``work_us`` after its planning; the link carries ``rate_bps``."""
@@ -28,6 +33,14 @@ class Pace:
             return
         self._deviation_us += SMOOTHING * (abs(took - self._mean_us) - self._deviation_us)
         self._mean_us += SMOOTHING * (took - self._mean_us)
+
+    def arrived(self, late_us: int) -> None:
+        """A reference was there ``late_us`` after its display (negative: before it), of which it needs a margin."""
+        late_us += MARGIN_US
+        if late_us > 0:
+            self.caution_us = min(self.caution_us + late_us, MAX_CAUTION_US)
+        else:
+            self.caution_us -= CAUTION_LOST * self.caution_us
 
     def needed_us(self, rtt_us: int) -> float:
         """Lead that makes the reference arrive in time, seen from the server's idea of the client's clock.

@@ -64,9 +64,12 @@ class Schedule:
         self._count_anew()
 
     def lead_us(self, rtt_us: int) -> float:
-        """The lead asked for, or what a frame takes from planning to arrival, if that is more."""
+        """The lead asked for, or what a frame takes from planning to arrival, if that is more; longer where references
+        were late.
+        """
         wanted_us = self._lead_frames * 1e6 / self.timeline.fps
-        return max(wanted_us, min(self.pace.needed_us(rtt_us), LONGEST_LEAD_US))
+        needed_us = max(wanted_us, self.pace.needed_us(rtt_us)) + self.pace.caution_us
+        return max(wanted_us, min(needed_us, LONGEST_LEAD_US))
 
     def follow_clock(self, now_us: int) -> None:
         """A pose has told the client's time: a clock that was set back leaves ticks of a pause far in the future."""

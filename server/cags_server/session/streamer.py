@@ -169,6 +169,7 @@ class Streamer:
                 self._on_sent(outgoing, now_us)
             case ev.Delivered(outgoing, _):
                 self._on_settled(outgoing, delivered=True)
+                self._on_arrived(outgoing, now_us)
             case ev.Dropped(outgoing, reason, sent_bytes, _):
                 self.stats.bytes_dropped += sent_bytes
                 self._on_settled(outgoing, delivered=False)
@@ -223,6 +224,13 @@ class Streamer:
             self._startup.settled(message)
         elif isinstance(message, ReferenceFrame) and not delivered:
             self._video.dropped(message)
+
+    def _on_arrived(self, outgoing: ev.Outgoing, now_us: int) -> None:
+        """Times are the server's, whose idea of the client's clock is late by the way up: as the acknowledgement is."""
+        if not (isinstance(outgoing.message, ReferenceFrame) and self._schedule.timeline.playing):
+            return
+        if outgoing.deadline_us is not None:
+            self._schedule.pace.arrived(now_us - self._display_us(outgoing.deadline_us))
 
     # ------------------------------------------------------------------------------------------------------ planning
 
@@ -542,6 +550,10 @@ class Streamer:
         if not isinstance(message, TileLayers) or deadline_us is None:
             return False
         return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
+
+    def _display_us(self, deadline_us: int) -> int:
+        """When the frame of a reference is displayed that serves until ``deadline_us``; both by the server's clock."""
+        return deadline_us - int(self._settings.reference_deadline_ms * 1000)
 
     def _reference_deadline_us(self, display_us: int) -> int:
         """A late reference still serves the frames that follow its own."""

@@ -4,7 +4,7 @@
  */
 
 /** The longest hold of the first frame. */
-export const STARTUP_US = 700_000;
+export const STARTUP_US = 1_500_000;
 /** The hold ends when no tile has arrived for this long, nor a part of one: over a slow link one may take longer. */
 const QUIET_US = 250_000;
 /** While tiles arrive, the held frame is redrawn at this interval. */

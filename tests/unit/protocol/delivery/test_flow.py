@@ -1,7 +1,7 @@
 import pytest
 
 from cags_common.errors import ProtocolError
-from cags_protocol.delivery.flow import MIN_WINDOW_BYTES, REORDER_PACKETS, FlowControl
+from cags_protocol.delivery.flow import MIN_WINDOW_BYTES, PACING_GAIN, REORDER_PACKETS, FlowControl
 from cags_protocol.delivery.round_trips import MIN_RTT_WINDOW_US
 from cags_protocol.delivery.send_queue import Entry
 from cags_protocol.wire.messages import SeqRange
@@ -50,6 +50,41 @@ def test_credit_is_used_up_and_comes_back():
     assert control.has_credit(extra_bytes=8192)
     ack(control, [SeqRange(1, 1)], 1000)
     assert control.has_credit()
+
+
+def test_packets_are_paced_somewhat_faster_than_the_link():
+    control = flow(rate_bps=8e6)
+    now_us, sent = 1_000_000, 0
+    while now_us < 2_000_000:
+        now_us = max(now_us, control.paced_until_us)
+        send(control, now_us)
+        sent += 1000
+    assert sent == pytest.approx(PACING_GAIN * 1e6, rel=0.05)
+
+
+def test_an_empty_link_is_not_waited_for_however_low_the_estimate():
+    control = flow(rate_bps=1000.0)
+    send(control, 0, 8192)
+    assert control.paced_until_us > 10_000_000
+    ack(control, [SeqRange(1, 1)], 200_000)
+    assert control.paced_until_us <= 200_000
+
+
+def test_the_pace_follows_the_estimate():
+    control = flow(rate_bps=1000.0)
+    send(control, 0, 8192)
+    control.rate_bps = 8e6
+    assert control.paced_until_us < 8192
+
+
+def test_time_in_which_nothing_left_is_made_up_for_up_to_the_window():
+    control = flow(rate_bps=8e6, window_us=20_000)
+    send(control, 0)
+    burst = 0
+    while control.paced_until_us <= 5_000_000:
+        send(control, 5_000_000)
+        burst += 1000
+    assert burst == pytest.approx(PACING_GAIN * 20_000, abs=1500)
 
 
 def test_the_round_trip_leaves_out_the_wait_for_the_acknowledgement():

@@ -5,6 +5,7 @@ from cags_common.geometry import Pose
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import ClientSession, Outgoing, ServerSession, ServerSessionSettings, SessionTimers, State
 from cags_protocol import events as ev
+from cags_protocol.delivery.flow import PACING_GAIN
 from cags_protocol.sessions.blobs import blob_chunks
 from cags_protocol.sessions.states import CLIENT_TABLE, SERVER_TABLE
 from cags_protocol.wire import messages as m
@@ -118,6 +119,22 @@ def test_a_reference_does_not_wait_for_credit():
     pair.run(15_000)
     assert len(pair.client_events(ev.ReferenceReceived)) == 1
     assert pair.server.in_flight_bytes > in_flight
+
+
+def test_tiles_after_a_pause_do_not_fill_the_link_at_a_stroke():
+    pair = Pair(down=steady(50_000), up=steady(50_000)).open()
+    pair.server.rate_hint_bps = 8e6
+    pair.run(1_000_000)
+    before = sum(map(len, pair.packets_down))
+    pair.queue(tile(0, 0, 200_000))
+    pair.run(10_000)
+    burst = sum(map(len, pair.packets_down)) - before
+    assert burst <= PACING_GAIN * 8e6 * 0.03 / 8 + PACKET_BYTES, "credit for a whole round trip is there"
+    pair.queue(reference(0, 1, 3000))
+    pair.run(50_000)
+    assert len(pair.client_events(ev.ReferenceReceived)) == 1, "a reference leaves at once"
+    pair.run(5_000_000)
+    assert pair.tiles() == [(0, 0)]
 
 
 def test_more_valuable_tiles_overtake():

@@ -6,6 +6,7 @@ import pytest
 
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
+from cags_server.session.pace import MARGIN_US
 from cags_server.session.schedule import LONGEST_LEAD_US
 from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
@@ -330,3 +331,18 @@ def test_a_client_that_pauses_is_moved_on_though_no_references_are_made() -> Non
     bases = [each.basis for each in told]
     assert bases == sorted(set(bases))
     assert set(bases) <= {mark.number for mark in rig.marks[before:]}
+
+
+def test_references_that_come_late_are_planned_earlier_only_while_the_clip_plays() -> None:
+    rig = Rig()
+    rig.play()
+    due = rig.streamer.next_due_us()
+    out = rig.streamer.finish(rig.streamer.begin(due).run(), due)
+    reference = next(each for each in out if isinstance(each.message, ReferenceFrame))
+    caution = rig.streamer._schedule.pace
+    display_us = rig.streamer._viewer.clock.to_server(300_000)
+    rig.streamer.on_event(ev.Delivered(reference, display_us + 30_000), display_us + 30_000)
+    assert caution.caution_us == 30_000 + MARGIN_US
+    rig.control("pause")
+    rig.streamer.on_event(ev.Delivered(reference, display_us + 90_000), display_us + 90_000)
+    assert caution.caution_us == 30_000 + MARGIN_US
