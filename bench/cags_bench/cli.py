@@ -12,7 +12,7 @@ from cags_common.cli import EXIT_USAGE, command_parser, run_command
 from cags_common.errors import ConfigError
 
 SUBCOMMANDS = {
-    "stream": "stream a scene over a trace in virtual time and score every frame",
+    "stream": "stream a scene or bundle over a trace in virtual time, score every frame, compare settings",
     "raster": "speed and exactness of the rasteriser backends, beside the prototype and peers",
     "codec": "rate and distortion of the quantisers beside other codecs, and their times",
     "motion": "bytes a frame and quality of moving scenes, motion coded apart and not",
@@ -67,5 +67,5 @@ def _run_subcommand(module: ModuleType, name: str, argv: Sequence[str]) -> int:
     else:
         from cags_bench.tables import print_lines
 
-        print_lines(lines, sys.stdout)
+        getattr(module, "show", print_lines)(lines, sys.stdout)
     return 0

@@ -31,8 +31,6 @@ TESTED_ELSEWHERE = {
     "cags_bench/motion": "tests/unit/bench/test_cli.py",
     "cags_bench/predict": "tests/unit/bench/test_cli.py",
     "cags_bench/reproduce/experiments": "tests/unit/bench/reproduce/test_reproduce.py",
-    "cags_bench/sim": "tests/sim/test_virtual_time.py",
-    "cags_bench/stream": "tests/sim/test_virtual_time.py",
 }
 """Folders without a mirror of their own, and where their tests are."""
 OLD_NAMES = {

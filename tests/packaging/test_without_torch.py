@@ -47,7 +47,7 @@ def run(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 def test_only_the_extras_for_research_and_development_bring_torch() -> None:
     extras = PROJECT["optional-dependencies"]
     bringing = {name for name, needs in extras.items() if any(n.startswith(("torch", "cags-stream[")) for n in needs)}
-    assert bringing == {"research", "runtimes", "dev"}
+    assert bringing == {"research", "runtimes", "jod", "dev"}
     assert not [need for need in PROJECT["dependencies"] if need.startswith("torch")]
 
 

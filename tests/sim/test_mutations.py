@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import pytest
 
+from cags_bench.confidence import paired
 from cags_bench.reproduce import methods
-from cags_bench.reproduce.confidence import paired
 from cags_bench.reproduce.experiments.rivals import Duel, _checks
 from cags_bench.reproduce.methods import METHODS, Method
 from cags_client.frame.presented import PresentedFrame

@@ -8,7 +8,7 @@ import pytest
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import dump
 from cags_bench.sim.session import Scenario, simulate, simulate_together
-from cags_bench.stream.experiment import stream
+from cags_bench.stream.experiment import stream_lines
 from cags_bench.stream.settings import StreamSettings
 from cags_client.settings import ClientSettings
 from cags_common.errors import ConfigError
@@ -30,7 +30,13 @@ def scenario(cache) -> Scenario:
 
 
 def settings(cache: str, **changes: object) -> StreamSettings:
-    return replace(StreamSettings(scene=MOVING, frames=12, width=160, height=120, cache=cache), **changes)
+    small = StreamSettings(scene=MOVING, frames=12, client=CLIENT, cache=cache, video_metrics="none")
+    return replace(small, **changes)
+
+
+def stream(of: StreamSettings) -> dict:
+    [line] = stream_lines(of)
+    return line
 
 
 def test_two_runs_print_the_same(cache):

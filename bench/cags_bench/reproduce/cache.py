@@ -24,8 +24,9 @@ PACKAGES = (
     "cags_gpu",
     "cags_research",
     "cags_bench.sim",
+    "cags_bench.film",
 )
-"""All that a simulated session runs."""
+"""All that a simulated session runs, and what measures its film."""
 
 SOURCES = (".py", ".so", ".npz")
 

@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from cags_bench.bundles import cached_bundle, default_cache
+from cags_bench.film.film import FilmMaker
+from cags_bench.film.metrics import measure
 from cags_bench.jsonl import JsonObject
+from cags_bench.reproduce import added
 from cags_bench.reproduce.cache import ResultCache, code_digest, content_of
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.pictures import Snapshot
-from cags_bench.sim.session import Scenario, simulate
+from cags_bench.sim.session import Scenario, simulate, watched_by
 from cags_bench.traces import PAPER_SPLATS, link_share, paper_link, scaled_trace
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
@@ -47,6 +50,8 @@ class StreamCase:
     """A steady rate; None: the rates of ``trace``."""
     lpips: str = ""
     """Weights file of LPIPS; empty: not measured."""
+    video: tuple[str, ...] = ()
+    """Metrics of the whole film that are measured."""
 
     @property
     def encoding(self) -> EncodeSettings:
@@ -60,6 +65,7 @@ class StreamCase:
             | {"scene": _content_key(self.scene, self.encoding)}
             | {name: content_of(getattr(self, name)) for name in ("poses", "trace", "lpips")},
             "method": asdict(METHODS[self.method]),
+            "added": added.digest(self.method),
             "device": device,
         }
 
@@ -99,6 +105,8 @@ class Runner:
         """:meth:`run` without looking for an earlier result."""
         method = METHODS[case.method]
         bundle = self.bundle(case)
+        with BundleReader.open(str(bundle)) as reader:
+            fps, top_lod = reader.manifest.fps, reader.manifest.lods - 1
         server = ServerSettings(rasteriser=self.device, render_threads=self.threads)
         client = ClientSettings(width=case.width, height=case.height, raster=self.device, threads=self.threads)
         scenario = Scenario(
@@ -110,10 +118,14 @@ class Runner:
             estimator="oracle",
             lpips=case.lpips,
         )
-        snapshot = Snapshot(scenario, frame=2 * case.frames // 3)
-        result = simulate(scenario, snapshot.watch)
+        truth = scenario.truth()
+        snapshot = Snapshot(truth, frame=2 * case.frames // 3)
+        with FilmMaker(truth, fps) as maker:
+            watchers = [snapshot.watch, *([maker.watch] if case.video else [])]
+            result = simulate(scenario, watched_by(watchers), truth)
+            scores = measure(maker.film(case.frames), case.video) if case.video else {}
         frames = [{key: line.get(key) for key in SERIES} for line in result.frames]
-        summary = result.summary | {"top_lod": _top_lod(bundle)}
+        summary = result.summary | scores | {"top_lod": top_lod}
         return {"summary": summary, "frames": frames, "pictures": snapshot.pictures}
 
     def link(self, case: StreamCase, bundle: Path) -> str:
@@ -122,14 +134,6 @@ class Runner:
             return paper_link(bundle, case.mbps)
         share = link_share(bundle, PAPER_SPLATS)
         return str(scaled_trace(case.trace, share, seconds=case.frames / 30 + 30))
-
-
-def _top_lod(bundle: Path) -> int:
-    reader = BundleReader.open(str(bundle))
-    try:
-        return reader.manifest.lods - 1
-    finally:
-        reader.close()
 
 
 def averaged(results: list[JsonObject], key: str) -> float:

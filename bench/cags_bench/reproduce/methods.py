@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from cags_bench.reproduce import added
 from cags_research.configurations import PUBLISHED, REMOTE_RENDERING, REMOTE_RENDERING_SMALL
 
 
@@ -21,7 +22,7 @@ class Method:
     client: Mapping[str, Any] = field(default_factory=dict)
 
 
-METHODS: dict[str, Method] = {
+OURS_AND_RIVALS: dict[str, Method] = {
     "cags": Method("CAGS (ours)", "the defaults of this program"),
     "cags-paper": Method(
         "CAGS (as published)",
@@ -99,7 +100,20 @@ METHODS: dict[str, Method] = {
         server={"fov": "fixed", "fov_margin": 0.1},
     ),
 }
-"""By the name that ``--methods`` takes."""
+"""The program's own, by name."""
+
+
+class Methods(dict[str, Method]):
+    """Methods by name; one that was added (:mod:`cags_bench.reproduce.added`) is made when it is asked for."""
+
+    def __missing__(self, name: str) -> Method:
+        """The method called ``name``. Raises :class:`KeyError` for an unknown one."""
+        setting, seam, which = added.split(name)
+        changes = {seam.side: {setting: which}}
+        return Method(f"CAGS, {setting} {which}", f"ours, with the {seam.what} {which}, which was added", **changes)
+
+
+METHODS = Methods(OURS_AND_RIVALS)
 
 BASELINES = ("lts-f", "lts-f-even", "v3-a", "sr-align-ref", "cr-no-ref", "reference-only", "reference-only-small")
 ABLATIONS = ("pictures", "no-adaptive-fov", "no-prpa")

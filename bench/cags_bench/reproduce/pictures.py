@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from cags_bench.sim.session import Scenario
+from cags_bench.film.film import Truth
 from cags_client.frame.presented import PresentedFrame
-from cags_client.output.truth import BundleTruth
 from cags_common.geometry import F32
 
 QUALITY = 88
@@ -22,8 +21,8 @@ SHOWN_SHARE = 0.5
 class Snapshot:
     """Keeps one frame of a session, and its truth."""
 
-    def __init__(self, scenario: Scenario, frame: int) -> None:
-        self._scenario, self._frame = scenario, frame
+    def __init__(self, truth: Truth, frame: int) -> None:
+        self._truth, self._frame = truth, frame
         self.pictures: dict[str, str] = {}
         """``shown`` and ``truth``, as base64 JPEG; empty when the frame was never shown."""
 
@@ -32,7 +31,7 @@ class Snapshot:
         del record
         if presented.frame != self._frame:
             return
-        truth, _ = BundleTruth(str(self._scenario.bundle), self._scenario.client)(presented.frame, presented.camera)
+        truth, _ = self._truth(presented.frame, presented.camera)
         self.pictures = {"shown": jpeg(middle(presented.rgb)), "truth": jpeg(middle(truth))}
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from cags_bench.jsonl import JsonObject
+from cags_bench.reproduce import added
 from cags_bench.reproduce.cases import Runner, StreamCase
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES
 from cags_bench.reproduce.prepare import describe
@@ -27,6 +28,8 @@ class Plan:
     height: int
     quick: bool
     lpips: str = ""
+    video: tuple[str, ...] = ()
+    """Metrics of whole films (:data:`cags_bench.film.metrics.METRICS`) that are measured."""
 
     @property
     def rates_mbps(self) -> tuple[float, ...]:
@@ -35,8 +38,8 @@ class Plan:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Ours, as published, and every baseline."""
-        return ("cags", "cags-paper", *BASELINES)
+        """Ours, ours with each part that was added, as published, and every baseline."""
+        return ("cags", *added.names(), "cags-paper", *BASELINES)
 
     @property
     def ablations(self) -> tuple[str, ...]:
@@ -61,7 +64,7 @@ class Context:
     def case(self, scene: str, method: str, mbps: float | None = None) -> StreamCase:
         """One streamed case of the plan."""
         p = self.plan
-        return StreamCase(scene, method, p.poses, p.frames, p.width, p.height, p.trace, mbps, p.lpips)
+        return StreamCase(scene, method, p.poses, p.frames, p.width, p.height, p.trace, mbps, p.lpips, p.video)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from cags_bench.film.metrics import lacking
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner
@@ -76,7 +77,16 @@ def _plan(settings: ReproduceSettings) -> Plan:
         height=settings.height or height,
         quick=settings.quick,
         lpips=settings.lpips,
+        video=_measurable(settings),
     )
+
+
+def _measurable(settings: ReproduceSettings) -> tuple[str, ...]:
+    """Metrics of films that can be had here; of the others it is told how."""
+    missing = lacking(settings.metrics)
+    for metric, way_out in missing.items():
+        _tell(f"{metric} is not measured: {way_out}")
+    return tuple(metric for metric in settings.metrics if metric not in missing)
 
 
 def _with_frames(scene: str, frames: int) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cags_bench.film.metrics import AUTO, chosen
 from cags_common.settings import check_settings, setting
 
 
@@ -24,8 +25,17 @@ class ReproduceSettings:
     device: str = setting("auto", "renderer: auto, reference, cpu or gpu", choices=("auto", "reference", "cpu", "gpu"))
     workers: int = setting(0, "sessions simulated at the same time; 0: as many as there are cores", low=0, high=256)
     lpips: str = setting("", "weights of LPIPS (.npz), to measure it too; empty: leave it out")
+    video_metrics: str = setting(
+        AUTO, "metrics of the whole film: vmaf, xpsnr, jod by commas; none; auto: the quick ones, vmaf and xpsnr"
+    )
     out: str = setting("reproduction", "folder for index.html, and a .jsonl and .csv file a table")
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        self.metrics  # noqa: B018 - refuse what does not parse
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Metrics of the film."""
+        return chosen(self.video_metrics)

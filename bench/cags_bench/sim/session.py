@@ -8,13 +8,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cags_bench.sim.bundle import open_bundle, truth_of
+from cags_bench.sim.seeds import trace_of, walk_of
 from cags_bench.sim.spent import Spent
+from cags_bench.sim.truth import LastTruth
 from cags_bench.sim.usage import Usage
 from cags_bench.sim.world import Direction, World
 from cags_client.frame.presented import PresentedFrame
 from cags_client.output.report import frame_stats, summary
 from cags_client.output.score import FlickerScore, score
-from cags_client.output.truth import BundleTruth
 from cags_client.playback.jobs import Decode, Present
 from cags_client.playback.player import Player
 from cags_client.settings import AUTO, OFF, ClientSettings
@@ -22,7 +24,7 @@ from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32
-from cags_common.poses import Focus, open_poses
+from cags_common.poses import Focus
 from cags_protocol.sessions.client import ClientSession
 from cags_server.ratecontrol.bandwidth import BandwidthEstimator, MeasuredEstimator, OracleEstimator
 from cags_server.scene.library import SceneLibrary
@@ -71,10 +73,20 @@ class Scenario:
     """Time that the client takes to draw a frame. With some, frames come late and are dropped, as on a slow machine."""
     lpips: str = ""
     """Weights file of LPIPS; with one, every :data:`LPIPS_EVERY`-th frame is judged by it too."""
+    seed: int = 0
+    """Which walk and which part of the trace (:mod:`cags_bench.sim.seeds`); 0: as they are named."""
 
     def __post_init__(self) -> None:
         if self.estimator not in ESTIMATORS:
             raise ConfigError(f"estimator = {self.estimator!r} must be one of {', '.join(ESTIMATORS)}")
+
+    def link(self) -> Trace:
+        """The trace, from where the seed says. Raises :class:`TraceError`."""
+        return trace_of(open_trace(self.trace), self.seed)
+
+    def truth(self) -> LastTruth:
+        """What draws the true pictures. Raises :class:`BundleError`."""
+        return LastTruth(open_bundle(self.bundle), self.client)
 
 
 FIRST_SCORES = "psnr_restored_db", "lpips_restored"
@@ -90,14 +102,26 @@ class SessionResult:
     """Times of this machine: the one part of a result that two runs do not share."""
 
 
-def simulate(scenario: Scenario, watch: Watcher | None = None) -> SessionResult:
+def simulate(scenario: Scenario, watch: Watcher | None = None, truth: LastTruth | None = None) -> SessionResult:
     """Play ``scenario`` to its end. ``watch`` sees every presented frame and its record.
 
-    Deterministic: two runs give the same result. Raises :class:`CagsError` when a part fails.
+    ``truth`` draws the true pictures, of :meth:`Scenario.truth`: give it where ``watch`` looks at them, too. Each is
+    drawn once then. Deterministic: two runs give the same result. Raises :class:`CagsError` when a part fails.
     """
-    trace = open_trace(scenario.trace)
-    with BundleReader.open(str(scenario.bundle)) as reader:
-        return _Simulation(scenario, trace, _library(scenario, reader)).run(watch)
+    with open_bundle(scenario.bundle) as reader:
+        return _Simulation(scenario, scenario.link(), _library(scenario, reader), truth).run(watch)
+
+
+def watched_by(watchers: Sequence[Watcher]) -> Watcher | None:
+    """One watcher that stands for all of ``watchers``; None where there are none."""
+    if not watchers:
+        return None
+
+    def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
+        for one in watchers:
+            one(presented, record)
+
+    return watch
 
 
 STEP_TOGETHER_US = 10_000
@@ -112,9 +136,9 @@ def simulate_together(scenarios: Sequence[Scenario]) -> list[SessionResult]:
     bundles = {str(scenario.bundle) for scenario in scenarios}
     if len(bundles) != 1:
         raise ConfigError(f"{len(bundles)} bundles: sessions are played together from one")
-    with BundleReader.open(bundles.pop()) as reader:
+    with open_bundle(Path(bundles.pop())) as reader:
         library = _library(scenarios[0], reader)
-        sessions = [_Simulation(scenario, open_trace(scenario.trace), library) for scenario in scenarios]
+        sessions = [_Simulation(scenario, scenario.link(), library) for scenario in scenarios]
         now_us = 0
         while not all(session.player.finished for session in sessions):
             now_us += STEP_TOGETHER_US
@@ -128,7 +152,7 @@ def _library(scenario: Scenario, reader: BundleReader) -> SceneLibrary:
 
 
 class _Simulation:
-    def __init__(self, scenario: Scenario, trace: Trace, library: SceneLibrary) -> None:
+    def __init__(self, scenario: Scenario, trace: Trace, library: SceneLibrary, truth: LastTruth | None = None) -> None:
         self.scenario, self.trace, self.reader, self.library = scenario, trace, library.reader, library
         self.cuts = deque(scenario.cuts)
         self.unreachable_until_us = 0
@@ -140,7 +164,7 @@ class _Simulation:
         )
         self._drawing: tuple[int, Present, PresentedFrame] | None = None  # done when
         self.world = World(self.server, self.player, *self._directions(), self._work, alarm=self._alarm_us)
-        self.truth = BundleTruth(str(scenario.bundle), scenario.client) if scenario.scored else None
+        self.truth = (truth or scenario.truth()) if scenario.scored else None
         self.frames: list[dict[str, Any]] = []
         self._first: dict[str, float] = {}  # scores of the first picture, where it came before the first frame
         self._flicker = FlickerScore()
@@ -218,7 +242,7 @@ class _Simulation:
         if self.scenario.client.duration is not None:
             clip_s = min(clip_s, self.scenario.client.duration)
         window_us = self.scenario.client.start_delay_ms * 1000 + round(clip_s * 1e6)
-        return open_poses(self.scenario.poses, focus, window_us=window_us)
+        return walk_of(self.scenario.poses, focus, window_us, self.scenario.seed)
 
     def _work(self, now_us: int) -> bool:
         busy = self._connections(now_us)
@@ -281,6 +305,7 @@ class _Simulation:
             dropped_bytes = self.dropped_bytes + self.server.stats.bytes_dropped
             out["wasted_bytes"] = self.usage.wasted_bytes(dropped_bytes)
             out["wasted_share"] = out["wasted_bytes"] / max(self.usage.arrived_bytes + dropped_bytes, 1)
+            out["truth"] = truth_of(self.scenario.bundle)
         out["fps"] = self.reader.manifest.fps
         out["first_picture_ms"] = (self.player.stats.first_picture_us or 0) / 1e3
         out["first_frame_ms"] = (self.player.stats.started_us or 0) / 1e3

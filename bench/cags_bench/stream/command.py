@@ -1,31 +1,38 @@
-"""``cags-bench stream``: one scene over one trace, in virtual time, every frame scored."""
+"""``cags-bench stream``: a scene or bundle over a trace, in virtual time, every frame scored."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator
+from typing import IO, Any
 
-from cags_bench.stream.settings import StreamSettings
-from cags_common.settings import add_settings, load_settings
+from cags_bench.stream.settings import add_arguments, load
 
-SUMMARY = "Stream a scene over a network trace in virtual time and score every frame. Two runs print the same."
+__all__ = ["EXAMPLES", "SUMMARY", "add_arguments", "run", "show"]
+
+SUMMARY = (
+    "Stream a scene or a ready bundle over a network trace in virtual time, and score every frame. Two runs print the "
+    "same."
+)
 
 EXAMPLES = """\
-  cags-bench stream --scene procedural --frames 60 --json
-  cags-bench stream --scene frames/ --trace link.csv --poses walk.csv --restore none
-  cags-bench stream --scene motion:plant.splat --trace generated:steady-30 --estimator oracle --out report
+  cags-bench stream --scene procedural --frames 60
+  cags-bench stream --scene clip.cags --compare abr=paper,utility --seeds 5
+  cags-bench stream --scene frames/ --trace link.csv --poses walk.csv --restore none --json
+  cags-bench stream --scene motion:plant.splat --out report --strip 30 --record film.mp4 --record-truth
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the command."""
-    add_settings(parser, StreamSettings)
-
-
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """Yield the one summary line."""
-    settings = load_settings(StreamSettings, arguments)
-    from cags_bench.stream.experiment import stream
+    """Yield a line a play, and the summary."""
+    settings = load(arguments)
+    from cags_bench.stream.experiment import stream_lines
 
-    yield stream(settings)
+    yield from stream_lines(settings)
+
+
+def show(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
+    """Print the lines of :func:`run` for people."""
+    from cags_bench.stream.tables import print_plays
+
+    print_plays(lines, stream)

@@ -1,81 +1,109 @@
-"""The experiment behind ``cags-bench stream``."""
+"""The experiment behind ``cags-bench stream``: one play, plays over several seeds, or two settings compared."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
-from pathlib import Path
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from cags_bench.bundles import cached_bundle
-from cags_bench.jsonl import dump, provenance
-from cags_bench.sim.session import Scenario, SessionResult, simulate
-from cags_bench.stream.settings import StreamSettings
-from cags_bench.stream_report import STAGES_EVERY
-from cags_client.frame.presented import PresentedFrame
-from cags_client.settings import ClientSettings
-from cags_encoder import EncodeSettings
-from cags_server.settings import ServerSettings
+from cags_bench.confidence import Interval, interval
+from cags_bench.jsonl import JsonObject, check, provenance, summary
+from cags_bench.stream.figures import FIGURES, HIGHER, LOWER, Figure
+from cags_bench.stream.play import Play
+from cags_bench.stream.settings import StreamSettings, changed
+from cags_common.errors import ConfigError
+
+NO_DIFFERENCE = "no difference seen"
+UNSURE = "one seed tells nothing"
 
 
-def stream(settings: StreamSettings) -> dict[str, Any]:
-    """Encode (or reuse), simulate, and return the summary line; the report goes to ``settings.out``, if given."""
-    scenario = scenario_of(settings)
-    if not settings.out:
-        result = simulate(scenario)
+def stream_lines(settings: StreamSettings) -> Iterator[JsonObject]:
+    """A line a play, then the summary; a single play is its own summary.
+
+    Raises :class:`CagsError`; what can be refused is refused before anything is encoded.
+    """
+    states = states_of(settings)
+    seeds = settings.seed_list
+    plays = {state: [_play(what, state, seed, settings) for seed in seeds] for state, what in states}
+    for one in plays.values():
+        one[0].check()
+    lines: dict[str, list[JsonObject]] = {state: [] for state in plays}
+    for seed in seeds:
+        for state, one in plays.items():
+            line = one[seed].line()
+            if len(states) == len(seeds) == 1:
+                yield {**line, "benchmark": "stream", "checks": [], **provenance()}
+                return
+            lines[state].append(line)
+            yield {**line, "summary": False, "benchmark": "stream", "case": state, **provenance()}
+    if settings.compare:
+        first, second = lines
+        yield _compared(settings, (first, lines[first]), (second, lines[second]))
     else:
-        from cags_bench.stream.stages import StageSaver
-
-        out = Path(settings.out)
-        out.mkdir(parents=True, exist_ok=True)
-        with StageSaver(out / "stages", STAGES_EVERY, scenario) as saver:
-
-            def watch(presented: PresentedFrame, record: dict[str, Any]) -> None:
-                saver.save(presented)
-
-            result = simulate(scenario, watch)
-        write_report(out, settings, result)
-    shown = {key: value for key, value in asdict(settings).items() if key not in ("cache", "out")}
-    return {**result.summary, "benchmark": "stream", "settings": shown, **provenance()}
+        (some,) = lines.values()
+        found = {figure.key: _told(interval(values)) for figure in FIGURES if (values := _values(figure, some))}
+        yield summary("stream", [], seeds=len(seeds), figures=found, **_shared(some))
 
 
-def scenario_of(settings: StreamSettings) -> Scenario:
-    """The scenario that flat settings describe; encodes the scene if it has not been."""
-    encode = EncodeSettings(frames=settings.frames)
-    if settings.quantiser:
-        encode = replace(encode, quantiser=settings.quantiser)
-    return Scenario(
-        bundle=cached_bundle(settings.scene, settings.cache, encode),
-        trace=settings.trace,
-        poses=settings.poses,
-        server=ServerSettings(
-            predictor=settings.predictor,
-            fov=settings.fov_policy,
-            abr=settings.abr,
-            references=settings.references,
-            reference_footprint=settings.reference_footprint,
-        ),
-        client=ClientSettings(
-            width=settings.width,
-            height=settings.height,
-            fov=settings.fov,
-            restore=settings.restore,
-            erosion=settings.erosion,
-        ),
-        estimator=settings.estimator,
-        delay_us=round(settings.delay_ms * 1000),
-        queue_bytes=settings.queue_bytes,
-    )
+def states_of(settings: StreamSettings) -> list[tuple[str, StreamSettings]]:
+    """Label and settings of each state that is played: one, or the two of ``compare``. Raises :class:`ConfigError`."""
+    if not settings.compare:
+        return [("", settings)]
+    name, _, both = settings.compare.partition("=")
+    values = [value.strip() for value in both.split(",")]
+    if len(values) != 2 or not all(values) or values[0] == values[1]:
+        raise ConfigError(f"compare = {settings.compare!r} must be NAME=A,B with two values, such as abr=paper,utility")
+    return [(value, changed(settings, name, value)) for value in values]
 
 
-def write_report(out: Path, settings: StreamSettings, result: SessionResult) -> None:
-    """Frames, plot over time and a strip of pictures."""
-    from cags_bench.stream_report import capacity_series, plot_stream, telling_frame, write_strip
-    from cags_shaper.trace import open_trace
+def _play(settings: StreamSettings, state: str, seed: int, whole: StreamSettings) -> Play:
+    words = [state.replace("/", "_").replace(":", "_")] if state else []
+    words += [f"seed{seed}"] if len(whole.seed_list) > 1 else []
+    return Play(settings, seed, "-".join(words))
 
-    (out / "frames.jsonl").write_text("".join(dump(line) + "\n" for line in result.frames), encoding="utf-8")
-    times_us = [line["time_us"] for line in result.frames]
-    seconds = max((times_us[-1] - times_us[0]) / 1e6, 0.1)
-    plot_stream(result.frames, capacity_series(open_trace(settings.trace), seconds), out / "timeline.png")
-    chosen = telling_frame(result.frames)
-    if chosen is not None:
-        write_strip(out / "stages", chosen, out / "strip.png")
+
+def _values(figure: Figure, lines: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Of every play; empty where one of them lacks it."""
+    values = [value for line in lines if (value := figure.of(line)) is not None]
+    return values if len(values) == len(lines) else []
+
+
+def _compared(
+    settings: StreamSettings, first: tuple[str, list[JsonObject]], second: tuple[str, list[JsonObject]]
+) -> JsonObject:
+    """The summary of a comparison: what the second state has more than the first."""
+    differences, checks = {}, []
+    for figure in FIGURES:
+        before, after = _values(figure, first[1]), _values(figure, second[1])
+        if not before or not after:
+            continue
+        found = interval([b - a for a, b in zip(before, after, strict=True)])
+        verdict = verdict_of(figure, found)
+        means = {state: math.fsum(values) / len(values) for state, values in ((first[0], before), (second[0], after))}
+        differences[figure.key] = {"means": means, "difference": _told(found), "verdict": verdict}
+        if figure.better:
+            name = f"{figure.name}: {second[0]} is not worse than {first[0]}"
+            checks.append(check(name, "not surely worse", f"{found}", not verdict.startswith("worse")))
+    name = settings.compare.partition("=")[0]
+    compared = {"name": name, "values": [first[0], second[0]], "seeds": len(settings.seed_list)}
+    return summary("stream", checks, compare=compared, figures=differences, **_shared([*first[1], *second[1]]))
+
+
+def verdict_of(figure: Figure, found: Interval) -> str:
+    """A difference in words."""
+    if not math.isfinite(found.low) or not math.isfinite(found.high):
+        return UNSURE
+    if found.low <= 0.0 <= found.high:
+        return NO_DIFFERENCE
+    higher = found.low > 0.0
+    if figure.better in (HIGHER, LOWER):
+        return "better" if higher == (figure.better == HIGHER) else "worse"
+    return "more" if higher else "less"
+
+
+def _told(found: Interval) -> JsonObject:
+    return {"mean": found.mean, "low": found.low, "high": found.high}
+
+
+def _shared(lines: Sequence[Mapping[str, Any]]) -> JsonObject:
+    return {key: lines[0][key] for key in ("truth", "left_out", "settings") if key in lines[0]}

@@ -1,36 +1,187 @@
-"""Settings of a session in virtual time."""
+"""Settings of a session in virtual time: its own, and all those of server and client that matter there."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import argparse
+import tomllib
+import typing
+from collections.abc import Mapping
+from dataclasses import Field, dataclass, field, fields, make_dataclass, replace
+from pathlib import Path
+from typing import Any
 
-from cags_common.settings import check_settings, setting
+from cags_bench.film.metrics import AUTO, chosen
+from cags_client.settings import ClientSettings
+from cags_common.errors import ConfigError
+from cags_common.settings import add_flags, add_settings, check_settings, load_settings, setting
+from cags_server.settings import ServerSettings, ServeSettings
+
+DEFAULT_FRAMES = 60
+"""Media frames of a scene that are encoded and played."""
+
+COMPARED_SEEDS = 3
+"""Plays of each of two compared settings."""
+
+UNREAL = frozenset(
+    {"duration", "drop_late", "interpolate", "display_rate", "join_timeout", "reconnect_s", "token", "ca"}
+)
+"""Settings of the client without a meaning here: ``--frames`` is the duration, nothing is late, no network fails."""
+
+RENAMED = {"fov": "fov_policy"}
+"""Settings of the server whose name the client has for another thing, and what they are called here."""
 
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """The experiment; what it leaves out keeps the defaults of server and client."""
+    """What is played, over what, and what is told of it. Server and client are as shipped, unless told otherwise."""
 
-    scene: str = setting("procedural", "scene: a file, a folder, motion:PATH or procedural[:size=N,...]")
+    scene: str = setting(
+        "procedural", "scene or ready bundle: a file, a folder, motion:PATH or procedural[:size=N,...]"
+    )
     trace: str = setting("generated:lte-driving", "network trace: a file or generated:NAME")
+    share: float = setting(1.0, "factor on the trace's bandwidth", low=1e-3, high=10)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
-    frames: int = setting(60, "media frames to encode and play", low=1, high=1_000_000)
-    width: int = setting(800, "client width in pixels", low=1, high=8192)
-    height: int = setting(600, "client height in pixels", low=1, high=8192)
-    fov: float = setting(60.0, "client's horizontal field of view in degrees", low=1, high=170)
-    restore: str = setting("correct", "what is done with references: correct, none, or a restorer to compare with")
-    references: str = setting("auto", "what references say", choices=("auto", "difference", "picture", "none"))
-    reference_footprint: str = setting("client", "how references are drawn", choices=("client", "plain"))
-    erosion: bool = setting(True, "for restorers of aligned pictures: fill what is occluded from beside it")
-    predictor: str = setting("autoregressive", "pose predictor")
-    fov_policy: str = setting("fixed", "policy of the reference's field of view")
-    abr: str = setting("paper", "rate policy")
-    estimator: str = setting("measured", "bandwidth estimator", choices=("measured", "oracle"))
+    frames: int = setting(
+        0, f"media frames to play; 0: all of a bundle, {DEFAULT_FRAMES} of a scene", low=0, high=1_000_000
+    )
+    seeds: int = setting(
+        0,
+        f"plays, each with another walk and another part of the trace; 0: one, or {COMPARED_SEEDS} with --compare",
+        low=0,
+        high=1000,
+    )
+    compare: str = setting("", "NAME=A,B: play with both values of a setting over the same seeds, and compare")
+    estimator: str = setting("measured", "bandwidth estimator", choices=("measured", "oracle"), research=True)
     delay_ms: float = setting(20.0, "one-way propagation delay in milliseconds", low=0, high=10_000)
     queue_bytes: int | None = setting(None, "bound of the link's queue in bytes; unbounded when not given", low=1504)
-    quantiser: str = setting("", "quantiser configuration; empty: the encoder's default")
+    draw_ms: float = setting(
+        0.0,
+        "time that the client takes to draw a frame, in milliseconds; late frames are dropped",
+        low=0,
+        high=1000,
+        research=True,
+    )
+    quantiser: str = setting("", "quantiser configuration of a scene; empty: the encoder's default")
+    lpips: str = setting("", "weights of LPIPS (.npz), to measure it too; empty: leave it out")
+    video_metrics: str = setting(
+        AUTO, "metrics of the whole film: vmaf, xpsnr, jod by commas; none; auto: the quick ones, vmaf and xpsnr"
+    )
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
     out: str = setting("", "folder for frames.jsonl, timeline.png and strip.png; empty: none")
+    record: str = setting("", "MP4 file for the film as it was shown; empty: none")
+    record_truth: bool = setting(False, "with --record: the true picture to the right of each")
+    strip: int | None = setting(
+        None, "first of 12 consecutive frames to show side by side in film-strip.png, in --out", low=0
+    )
+    server: ServerSettings = field(default_factory=ServerSettings)
+    client: ClientSettings = field(default_factory=ClientSettings)
 
     def __post_init__(self) -> None:
         check_settings(self)
+        self.metrics  # noqa: B018 - refuse what does not parse
+        if self.strip is not None and not self.out:
+            raise ConfigError(f"strip = {self.strip} has no place to go; name a folder with --out")
+        if self.record and not self.record.endswith(".mp4"):
+            raise ConfigError(f"record = {self.record!r} must end in .mp4")
+        if self.record_truth and not self.record:
+            raise ConfigError("record_truth = True has no film to go with; name one with --record FILE.mp4")
+
+    @property
+    def seed_list(self) -> range:
+        """Seeds that are played."""
+        return range(self.seeds or (COMPARED_SEEDS if self.compare else 1))
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Metrics of the film."""
+        return chosen(self.video_metrics)
+
+
+Fields = Mapping[str, tuple[str, str]]
+"""What a setting is called here, and where it is: ``own``, ``server`` or ``client``, and its name there."""
+
+
+def _fields() -> Fields:
+    own = {f.name: ("own", f.name) for f in fields(StreamSettings) if "help" in f.metadata}
+    server = {RENAMED.get(f.name, f.name): ("server", f.name) for f in fields(ServerSettings)}
+    client = {f.name: ("client", f.name) for f in fields(ClientSettings) if f.name not in UNREAL}
+    return own | server | client
+
+
+FIELDS = _fields()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of all :data:`FIELDS`."""
+    add_settings(parser, StreamSettings)
+    for where, cls in (("server", ServerSettings), ("client", ClientSettings)):
+        add_flags(parser.add_argument_group(where), _flags(where, cls))
+
+
+def _flags(where: str, cls: type[Any]) -> type[Any]:
+    """The fields of ``cls`` that are settings here, by their names here."""
+    hints, there = typing.get_type_hints(cls), {f.name: f for f in fields(cls)}
+    names = {name: source for name, (owner, source) in FIELDS.items() if owner == where}
+    return make_dataclass(
+        f"{cls.__name__}Flags",
+        [(name, hints[source], _copied(there[source])) for name, source in names.items()],
+    )
+
+
+def _copied(f: Field[Any]) -> Any:
+    return field(default=f.default, metadata=f.metadata)
+
+
+def load(arguments: argparse.Namespace) -> StreamSettings:
+    """Settings from flags and file; the tables ``[server]`` and ``[client]`` of a file are those of the programs.
+
+    Raises :class:`ConfigError`.
+    """
+    _check_file(arguments.config)
+    served = argparse.Namespace(**vars(arguments) | {name: getattr(arguments, here) for name, here in RENAMED.items()})
+    every = ServeSettings, ServerSettings, ClientSettings, StreamSettings
+    server = load_settings(ServerSettings, served, *every)
+    client = load_settings(ClientSettings, arguments, *every)
+    return replace(load_settings(StreamSettings, arguments, *every), server=server, client=client)
+
+
+def _check_file(path: str | None) -> None:
+    """Refuse a file that leaves open whose ``fov`` it means; what else is wrong with it is told when it is loaded."""
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8")) if path else {}
+    except (OSError, ValueError):
+        return
+    both = [name for name in RENAMED if name in table]
+    if both:
+        raise ConfigError(f"{path}: {both[0]!r} is a setting of server and client; put it under [server] or [client]")
+
+
+def changed(settings: StreamSettings, name: str, text: str) -> StreamSettings:
+    """``settings`` with the one called ``name`` (dashes or underscores) set to what ``text`` says.
+
+    Raises :class:`ConfigError` for unknown names and for values that the setting does not take.
+    """
+    key = name.strip().replace("-", "_")
+    if key not in FIELDS:
+        raise ConfigError(f"compare: {name.strip()!r} is no setting of stream; known: {', '.join(sorted(FIELDS))}")
+    where, source = FIELDS[key]
+    if where == "own":
+        return replace(settings, **{source: _value(StreamSettings, source, text)})
+    if where == "server":
+        server = replace(settings.server, **{source: _value(ServerSettings, source, text)})
+        return replace(settings, server=server)
+    client = replace(settings.client, **{source: _value(ClientSettings, source, text)})
+    return replace(settings, client=client)
+
+
+def _value(cls: type[Any], name: str, text: str) -> Any:
+    hint = typing.get_type_hints(cls)[name]
+    kind = next(arm for arm in (*typing.get_args(hint), hint) if arm is not type(None))
+    if kind is bool:
+        if text not in ("true", "false"):
+            raise ConfigError(f"compare: {name} = {text!r} must be true or false")
+        return text == "true"
+    try:
+        return kind(text)
+    except ValueError:
+        raise ConfigError(f"compare: {name} = {text!r} must be of type {kind.__name__}") from None

@@ -7,19 +7,18 @@ from types import TracebackType
 
 import numpy as np
 
-from cags_bench.sim.session import Scenario
+from cags_bench.film.film import Truth
 from cags_client.frame.presented import PresentedFrame
 from cags_client.output.files import StagesSink, bytes_of, stage_path, write_png
-from cags_client.output.truth import BundleTruth
 
 
 class StageSaver:
     """Writes the stages of every ``every``-th frame (:class:`StagesSink`) and its true picture to ``folder``."""
 
-    def __init__(self, folder: Path, every: int, scenario: Scenario) -> None:
+    def __init__(self, folder: Path, every: int, truth: Truth) -> None:
         self._folder, self._every = folder, every
         self._sink = StagesSink(folder, every)
-        self._truth = BundleTruth(str(scenario.bundle), scenario.client)
+        self._truth = truth
 
     def __enter__(self) -> StageSaver:
         return self

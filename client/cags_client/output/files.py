@@ -142,29 +142,28 @@ def stage_path(folder: Path, frame: int, name: str) -> Path:
     return folder / f"frame_{frame:04d}_{name}.png"
 
 
-class Mp4Sink:
-    """An H.264 clip at the clip's frame rate; a frame that was not shown holds the one before."""
+class Mp4Writer:
+    """An H.264 clip of pictures at numbered places; a place that is left out holds the picture before it.
+
+    Raises :class:`OutputError` where the file cannot be written.
+    """
 
     def __init__(self, path: Path, fps: float) -> None:
         self._path, self._file = path, WholeFile(path)
         self._fps = Fraction(fps).limit_denominator(1001 * 60)
-        self._first: int | None = None
         self._stream: VideoStream | None = None
         try:
             self._container = av.open(str(self._file.writing), mode="w", format="mp4")
         except OSError as error:
             raise OutputError.of(path, error) from error
 
-    def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
-        """See :class:`FrameSink`."""
-        picture = bytes_of(presented.rgb)
-        picture = picture[: max(picture.shape[0] & ~1, 2), : max(picture.shape[1] & ~1, 2)]  # 4:2:0 needs even sizes
+    def add(self, place: int, picture: NDArray[np.uint8]) -> None:
+        """Append a picture [H, W, 3]; places rise, from 0. An odd row or column is cut off: 4:2:0 needs even sizes."""
+        picture = picture[: max(picture.shape[0] & ~1, 2), : max(picture.shape[1] & ~1, 2)]
         if self._stream is None:
             self._stream = self._open(picture.shape[1], picture.shape[0])
-            self._first = presented.frame
-        assert self._first is not None
         frame = VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-        frame.pts, frame.time_base = presented.frame - self._first, 1 / self._fps
+        frame.pts, frame.time_base = place, 1 / self._fps
         try:
             self._container.mux(self._stream.encode(frame))
         except OSError as error:
@@ -188,3 +187,21 @@ class Mp4Sink:
         assert isinstance(stream, VideoStream)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         return stream
+
+
+class Mp4Sink:
+    """An H.264 clip at the clip's frame rate; a frame that was not shown holds the one before."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self._writer = Mp4Writer(path, fps)
+        self._first: int | None = None
+
+    def show(self, presented: PresentedFrame, stats: FrameStats) -> None:
+        """See :class:`FrameSink`."""
+        if self._first is None:
+            self._first = presented.frame
+        self._writer.add(presented.frame - self._first, bytes_of(presented.rgb))
+
+    def close(self, *, completed: bool) -> None:
+        """See :class:`FrameSink`."""
+        self._writer.close(completed=completed)

@@ -22,15 +22,15 @@ STEPS_OF = ("psnr_restored_db", "psnr_covered_restored_db")
 """Figures whose steps between consecutive pictures are reported."""
 
 LEVEL_STEP = 0.5
-"""Smallest drop of the mean quality level in view that counts as a fall."""
+"""Smallest change of the mean quality level in view from one picture to the next that counts as a switch."""
 
 
 def steadiness(records: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Figures of one play. ``records`` has one entry per displayed media frame, in order (:func:`.report.frame_stats`).
 
-    Frames a second, share of even gaps, 95th percentile of gaps [ms], number and duration of freezes [ms], falls of the
-    quality level, and for each measured PSNR its 5th percentile and the 95th percentile of its steps [dB]. Empty for
-    fewer than two frames.
+    Frames a second, share of even gaps, 95th percentile of gaps [ms], number and duration of freezes [ms], switches of
+    the quality level and those of them that are falls, and for each measured PSNR its 5th percentile and the 95th
+    percentile of its steps [dB]. Empty for fewer than two frames.
     """
     if len(records) < 2:
         return {}
@@ -45,6 +45,7 @@ def steadiness(records: Sequence[Mapping[str, Any]]) -> dict[str, float]:
         "gap_p95_ms": float(np.percentile(gaps_ms, 95)),
         "freezes": int(frozen.sum()),
         "frozen_ms": float(gaps_ms[frozen].sum()),
+        "level_switches": int((np.abs(np.diff(levels)) > LEVEL_STEP).sum()),
         "level_falls": int((np.diff(levels) < -LEVEL_STEP).sum()),
     }
     for name in STEPS_OF:

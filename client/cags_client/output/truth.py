@@ -11,10 +11,12 @@ from cags_common.raster.base import Exactness, RasterScene, RenderOptions
 
 
 class BundleTruth:
-    """Draws source frames of the bundle at ``url``. Raises :class:`BundleError` where there is none."""
+    """Draws source frames of a bundle. Raises :class:`BundleError` where there is none."""
 
-    def __init__(self, url: str, settings: ClientSettings) -> None:
-        self._url, self._reader = url, BundleReader.open(url)
+    def __init__(self, bundle: str | BundleReader, settings: ClientSettings) -> None:
+        """``bundle`` is its folder or URL, or a reader whose source frames are the truth."""
+        self._url = bundle if isinstance(bundle, str) else "the bundle"
+        self._reader = BundleReader.open(bundle) if isinstance(bundle, str) else bundle
         self._rasteriser = raster.create(settings.raster)
         self._options = RenderOptions(exactness=Exactness(settings.exactness), threads=settings.threads)
         self._scene: tuple[int, RasterScene] | None = None

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cags_bench.confidence import Interval, paired, pooled
 from cags_bench.jsonl import JsonObject, check
 from cags_bench.reproduce.cases import StreamCase
-from cags_bench.reproduce.confidence import Interval, paired, pooled
 from cags_bench.reproduce.experiments.streaming import PSNR, fixed_cases, fluctuating_cases
 from cags_bench.reproduce.methods import BASELINES, METHODS
 from cags_bench.reproduce.plan import Context

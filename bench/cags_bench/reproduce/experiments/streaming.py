@@ -6,9 +6,9 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from cags_bench.confidence import pooled
 from cags_bench.jsonl import JsonObject, check
 from cags_bench.reproduce.cases import StreamCase, averaged
-from cags_bench.reproduce.confidence import pooled
 from cags_bench.reproduce.methods import METHODS
 from cags_bench.reproduce.plan import Context
 from cags_bench.reproduce.section import Cell, Curve, Picture, Plot, Section, Strip
@@ -63,7 +63,11 @@ FIGURES = {
     "PSNR [dB]": PSNR,
     "SSIM": SSIM,
     "LPIPS": LPIPS,
+    "VMAF": "vmaf",
+    "XPSNR [dB]": "xpsnr_db",
+    "JOD": "jod",
     "flicker [1/255]": FLICKER,
+    "steps, 95th percentile [dB]": "psnr_restored_step_p95_db",
     "goodput here [Mbps]": "goodput_mbps",
 }
 """Columns of streamed results, and where they are in a summary. Flicker is 0 for an error that does not change."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cags_bench.reproduce.confidence import BLOCK_FRAMES, interval, paired, pooled
+from cags_bench.confidence import BLOCK_FRAMES, interval, paired, pooled
 
 
 def test_the_interval_is_students() -> None:

@@ -1,0 +1,1 @@
+"""Films of what a viewer saw: kept, measured, written for people."""

@@ -1,0 +1,35 @@
+"""JOD, just-objectionable differences, by FovVideoVDP (Mantiuk et al., SIGGRAPH 2021): the package ``pyfvvdp``.
+
+A model of what the eye sees in space and time, flicker included; 10 is no visible difference, and one less is a
+difference that three people of four see. It models luminance, not colour. The display is a 24" full HD monitor at
+0.6 m; nobody's gaze is known, so every pixel counts as looked at.
+"""
+
+from __future__ import annotations
+
+import warnings
+from importlib.util import find_spec
+
+from cags_bench.film.film import Film
+
+DISPLAY = "standard_fhd"
+JOD = "jod"
+
+
+def available() -> bool:
+    """Whether the package is installed, and what it needs."""
+    return find_spec("pyfvvdp") is not None and find_spec("torch") is not None
+
+
+def jod(film: Film) -> float:
+    """JOD of a film, at most 10."""
+    import torch
+
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")  # of the package's use of other packages
+        import pyfvvdp
+
+        metric = pyfvvdp.fvvdp(display_name=DISPLAY, device=torch.device("cpu"), quiet=True)
+        shown, true = film.shown.pictures(), film.truth.pictures()
+        found, _ = metric.predict(shown, true, dim_order="FHWC", frames_per_second=film.fps)
+    return float(found)

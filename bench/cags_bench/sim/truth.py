@@ -1,0 +1,22 @@
+"""The true picture of a simulated session, drawn once for all who look at it."""
+
+from __future__ import annotations
+
+from cags_client.output.truth import BundleTruth
+from cags_client.settings import ClientSettings
+from cags_common.bundle import BundleReader
+from cags_common.geometry import F32, Camera
+
+
+class LastTruth:
+    """Draws true pictures, and keeps the newest."""
+
+    def __init__(self, reader: BundleReader, settings: ClientSettings) -> None:
+        self._draw = BundleTruth(reader, settings)
+        self._last: tuple[int, Camera, tuple[F32, F32]] | None = None
+
+    def __call__(self, frame: int, camera: Camera) -> tuple[F32, F32]:
+        """Picture [H, W, 3] and alpha [H, W] of ``frame`` from ``camera``. They must not be written to."""
+        if self._last is None or self._last[:2] != (frame, camera):
+            self._last = frame, camera, self._draw(frame, camera)
+        return self._last[2]
