@@ -33,6 +33,9 @@ PACING_GAIN = 1.5
 and a reference that is queued meanwhile does not wait on the link behind all of it.
 """
 
+MAX_PACING_US = 100_000
+"""No packet waits for longer: after an outage the link is thought to be far slower than it is."""
+
 
 @dataclass(frozen=True, slots=True)
 class Flight:
@@ -113,7 +116,7 @@ class FlowControl:
         """
         if not self._flights:
             return self._ahead_us
-        return self._ahead_us + ceil(self._ahead_bytes * 8e6 / (PACING_GAIN * self.rate_bps))
+        return self._ahead_us + min(ceil(self._ahead_bytes * 8e6 / (PACING_GAIN * self.rate_bps)), MAX_PACING_US)
 
     def _pace_bytes(self, time_us: float) -> float:
         return PACING_GAIN * self.rate_bps * time_us / 8e6
@@ -124,7 +127,8 @@ class FlowControl:
 
     def on_sent(self, entry: Entry, size: int, now_us: int) -> None:
         """Account for packet ``next_seq``, which carries ``size`` bytes of ``entry``."""
-        self._ahead_bytes = max(self._ahead(now_us), -self._pace_bytes(self._window_us)) + size
+        most = self._pace_bytes(MAX_PACING_US)
+        self._ahead_bytes = min(max(self._ahead(now_us), -self._pace_bytes(self._window_us)), most) + size
         self._ahead_us = now_us
         if not self._flights:
             self._first_sent_us = self._delivered_us = now_us

@@ -11,7 +11,7 @@ SPREAD = 2.0
 MARGIN_US = 15_000
 """Time for the client to decode and align the picture before it is due."""
 
-MAX_CAUTION_US, CAUTION_LOST = 200_000, 0.05
+MAX_CAUTION_US, CAUTION_LOST = 100_000, 0.05
 """Bound of what is added to the lead for references that were late, and the share of it that each timely one takes."""
 
 
