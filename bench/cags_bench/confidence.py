@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
 BLOCK_FRAMES = 9
 """Frames that count as one observation: neighbours are alike, 0.3 s apart they hardly are."""
@@ -40,7 +39,9 @@ def interval(values: Sequence[float]) -> Interval:
     mean = float(found.mean())
     if len(found) < 2:
         return Interval(mean, -math.inf, math.inf)
-    t = float(student.ppf((1 + SHARE) / 2, len(found) - 1))
+    from scipy.special import stdtrit  # here: scipy is loaded for plays that are compared only
+
+    t = float(stdtrit(len(found) - 1, (1 + SHARE) / 2))
     spread = t * float(found.std(ddof=1)) / math.sqrt(len(found))
     return Interval(mean, mean - spread, mean + spread)
 

@@ -16,9 +16,6 @@ WIDTH = 100
 
 def print_plays(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
     """Print a sign of life a play, then the tables."""
-    from rich.console import Console
-
-    console = Console(file=stream, highlight=False, width=None if stream.isatty() else WIDTH)
     plays: list[dict[str, Any]] = []
     last: dict[str, Any] = {}
     for line in lines:
@@ -26,7 +23,10 @@ def print_plays(lines: Iterable[dict[str, Any]], stream: IO[str]) -> None:
         if not line.get("summary") or ("compare" not in line and "seeds" not in line):
             plays.append(line)
         if not line.get("summary"):
-            console.print(f"played {_row(line)}", style="dim", markup=False)
+            print(f"played {_row(line)}", file=stream, flush=True)
+    from rich.console import Console  # here: there is something to print
+
+    console = Console(file=stream, highlight=False, width=None if stream.isatty() else WIDTH)
     console.print(_heading(last), markup=False, soft_wrap=True)
     for title, figures in GROUPS.items():
         known = [figure for figure in figures if any(figure.of(play) is not None for play in plays)]

@@ -85,8 +85,8 @@ def first_frame_comes(client: Player, server: ServerSession, now_us: int) -> Non
 def test_parts_of_a_tile_that_a_slow_link_takes_long_for_keep_the_first_frame_on_hold() -> None:
     client = player(startup_ms=10_000)
     server = joined(client)
-    first_frame_comes(client, server, 100_000)
     server.rate_hint_bps = 1e9
+    first_frame_comes(client, server, 100_000)
     server.queue(tile(0, 1, 50_000), now_us=100_000)
     now_us = 100_000
     packets = server.data_to_send(now_us)
