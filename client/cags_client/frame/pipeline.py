@@ -184,13 +184,15 @@ class ClientPipeline:
         self._references.reset(until)
 
     def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
-        """LoDs shown of each tile (source frame, tile) that has a splat in the picture from ``camera``; draws it."""
+        """LoDs shown of each tile (source frame, tile) of looks, motion or updates that the picture from ``camera`` depends
+        on; draws it.
+        """
         if self._scene is None or self._scene_store is None:
             return {}
         options = RenderOptions(contribution=True, depth=DepthKind.NONE, max_sh_degree=0, threads=self.settings.threads)
         view = self._scene.render(camera, options)
         assert view.contribution is not None
-        return self._scene_store.shown.visible_lods(view.contribution)
+        return self._scene_store.visible_lods(view.contribution)
 
     # ------------------------------------------------------------------------------------------------------ presenting
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from cags_common.bundle.codecs import WHOLE_TILES_CODEC
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import DecodeError
+from cags_common.geometry import F32
 from cags_common.motion.chunk import LEVELS as MOTION_LEVELS
 from cags_common.motion.chunk import Chunk
 from cags_common.splats import Ids, Splats
@@ -274,6 +275,22 @@ class GofBuffer:
     def shown(self) -> Shown:
         """What is on display."""
         return Shown(self._buffer.owner, tuple(self._shown))
+
+    def visible_lods(self, contribution: F32) -> dict[Key, int]:
+        """LoDs shown of each tile that makes a splat with a ``contribution`` [capacity] to the picture what it is: its
+        looks, the motion that it follows, and updates.
+        """
+        out = self.shown.visible_lods(contribution)
+        for looks in list(out):
+            start = self._buffer.moves(looks)
+            chunk = None if start is None else self._tiles.chunk(looks, start)
+            if chunk is not None:
+                out[chunk.key] = chunk.shown_lod + 1
+        for update in self._tiles.updates():
+            seen = any((contribution[ids] > 0).any() for ids in update.ids_of.values())
+            if seen and self._buffer.uses(update.key[0], update.ids_of, shown=True):
+                out[update.key] = update.shown_lod + 1
+        return out
 
     def held(self) -> list[InventoryEntry]:
         """The tiles of which splats are shown, wait to be, or are kept for a replay; motion and updates like looks."""

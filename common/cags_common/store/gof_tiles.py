@@ -474,6 +474,11 @@ class GofTiles:
         with self._lock:
             self._give_up(update)
 
+    def chunk(self, looks: Key, start: int) -> StoredMotion | None:
+        """What moves tile ``looks`` from media frame ``start`` on, if it came."""
+        with self._lock:
+            return self._motions.at(looks, start)
+
     def updates(self) -> list[StoredUpdate]:
         """Updates that have been shown."""
         with self._lock:

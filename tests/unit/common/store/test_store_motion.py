@@ -424,3 +424,18 @@ def test_a_buffer_without_motion_moves_nothing() -> None:
     assert buffer.move(3.5).tolist() == []
     assert buffer.moves((0, 0)) is None
     assert buffer.drop_past(9) == []
+
+
+def test_a_picture_depends_on_the_motion_and_the_updates_of_what_it_shows(store: TileStore) -> None:
+    send(store, 0, 0, looks([0, 1], 5))
+    send(store, 0, 1, motion((0, 0), 2, [0, 1, 3]), slice(0, 1))
+    send(store, 0, 2, looks([2], 7))
+    send(store, 1, 0, recoloured([1], 9))
+    end_all(store)
+    of, _ = store.commit(1)
+    seen = np.zeros(of.capacity, np.float32)
+    seen[0] = 1.0
+    assert of.visible_lods(seen).keys() == {(0, 0), (0, 1)}, "not what another splat's colour is from"
+    assert of.visible_lods(seen)[0, 1] == 1, "of its motion one level is there"
+    seen[1] = 1.0
+    assert of.visible_lods(seen).keys() == {(0, 0), (0, 1), (1, 0)}
