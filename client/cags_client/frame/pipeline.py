@@ -184,8 +184,8 @@ class ClientPipeline:
         self._references.reset(until)
 
     def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
-        """LoDs shown of each tile (source frame, tile) of looks, motion or updates that the picture from ``camera`` depends
-        on; draws it.
+        """LoDs shown of each tile (source frame, tile) on which the picture from ``camera`` depends: looks, motion and
+        updates. Draws it.
         """
         if self._scene is None or self._scene_store is None:
             return {}
