@@ -129,9 +129,11 @@ def _size(outgoing: ev.Outgoing) -> int:
 def _carried(within_us: float, period_us: float, link_bps: float, ahead_bytes: float) -> float:
     """The most that is through a link ``within_us`` from now if every ``period_us`` so much goes ahead of it.
 
-    What is through when the last of them comes does not wait for it.
+    What is through when the last of them comes does not wait for it; and where they are more than the link carries,
+    what is through when the first comes is all there will be.
     """
     frames = max(ceil(within_us / period_us) - 1, 0)  # that are planned meanwhile
     by_the_end = link_bps * within_us / 8e6 - frames * ahead_bytes
-    before_the_last = link_bps * frames * period_us / 8e6 - (frames - 1) * ahead_bytes
-    return max(by_the_end, before_the_last) if frames else by_the_end
+    before_the_first = link_bps * period_us / 8e6
+    before_the_last = frames * before_the_first - (frames - 1) * ahead_bytes
+    return max(by_the_end, before_the_first, before_the_last) if frames else by_the_end

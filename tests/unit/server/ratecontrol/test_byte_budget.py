@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cags_common.geometry import Intrinsics, Pose
@@ -195,6 +195,15 @@ def after(moves: list[tuple[str, int]]) -> tuple[ByteBudget, list[Outgoing]]:
     return budget, out
 
 
+@example(  # references that are more than the link carries
+    moves=[*[("tile", 160)] * 4, ("reference", 4016), ("tile", 160), ("settle", 160), ("close", 160)],
+    in_flight=0,
+    rtt_us=0,
+    spare_us=100_000.0,
+    more_us=100_001.0,
+    link_bps=64_160.0,
+    faster=1.0,
+)
 @given(
     moves=MOVES,
     in_flight=st.integers(0, 200_000),
