@@ -133,7 +133,7 @@ class ClientTask:
                 if not await self._sent(packet):
                     return
             if not packets:
-                self._to_plan.set()  # what was not sent may be due at a time
+                self._to_plan.set()  # the next packet may be due at a later time: wait for that, too
                 await self._to_send.wait()
 
     async def _sent(self, packet: bytes) -> bool:

@@ -12,7 +12,7 @@ MARGIN_US = 15_000
 """Time for the client to decode and align the picture before it is due."""
 
 MAX_CAUTION_US, CAUTION_LOST = 100_000, 0.05
-"""Bound of what is added to the lead for references that were late, and the share of it that each timely one takes."""
+"""Most that late references add to the lead, and the share of it that each reference in time removes."""
 
 
 class Pace:
@@ -23,7 +23,7 @@ class Pace:
         self._deviation_us = 0.0
         self._seen = False
         self.caution_us = 0.0
-        """Added to the lead: queues on the link that nobody foresaw made references late."""
+        """Added to the lead because references arrived late: the mean and the spread did not foresee a queue."""
 
     def observe(self, work_us: int, size_bytes: int, rate_bps: float) -> None:
         """A reference of ``size_bytes`` was ready ``work_us`` after its planning; the link carries ``rate_bps``."""
@@ -35,7 +35,7 @@ class Pace:
         self._mean_us += SMOOTHING * (took - self._mean_us)
 
     def arrived(self, late_us: int) -> None:
-        """A reference was there ``late_us`` after its display (negative: before it), of which it needs a margin."""
+        """A reference arrived ``late_us`` after its frame was due (negative: before). Within the margin it is late."""
         late_us += MARGIN_US
         if late_us > 0:
             self.caution_us = min(self.caution_us + late_us, MAX_CAUTION_US)

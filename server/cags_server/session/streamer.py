@@ -226,7 +226,9 @@ class Streamer:
             self._video.dropped(message)
 
     def _on_arrived(self, outgoing: ev.Outgoing, now_us: int) -> None:
-        """Times are the server's, whose idea of the client's clock is late by the way up: as the acknowledgement is."""
+        """Tell the pace how late a reference was. The acknowledgement took the way up, and so did the poses that the
+        client's clock is known by: the two delays cancel.
+        """
         if not (isinstance(outgoing.message, ReferenceFrame) and self._schedule.timeline.playing):
             return
         if outgoing.deadline_us is not None:
