@@ -15,7 +15,7 @@ from cags_bench.jsonl import dump
 from cags_bench.sim.bundle import is_bundle, open_bundle
 from cags_bench.sim.session import Scenario, SessionResult, Watcher, simulate, watched_by
 from cags_bench.sim.truth import LastTruth
-from cags_bench.stream.settings import DEFAULT_FRAMES, StreamSettings
+from cags_bench.stream.settings import DEFAULT_FRAMES, NO_FIGURE, StreamSettings
 from cags_bench.stream.stages import StageSaver
 from cags_bench.stream_report import STAGES_EVERY
 from cags_bench.traces import scaled_trace
@@ -27,10 +27,6 @@ from cags_server.fov import create_fov_policy
 from cags_server.predict import create_predictor
 from cags_server.ratecontrol import create_rate_policy
 from cags_shaper.trace import open_trace
-
-NOT_TOLD = {"cache", "out", "record", "record_truth", "strip", "seeds", "compare"}
-"""Settings that decide no figure of a play."""
-
 
 @dataclass(frozen=True)
 class Play:
@@ -72,7 +68,7 @@ class Play:
                 self._write_film(film, result)
         if settings.out:
             write_report(self._beside(Path(settings.out)), scenario, result)
-        told = {key: value for key, value in asdict(settings).items() if key not in NOT_TOLD}
+        told = {key: value for key, value in asdict(settings).items() if key not in NO_FIGURE}
         return line | {"settings": told, "seed": self.seed, "left_out": lacking(settings.metrics)}
 
     def scenario(self) -> Scenario:

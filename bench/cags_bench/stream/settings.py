@@ -156,14 +156,19 @@ def _check_file(path: str | None) -> None:
         raise ConfigError(f"{path}: {both[0]!r} is a setting of server and client; put it under [server] or [client]")
 
 
+NO_FIGURE = frozenset({"cache", "out", "record", "record_truth", "strip", "seeds", "compare"})
+"""Settings that decide no figure of a play."""
+
+
 def changed(settings: StreamSettings, name: str, text: str) -> StreamSettings:
     """``settings`` with the one called ``name`` (dashes or underscores) set to what ``text`` says.
 
     Raises :class:`ConfigError` for unknown names and for values that the setting does not take.
     """
     key = name.strip().replace("-", "_")
-    if key not in FIELDS:
-        raise ConfigError(f"compare: {name.strip()!r} is no setting of stream; known: {', '.join(sorted(FIELDS))}")
+    if key not in FIELDS or key in NO_FIGURE:
+        known = ", ".join(sorted(FIELDS.keys() - NO_FIGURE))
+        raise ConfigError(f"compare: {name.strip()!r} is no setting of a play; known: {known}")
     where, source = FIELDS[key]
     if where == "own":
         return replace(settings, **{source: _value(StreamSettings, source, text)})

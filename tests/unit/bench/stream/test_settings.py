@@ -81,7 +81,9 @@ def test_any_setting_can_be_changed_by_name(name: str, text: str, found) -> None
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("speed", "1", "'speed' is no setting of stream; known: abr, align"),
+        ("speed", "1", "'speed' is no setting of a play; known: abr, align"),
+        ("compare", "a", "'compare' is no setting of a play; known: abr, align"),
+        ("record", "film.mp4", "'record' is no setting of a play; known: abr, align"),
         ("estimator", "psychic", "estimator = 'psychic' must be one of measured, oracle"),
         ("tiles_ahead", "many", "tiles_ahead = 'many' must be of type int"),
         ("tiles_ahead", "99", r"tiles_ahead = 99 must lie in \[1, 30\]"),

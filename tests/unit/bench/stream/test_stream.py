@@ -213,7 +213,7 @@ def test_people_are_told_which_extra_gives_a_missing_figure(
 
 def test_the_command_names_what_is_unknown(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stream", "--compare", "speed=1,2"]) == 2
-    assert capsys.readouterr().err.startswith("cags-bench: compare: 'speed' is no setting of stream; known: abr,")
+    assert capsys.readouterr().err.startswith("cags-bench: compare: 'speed' is no setting of a play; known: abr,")
 
 
 # ----------------------------------------------------------------------------------------------- what is written
