@@ -28,6 +28,7 @@ from cags_server.predict import create_predictor
 from cags_server.ratecontrol import create_rate_policy
 from cags_shaper.trace import open_trace
 
+
 @dataclass(frozen=True)
 class Play:
     """One play: what is played, and what tells it from the others of a run."""
