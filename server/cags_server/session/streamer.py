@@ -63,6 +63,9 @@ OVERLOAD = 1.5
 GREETING_DEADLINE_US = 2_000_000
 """After so long a first picture is of no use: tiles have come."""
 
+GREETING_AGAIN_US = 20_000
+"""From one attempt at a first picture to the next, while the renderer has no place."""
+
 
 class Streamer:
     """Decides what one client gets."""
@@ -99,7 +102,7 @@ class Streamer:
         self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
         self._marks: list[ev.Outgoing] = []
         self._joined_us = self._marked_us = 0
-        self._greets = False  # a first picture is due, before the viewer says when to play
+        self._greeting_due_us: int | None = None  # of the first picture, before the viewer says when to play
         self._damaged = False  # something that was sent did not arrive whole
 
     # ------------------------------------------------------------------------------------------------------- startup
@@ -112,7 +115,7 @@ class Streamer:
     def startup(self, now_us: int) -> list[ev.Outgoing]:
         """What a client gets first (:class:`~cags_server.session.startup.Startup`): enough to begin to play."""
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
-        self._greets, self._joined_us = not self._startup.resumed, now_us
+        self._greeting_due_us, self._joined_us = None if self._startup.resumed else now_us, now_us
         return self._counted(self._startup.messages(self._schedule.timeline.frame, camera, now_us), now_us)
 
     @property
@@ -238,8 +241,8 @@ class Streamer:
 
     def next_due_us(self) -> int | None:
         """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
-        if self._greets:
-            return self._joined_us
+        if self._greeting_due_us is not None:
+            return self._greeting_due_us
         return self._schedule.next_due_us(self.stats.rtt_us, self._next_is_seen)
 
     def begin(self, now_us: int) -> FrameJob | None:
@@ -247,8 +250,8 @@ class Streamer:
 
         Frames that became due before it and were not begun are skipped: their references would come too late.
         """
-        if self._greets:
-            return self._greeting(now_us)
+        if self._greeting_due_us is not None:
+            return self._greeting(now_us) if now_us >= self._greeting_due_us else None
         if self._schedule.rendering:
             return None
         due_us = self.next_due_us()
@@ -263,10 +266,17 @@ class Streamer:
         return self._job(plan, now_us)
 
     def _greeting(self, now_us: int) -> FrameJob | None:
-        """The first picture, of what a client sees that has just joined: it comes before the first tile."""
-        self._greets = False
+        """The first picture, of what a client sees that has just joined: it comes before the first tile.
+
+        Where many join at once and the renderer has no place, it is tried again until the viewer says when to play.
+        """
+        self._greeting_due_us = None
         affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), GREETING_DEADLINE_US)
-        if self._coder.kind is None or self._schedule.begun or not (affordable and self._may_render(now_us)):
+        if self._coder.kind is None or self._schedule.begun or not affordable:
+            return None
+        if not self._may_render(now_us):
+            again_us = now_us + GREETING_AGAIN_US
+            self._greeting_due_us = again_us if again_us < self._joined_us + GREETING_DEADLINE_US else None
             return None
         self._schedule.rendering = True
         frame, seen = self._schedule.timeline.frame, self._viewer.first_view()

@@ -40,6 +40,7 @@ from support.server_scene import CLIENT, hello, library
 async def test_several_clients_watch_at_once_and_leave() -> None:
     async with serving() as (_, server):
         clients = [await Client.join(server) for _ in range(4)]
+        await asyncio.gather(*(client.until(ev.ReferenceReceived) for client in clients))
         watched = await asyncio.gather(*(client.play() for client in clients))
         for frames in watched:
             greeting, *played = frames
