@@ -233,7 +233,7 @@ class Frame:
         if scene.held is not None and scene.held[1] == holds:
             return
         scene.gpu.device.queue.write_buffer(named["coded"], 0, np.ascontiguousarray(ref.coded, np.float32))
-        bound = named | {"own": target["picture"]}  # of a difference it is bound and not read
+        bound = dict(named)
         if ref.picture:  # the frame is drawn by now: the workspace is free again
             own = scene.record(recording, ref.camera, self.correction.own_drawing(self.options), role="own")
             job = COMPARE.pack(size=(ref.camera.width_px, ref.camera.height_px), error=ref.error)
@@ -286,7 +286,6 @@ class Frame:
             hole_alpha=settings.hole_alpha,
             knee=ref.knee,
             grid=(-(-size[0] // CELL_PX), -(-size[1] // CELL_PX)),
-            kind=int(ref.picture),
             veto_cell=self._veto_cell,
         )
 
@@ -301,6 +300,7 @@ def _reference_counts(client: Camera, camera: Camera) -> dict[str, int]:
         "reference_y": height,
         "reference_pixels": width * height,
         "reference_places": 2 * (width + 1) * (height + 1),
+        "reference_groups": -(-width // 16) * -(-height // 16),
     }
 
 

@@ -102,7 +102,7 @@ CORRECTION = Layout(
         "knee": (88, "f", 1),
         "hole_alpha": (92, "f", 1),
         "grid": (96, "I", 2),
-        "kind": (104, "I", 1),
+        "unused": (104, "I", 1),
         "veto_cell": (108, "I", 1),
     },
     112,

@@ -20,7 +20,7 @@ from cags_common.correction.base import (
 from cags_common.correction.changed import Spheres, changed_cells
 from cags_common.correction.compander import compand, expand
 from cags_common.correction.frames import Correction, FramePictures, FrameScene
-from cags_common.correction.trust import trusted
+from cags_common.correction.trust import layer
 from cags_common.correction.views import ComparedViews, ComparingScene, DrawnViews, Look, StagedViews
 from cags_common.errors import ConfigError
 
@@ -45,7 +45,7 @@ __all__ = [
     "compand",
     "create",
     "expand",
-    "trusted",
+    "layer",
     "veto_shape",
 ]
 

@@ -59,11 +59,11 @@ class Reference:
     coded: F32  # [h, w, 3] in [0, 1]
     camera: Camera
     picture: bool = False
-    """A picture of the scene, from which the client subtracts its own render; else a companded difference."""
+    """A picture of the scene, which the client compares with its own render; else a companded difference."""
     knee: float = 0.1
     """Differences below it are coded about linearly."""
     error: float = 0.0
-    """Mean squared error that coding has left in a picture, [0, 1] RGB; see :func:`.trust.trusted`."""
+    """Mean squared error that coding has left in a picture, [0, 1] RGB; see :func:`.trust.layer`."""
 
     def __post_init__(self) -> None:
         size = self.camera.height_px, self.camera.width_px, 3

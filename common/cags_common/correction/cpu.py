@@ -17,7 +17,6 @@ from cags_common.correction.base import (
     checked_own,
     checked_veto,
 )
-from cags_common.correction.trust import trusted
 from cags_common.errors import ConfigError
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import RenderedView
@@ -84,7 +83,7 @@ class CpuCorrector:
 
     def _lack(self, reference: Reference, own: F32 | None) -> NDArray[np.int16]:
         """What was made of the reference before, if it still holds."""
-        from cags_kernels.correct import lack
+        from cags_kernels.correct import compared, expanded
 
         held = self._held
         fresh = reference.picture and own is not None
@@ -94,9 +93,8 @@ class CpuCorrector:
                     raise ValueError(
                         "a reference that is a picture needs the client's render from the reference camera"
                     )
-                picture = trusted(reference.coded, checked_own(own, reference), reference.error)
-                made = lack(picture, own, reference.knee, self._threads)
+                made = compared(reference.coded, checked_own(own, reference), reference.error, self._threads)
             else:
-                made = lack(reference.coded, None, reference.knee, self._threads)
+                made = expanded(reference.coded, reference.knee, self._threads)
             self._held = held = _Expanded(reference, made)
         return held.lack

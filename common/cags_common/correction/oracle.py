@@ -1,10 +1,11 @@
-"""The readable definition of the client's last step (float64): sample what is lacking by depth, and add it.
+"""The readable definition of the client's last step (float64): sample what is lacking by depth, and lay it over.
 
 Kernels and shaders are tested against it, and it serves while there are none. Its steps: the reference is *expanded* to
-what the client lacks; the depth's *holes* are filled from around them (pull-push over inverse depth); each pixel is
-*projected* into the reference and faded towards its border (holes are not: beyond it they take the sample of its
-nearest point, so that they are never black); the sample is *added*, but where something nearer hides the pixel from the
-reference (z-test): it takes the mean of what was added in its *surroundings*.
+what the client lacks, a layer of colour and opacity (0: a difference, which is added); the depth's *holes* are filled
+from around them (pull-push over inverse depth); each pixel is *projected* into the reference and faded towards its
+border (holes are not: beyond it they take the sample of its nearest point, so that they are never black); the sample is
+*laid over* the pixel, but where something nearer hides it from the reference (z-test): it takes the mean of what was
+added in its *surroundings*.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from cags_common.correction.base import (
     checked_veto,
 )
 from cags_common.correction.compander import expand
-from cags_common.correction.trust import trusted
+from cags_common.correction.trust import layer
 from cags_common.geometry import F32, F64, Camera
 from cags_common.raster.base import RenderedView
 
@@ -64,14 +65,16 @@ class ReferenceCorrector:
 
 
 def lacking(reference: Reference, own: F32 | None) -> F64:
-    """What is to be added [h, w, 3] in [-1, 1]; ``own``, for pictures, is the client's view from their camera."""
+    """The layer over the client's view [h, w, 4]: colour in [-1, 1], premultiplied, and opacity in [0, 1].
+
+    ``own``, for pictures, is the client's view from their camera.
+    """
     if not reference.picture:
-        return expand(reference.coded, reference.knee)
+        added = expand(reference.coded, reference.knee)
+        return np.concatenate([added, np.zeros_like(added[..., :1])], axis=-1)
     if own is None:
         raise ValueError("a reference that is a picture needs the client's render from the reference camera")
-    picture = trusted(reference.coded, checked_own(own, reference), reference.error)
-    lack = np.clip(picture.astype(np.float64), 0, 1) - np.clip(own, 0, 1)
-    return np.asarray(lack)
+    return layer(reference.coded, checked_own(own, reference), reference.error).astype(np.float64)
 
 
 def correct(
@@ -98,7 +101,8 @@ def correct(
     if veto is not None:
         weight = weight * (1.0 - np.clip(_spread(checked_veto(veto, camera), camera), 0.0, 1.0))
     confidence = np.where(hidden, 0.0, weight)
-    added = confidence[..., None] * _sampled(lacking(reference, own), x, y)
+    over = _sampled(lacking(reference, own), x, y)
+    added = confidence[..., None] * (over[..., :3] - over[..., 3:] * view.rgb)
     around = weight[..., None] * _surroundings(added, confidence)
     rgb = np.clip(view.rgb + np.where(hidden[..., None], around, added), 0.0, 1.0)
     return Corrected(rgb.astype(np.float32), confidence.astype(np.float32))
@@ -218,7 +222,7 @@ def _slope(depth: F64, axis: int) -> F64:
 
 
 def _sampled(image: F64, x: F64, y: F64) -> F64:
-    """``image`` [h, w, 3] at continuous pixels [H, W]; past the outermost centres the edge pixel holds."""
+    """``image`` [h, w, n] at continuous pixels [H, W]; past the outermost centres the edge pixel holds."""
     h, w = image.shape[:2]
     fx, fy = np.clip(x - 0.5, 0, w - 1), np.clip(y - 0.5, 0, h - 1)
     x0, y0 = np.floor(fx).astype(int), np.floor(fy).astype(int)

@@ -1,12 +1,12 @@
 // The client's frame after drawing: what the server says is lacking, brought to the client's view by the client's own depth
-// (PRPA: projection, z-test, border) and added; hidden pixels get the mean of what was added around them. Every pass stores
+// (PRPA: projection, z-test, border) and laid over; hidden pixels get the mean of what was added around them. Every pass stores
 // what later ones compare: recomputed it need not be the same bits.
 struct Correction {
   m0: vec4<f32>, m1: vec4<f32>, m2: vec4<f32>,       // rows of m, b in the fourth: (x z, y z, z) = D m (u, v, 1) + b
   size: vec2<u32>, reference: vec2<u32>,
   cell: vec2<f32>, stride: u32, tolerance: f32,      // cell: client pixels a reference pixel
   slope_cells: f32, border: f32, knee: f32, hole_alpha: f32,
-  grid: vec2<u32>, kind: u32,                        // kind 0: a companded difference, 1: a picture
+  grid: vec2<u32>, unused: u32,
   veto_cell: u32,                                    // pixels a side of a veto's values, 0: there is none
 }
 @group(0) @binding(0) var<uniform> job: Correction;
@@ -18,10 +18,9 @@ struct Correction {
 @group(0) @binding(6) var<storage, read_write> nearest: array<atomic<u32>>; // bits of the least z of each reference pixel; then of equally near ones the first
 @group(0) @binding(7) var<storage, read> veto: array<f32>;                  // share of the confidence that is taken away
 @group(0) @binding(8) var<storage, read> coded: array<f32>;                 // the decoded reference [h][w][3] in [0, 1]
-@group(0) @binding(9) var<storage, read> own: array<vec4<f32>>;             // the client's view from the reference camera
-@group(0) @binding(10) var<storage, read_write> lack: array<vec4<f32>>;     // what is added, at the reference's pixels
-@group(0) @binding(11) var<storage, read_write> shown: array<u32>;          // 8 bits a channel; with FLOATS four floats
-@group(0) @binding(12) var<storage, read_write> sums: array<vec4<f32>>;     // of the finest cells: what was added, confidence
+@group(0) @binding(9) var<storage, read_write> lack: array<vec4<f32>>;     // what is laid over, at the reference's pixels: premultiplied colour, opacity
+@group(0) @binding(10) var<storage, read_write> shown: array<u32>;          // 8 bits a channel; with FLOATS four floats
+@group(0) @binding(11) var<storage, read_write> sums: array<vec4<f32>>;     // of the finest cells: what was added, confidence
 override FLOATS: bool = false;
 override CONFIDENCE: bool = false;  // in the place of the bytes' alpha
 const CELL = 8u;         // pixels a side of the grid that fills holes in the depth
@@ -36,19 +35,14 @@ const ZERO = 110.0 / 219.0; const SPAN = 109.0 / 219.0; const STILL = 1e-5;  // 
 
 fn known(bits: u32) -> bool { return bits >= LEAST_DEPTH && bits < VOID; }
 
-// What the reference says is lacking: the compander undone, or the picture less the client's render from its camera.
+// What a difference says is lacking: the compander undone. Of pictures see compare.wgsl.
 @compute @workgroup_size(16, 16) fn expand(@builtin(global_invocation_id) id: vec3<u32>) {
   if (any(id.xy >= job.reference)) { return; }
   let i = id.y * job.reference.x + id.x;
   let p = vec3(coded[3u * i], coded[3u * i + 1u], coded[3u * i + 2u]);
-  var difference: vec3<f32>;
-  if (job.kind == 1u) {
-    difference = clamp(p, vec3(0.0), vec3(1.0)) - clamp(own[i].xyz, vec3(0.0), vec3(1.0));
-  } else {
-    let away = p - ZERO;
-    let turned = clamp(away / SPAN, vec3(-1.0), vec3(1.0)) * asinh(1.0 / job.knee);
-    difference = select(sinh(turned) * job.knee, vec3(0.0), abs(away) <= vec3(STILL));
-  }
+  let away = p - ZERO;
+  let turned = clamp(away / SPAN, vec3(-1.0), vec3(1.0)) * asinh(1.0 / job.knee);
+  let difference = select(sinh(turned) * job.knee, vec3(0.0), abs(away) <= vec3(STILL));
   lack[i] = vec4(difference, 0.0);
 }
 
@@ -183,12 +177,12 @@ fn hidden(id: vec2<u32>, i: u32, p: vec2<u32>) -> bool {
   return bitcast<f32>(p.x) > limit && any(abs(vec2<f32>(id) - at) > job.cell);
 }
 
-fn lacking(xy: vec2<f32>) -> vec3<f32> {
+fn lacking(xy: vec2<f32>) -> vec4<f32> {
   let f = clamp(xy - 0.5, vec2(0.0), vec2<f32>(job.reference) - 1.0);
   let lo = vec2<u32>(floor(f)); let hi = min(lo + 1u, job.reference - 1u); let a = f - vec2<f32>(lo);
   let w = job.reference.x;
-  let top = mix(lack[lo.y * w + lo.x].xyz, lack[lo.y * w + hi.x].xyz, a.x);
-  let bottom = mix(lack[hi.y * w + lo.x].xyz, lack[hi.y * w + hi.x].xyz, a.x);
+  let top = mix(lack[lo.y * w + lo.x], lack[lo.y * w + hi.x], a.x);
+  let bottom = mix(lack[hi.y * w + lo.x], lack[hi.y * w + hi.x], a.x);
   return mix(top, bottom, a.y);
 }
 
@@ -246,7 +240,10 @@ var<workgroup> parts: array<vec4<f32>, 256>;
     } else {
       let drawn = picture[i];
       let at = sample_of(id.xy, i, p, drawn.w);
-      if (at.weight > 0.0) { added = vec4(at.weight * lacking(at.xy), at.weight); }
+      if (at.weight > 0.0) {
+        let over = lacking(at.xy);
+        added = vec4(at.weight * (over.xyz - over.w * drawn.xyz), at.weight);
+      }
       show(i, drawn.xyz + added.xyz, added.w);
     }
   }

@@ -19,7 +19,7 @@ I16: TypeAlias = NDArray[np.int16]
 _Pointer, _int32, _int64, _float = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_float
 
 LANES = 4
-"""Of a pixel of what is lacking: red, green, blue, and one that is a whole unit."""
+"""Of a pixel of what is lacking: red, green, blue, opacity."""
 
 UNIT = 32767
 """What a difference of 1 is there."""
@@ -33,7 +33,7 @@ class _LackInput(ctypes.Structure):
     _fields_ = [
         *((name, _Pointer) for name in ("coded", "own")),
         *((name, _int32) for name in ("width", "height")),
-        ("knee", _float),
+        *((name, _float) for name in ("knee", "error")),
         ("threads", _int32),
         *((name, _int64) for name in ("coded_length", "own_length")),
     ]
@@ -80,24 +80,35 @@ class AddParameters:
 _buffers = BufferPool()
 
 
-def lack(coded: F32, own: F32 | None, knee: float, threads: int) -> I16:
-    """What a reference says is lacking, ready to be sampled [h + 2, w + 1, 4, 2]: its edge repeated once
-    around it, and beside each pixel's lanes those of the pixel to the right.
+def expanded(coded: F32, knee: float, threads: int) -> I16:
+    """A difference [h, w, 3] that was companded with ``knee``, ready to be sampled [h + 2, w + 1, 4, 2]: its edge
+    repeated once around it, and beside each pixel's lanes those of the pixel to the right.
 
-    ``coded`` [h, w, 3] is a difference companded with ``knee``, or a picture where ``own`` [h, w, 3], the client's own
-    view, is given. Raises ``KernelError`` and, for arrays that do not fit, ``ValueError``.
+    Raises ``KernelError`` and, for an array that does not fit, ``ValueError``.
     """
+    return _lack(coded, None, knee, 0.0, threads)
+
+
+def compared(coded: F32, own: F32, error: float, threads: int) -> I16:
+    """What a picture [h, w, 3], in which coding left a mean squared ``error``, says is lacking in the client's ``own``
+    view from its camera [h, w, 3]: as :func:`expanded` gives a difference.
+    """
+    return _lack(coded, own, 1.0, error, threads)
+
+
+def _lack(coded: F32, own: F32 | None, knee: float, error: float, threads: int) -> I16:
     height, width = coded.shape[:2]
     coded = _checked(coded, (height, width, 3))
     own = None if own is None else _checked(own, coded.shape)
     out = np.empty((height + 2, width + 1, LANES, 2), np.int16)
-    given = _LackInput(_address(coded), _address(own), width, height, knee, threads, *map(_length, (coded, own)))
+    lengths = map(_length, (coded, own))
+    given = _LackInput(_address(coded), _address(own), width, height, knee, error, threads, *lengths)
     check(library().cags_lack(ctypes.byref(given), _address(out), _int64(out.size)), "lack")
     return out
 
 
 def add(view: DrawnView, lacking: I16, veto: F32 | None, parameters: AddParameters) -> tuple[F32, F32]:
-    """The frame [H, W, 3] in [0, 1] and the confidence [H, W]: ``view`` with what :func:`lack` made added.
+    """The frame [H, W, 3] in [0, 1] and the confidence [H, W]: ``view`` with ``lacking`` laid over.
 
     ``veto`` is [H, W] or [ceil(H / 16), ceil(W / 16)]. Raises ``KernelError`` and, for arrays that do not fit,
     ``ValueError``.
@@ -107,7 +118,7 @@ def add(view: DrawnView, lacking: I16, veto: F32 | None, parameters: AddParamete
     depth = _checked(view.depth, (height, width))
     if lacking.dtype != np.int16 or lacking.shape[2:] != (LANES, 2) or not lacking.flags.c_contiguous:
         raise ValueError(
-            f"what is lacking as {lacking.dtype} of shape {lacking.shape}, expected int16 as lack() makes it"
+            f"what is lacking as {lacking.dtype} of shape {lacking.shape}, expected int16 as expanded() makes it"
         )
     veto, coarse = _checked_veto(veto, (height, width))
     p = parameters

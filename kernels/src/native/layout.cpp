@@ -66,6 +66,7 @@ constexpr CagsField kFields[] = {
     CAGS_FIELD(CagsLackInput, width),
     CAGS_FIELD(CagsLackInput, height),
     CAGS_FIELD(CagsLackInput, knee),
+    CAGS_FIELD(CagsLackInput, error),
     CAGS_FIELD(CagsLackInput, threads),
     CAGS_FIELD(CagsLackInput, coded_length),
     CAGS_FIELD(CagsLackInput, own_length),

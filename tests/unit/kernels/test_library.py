@@ -139,7 +139,7 @@ VIEW = correct.DrawnView(*(np.zeros(shape, np.float32) for shape in ((4, 5, 3), 
 
 @pytest.mark.parametrize("field", ["rgb_length", "alpha_length", "depth_length", "lack_length", "veto_length"])
 def test_the_library_refuses_a_view_whose_lengths_do_not_fit(monkeypatch: pytest.MonkeyPatch, field: str) -> None:
-    lacking = correct.lack(np.zeros((3, 3, 3), np.float32), None, 0.1, 1)
+    lacking = correct.expanded(np.zeros((3, 3, 3), np.float32), 0.1, 1)
     veto = np.zeros((4, 5), np.float32)
     assert correct.add(VIEW, lacking, veto, PARAMETERS)[0].shape == (4, 5, 3)
     caught(monkeypatch, "cags_add_lack", lambda given: setattr(given, field, getattr(given, field) - 1))
@@ -151,4 +151,6 @@ def test_the_library_refuses_a_view_whose_lengths_do_not_fit(monkeypatch: pytest
 def test_the_library_refuses_a_reference_whose_lengths_do_not_fit(monkeypatch: pytest.MonkeyPatch, field: str) -> None:
     caught(monkeypatch, "cags_lack", lambda given: setattr(given, field, getattr(given, field) - 3))
     with pytest.raises(KernelError, match="an argument is out of range"):
-        correct.lack(np.zeros((3, 3, 3), np.float32), np.zeros((3, 3, 3), np.float32), 0.1, 1)
+        correct.expanded(np.zeros((3, 3, 3), np.float32), 0.1, 1)
+    with pytest.raises(KernelError, match="an argument is out of range"):
+        correct.compared(np.zeros((3, 3, 3), np.float32), np.zeros((3, 3, 3), np.float32), 0.1, 1)

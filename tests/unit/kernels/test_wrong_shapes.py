@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cags_kernels import codec, native_available
-from cags_kernels.correct import AddParameters, DrawnView, add, lack
+from cags_kernels.correct import AddParameters, DrawnView, add, compared, expanded
 from cags_kernels.raster import NativeScene, RasterCamera, RasterOptions, enlarge
 
 pytestmark = pytest.mark.skipif(not native_available(), reason="the native library is not built")
@@ -116,10 +116,12 @@ def test_codes_and_columns_that_do_not_fit_are_refused() -> None:
 def test_what_is_lacking_does_not_read_arrays_of_other_shapes() -> None:
     pictures = [np.zeros((4, 5, 3), np.float32), np.zeros((4, 5), np.float32), np.ones((4, 5), np.float32)]
     parameters = AddParameters(np.eye(3, 4), (1.0, 1.0), 1, 0.1, 1.0, 0.0, 0.5, 1)
-    lacking = lack(np.zeros((3, 3, 3), np.float32), None, 0.1, 1)
+    lacking = expanded(np.zeros((3, 3, 3), np.float32), 0.1, 1)
     assert add(DrawnView(*pictures), lacking, None, parameters)[0].shape == (4, 5, 3)
     with pytest.raises(ValueError, match="shape"):
-        lack(np.zeros((3, 3, 3), np.float32), np.zeros((3, 2, 3), np.float32), 0.1, 1)
+        compared(np.zeros((3, 3, 3), np.float32), np.zeros((3, 2, 3), np.float32), 0.1, 1)
+    with pytest.raises(ValueError, match="shape"):
+        expanded(np.zeros((3, 3, 4), np.float32), 0.1, 1)
     for which in range(2):
         wrong = [picture[:-1] if at == which else picture for at, picture in enumerate(pictures)]
         with pytest.raises(ValueError, match="shape"):

@@ -139,7 +139,6 @@ export const CORRECTION = new Layout(
     knee: [88, "f", 1],
     hole_alpha: [92, "f", 1],
     grid: [96, "I", 2],
-    kind: [104, "I", 1],
     veto_cell: [108, "I", 1],
   },
   112,

@@ -243,15 +243,16 @@ export class Renderer {
     const under = `${scene.keptVersion} ${seen}`;
     if (this.#held?.reference === reference && this.#held.under === under) return this.#held;
     this.gpu.device.queue.writeBuffer(named.coded, 0, reference.coded);
-    let own = target; // of a difference it is bound and not read
+    const bound = { ...named };
     if (reference.picture) {
       const { intrinsics } = reference.camera;
       const footprint = footprintOf(options.display, intrinsics);
-      own = scene.record(encoder, reference.camera, { ...drawing(options), footprint }, "own");
+      const own = scene.record(encoder, reference.camera, { ...drawing(options), footprint }, "own");
       const job = COMPARE.pack({ size: [intrinsics.widthPx, intrinsics.heightPx], error: reference.error });
       this.gpu.device.queue.writeBuffer(target.compare, 0, job);
+      bound.own = own.get("picture");
+      bound.compare_job = target.compare;
     }
-    const bound: Named = { ...named, own: own.get("picture"), compare_job: target.compare };
     encode(encoder, build(this.gpu, reference.picture ? "compare" : "expand", counts, {}, (name) => bound[name]));
     return { reference, under };
   }
@@ -280,6 +281,7 @@ function referenceCounts(client: Camera, reference: Camera): Counts {
     reference_y: heightPx,
     reference_pixels: widthPx * heightPx,
     reference_places: 2 * (widthPx + 1) * (heightPx + 1),
+    reference_groups: Math.ceil(widthPx / 16) * Math.ceil(heightPx / 16),
   };
 }
 
@@ -302,7 +304,6 @@ function correctionJob(camera: Camera, reference: CodedReference | undefined, ve
     hole_alpha: CORRECT.holeAlpha,
     knee: reference.knee,
     grid: [Math.ceil(widthPx / CELL_PX), Math.ceil(heightPx / CELL_PX)],
-    kind: reference.picture ? 1 : 0,
     veto_cell: vetoed ? VETO_CELL_PX : 0,
   });
 }

@@ -35,6 +35,7 @@ int64_t lack_values(int width, int height) { return int64_t{width + 1} * (height
 
 bool valid(const CagsLackInput& in, int64_t length) {
   if (!side(in.width) || !side(in.height) || in.threads < 1 || !(in.knee >= 1e-3f && in.knee <= 10.0f)) return false;
+  if (!(in.error >= 0 && in.error <= 1)) return false;
   const int64_t picture = int64_t{in.width} * in.height * 3;
   return in.coded && in.coded_length == picture && in.own_length == (in.own ? picture : 0) &&
          length == lack_values(in.width, in.height);
@@ -55,11 +56,28 @@ bool valid(const CagsAddInput& in, int64_t shown_length, int64_t confidence_leng
          shown_length == 3 * pixels && confidence_length == pixels;
 }
 
+// What coding is taken to have left in a neighbourhood of a picture: more where the own view, over the whole, errs less.
+float noise_of(const CagsLackInput& in, float* apart) {
+  const int threads = std::min(in.threads, kMaxThreads);
+  parallel_for(threads, in.height, [&](int row, int) { apart[row] = static_cast<float>(stages().apart(in, row)); });
+  double sum = 0;
+  for (int row = 0; row < in.height; row++) sum += apart[row];
+  const float over_own = std::max(static_cast<float>(sum / (3.0 * in.width * in.height)) - in.error, 1e-9f);
+  return kNoiseWeight * std::max(1.0f, in.error / over_own) * in.error;
+}
+
 void lack_of(const CagsLackInput& in, int16_t* lack) {
   const size_t pitch = size_t(in.width + 1) * kTap;
-  parallel_for(std::min(in.threads, kMaxThreads), (in.height + kRowsAPiece - 1) / kRowsAPiece, [&](int piece, int) {
-    const int end = std::min(in.height, (piece + 1) * kRowsAPiece);
-    for (int row = piece * kRowsAPiece; row < end; row++) stages().expand(in, row, lack + (row + 1) * pitch);
+  const int threads = std::min(in.threads, kMaxThreads);
+  Lease<Scratch> scratch;
+  const size_t each = Near::floats(in.width);
+  float* lines = in.own ? scratch->lines.reserve(each * threads + in.height) : nullptr;
+  const float noise = in.own ? noise_of(in, lines + each * threads) : 0;
+  parallel_for(threads, (in.height + kRowsAPiece - 1) / kRowsAPiece, [&](int piece, int worker) {
+    FlushDenormals flush;
+    const int begin = piece * kRowsAPiece, end = std::min(in.height, begin + kRowsAPiece);
+    if (in.own) return stages().compare(in, noise, begin, end, Near(lines + each * worker, in.width), lack + (begin + 1) * pitch);
+    for (int row = begin; row < end; row++) stages().expand(in, row, lack + (row + 1) * pitch);
   });
   std::copy_n(lack + pitch, pitch, lack);
   std::copy_n(lack + in.height * pitch, pitch, lack + (in.height + 1) * pitch);

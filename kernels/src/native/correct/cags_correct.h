@@ -1,4 +1,4 @@
-// The C interface of the client's last step: what a server says is lacking, brought to the client's view by depth and added;
+// The C interface of the client's last step: what a server says is lacking, brought to the client's view by depth and laid over it;
 // see cags_common.correction for what it computes.
 #pragma once
 #include "cags_kernels.h"
@@ -8,7 +8,8 @@ struct CagsLackInput {
   const float* own;  // [height, width, 3], the client's render from the reference camera: `coded` is a picture; null: a companded
                      // difference
   int32_t width, height;
-  float knee;  // of the difference
+  float knee;   // of the difference
+  float error;  // mean squared error that coding has left in the picture
   int32_t threads;
   int64_t coded_length, own_length;  // floats; 0 where there is none
 };
@@ -28,7 +29,7 @@ struct CagsAddInput {
 };
 
 // What is lacking, in units of 1 / 32767, with the edge repeated once around it, ready to be sampled: of each pixel but the last
-// of a row the values and those of the pixel to the right, [height + 2, width + 1, 4, 2]; the fourth lane is 32767.
+// of a row the values and those of the pixel to the right, [height + 2, width + 1, 4, 2]; the fourth lane is the opacity.
 // `length` is of `lack`, in values.
 CAGS_API int32_t cags_lack(const CagsLackInput* input, int16_t* lack, int64_t length);
 // The frame [height, width, 3] in [0, 1], and how much of what is lacking was added [height, width].

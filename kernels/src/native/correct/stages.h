@@ -11,7 +11,7 @@ constexpr int kCell = 8;                     // pixels a side of the cells that 
 constexpr int kVetoCell = 16;                // pixels a side of a coarse veto's cells
 constexpr float kLeastAround = 1;            // confident pixels of a cell: what is fewer says less of the hidden pixels around
 constexpr int kRun = 64;                     // pixels worked on at a time: what is known of them stays in the nearest cache
-constexpr int kLanes = 4;                    // red, green, blue, one
+constexpr int kLanes = 4;                    // red, green, blue, opacity
 constexpr int kTap = 2 * kLanes;             // of a pixel and of the one to the right, lane beside lane
 constexpr float kUnit = 32767;               // of what is lacking
 constexpr float kFar = 1e6f;                 // depth where nothing is known anywhere, and the largest that counts
@@ -59,6 +59,25 @@ struct Line {
   static size_t part_of(int width) { return rounded_up(width, kRun) + 2 * kCell; }
 };
 
+constexpr int kAround = 3, kSide = 2 * kAround + 1;  // of the neighbourhoods in which a picture and the own view are compared
+constexpr int kMoments = 9;  // of those: the own colours, the picture's, and sums over these of own^2, own * picture, difference^2
+constexpr float kNoiseWeight = 2;
+
+// A worker's scratch for the comparison: what is known of the last seven rows.
+struct Near {
+  static size_t pitch_of(int width) { return rounded_up(width + 2 * kAround, kCell) + kCell; }
+  static size_t floats(int width) { return ((2 * kSide + 1) * kMoments + kLanes) * pitch_of(width); }
+  Near(float* memory, int width) : pitch(pitch_of(width)), rows(memory) {
+    wide = rows + 2 * kSide * kMoments * pitch, layer = wide + kMoments * pitch;
+  }
+  float* planes(int row) const { return rows + size_t((row + kSide) % kSide) * kMoments * pitch; }
+  float* sums(int row) const { return planes(row) + kSide * kMoments * pitch; }
+
+  size_t pitch;
+  float* rows;
+  float *wide, *layer;  // a plane with its border; a row of the layer
+};
+
 struct Occlusion {
   const Nearest* nearest;  // [reference_height + 1, reference_width + 1]
   const float* limit;      // the same: depth behind which a pixel may be hidden
@@ -72,8 +91,12 @@ struct Around {
 };
 
 struct Stages {
-  // One row of what is lacking, without its border above and below.
+  // One row of what a difference says is lacking, without its border above and below.
   void (*expand)(const CagsLackInput&, int row, int16_t* to);
+  // Sum of the squared differences of a picture and the own view over a row.
+  double (*apart)(const CagsLackInput&, int row);
+  // Rows of what a picture says is lacking, where it differs by more than `noise`.
+  void (*compare)(const CagsLackInput&, float noise, int begin, int end, const Near&, int16_t* to);
   // One row of cells: means of inverse depth, and the pixels of known depth that are nearest. Returns whether there are holes.
   bool (*survey)(const CagsAddInput&, int row, const Line&, const Cells&, const Depths&, Nearest*);
   // One row of cells that has holes: they are filled, and those of their pixels that are nearest.

@@ -1,5 +1,5 @@
-// The frame: what is lacking, sampled where the reference shows it, and added; where it is hidden there, the mean of what was
-// added around.
+// The frame: what is lacking, sampled where the reference shows it, and laid over; where it is hidden there, the mean of what
+// was added around.
 #pragma once
 #include "correct/stages/occlude.h"
 
@@ -127,6 +127,12 @@ inline Eight sampled(const int16_t* upper, int pitch, const Taps& taps, int i) {
   return sums * halves(taps.top[i], taps.low[i]);
 }
 
+// What was added to two pixels, their confidence in the last lane.
+inline Eight with_confidence(const Eight& added, float low, float high) {
+  constexpr EightInts last = {0, 0, 0, -1, 0, 0, 0, -1};
+  return select(last, halves(low, high), added);
+}
+
 // `rgb` and `out` are runs of whole cells and four floats more; `sums` are those of the run's cells, to which theirs are added.
 inline void add_run(const CagsAddInput& in, Taps& taps, int count, const float* rgb, float* out, float* sums) {
   const int pitch = kTap * (in.reference_width + 1);
@@ -136,10 +142,12 @@ inline void add_run(const CagsAddInput& in, Taps& taps, int count, const float* 
     Eight total = {};
     for (int i = first; i < first + kCell; i += 2) {
       const Eight a = sampled(lack, pitch, taps, i), b = sampled(lack, pitch, taps, i + 1);
-      const Eight added =
+      const Eight over =
           __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) + __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
-      total += added;
-      const Eight shown = clamped(both(rgb + 3 * i, rgb + 3 * i + 3) + added, 0, 1);
+      const Eight opacity = __builtin_shufflevector(over, over, 3, 3, 3, 3, 7, 7, 7, 7);
+      const Eight drawn = both(rgb + 3 * i, rgb + 3 * i + 3), added = over - opacity * drawn;
+      total += with_confidence(added, taps.confidence[i], taps.confidence[i + 1]);
+      const Eight shown = clamped(drawn + added, 0, 1);
       store(out + 3 * i, half<0>(shown));
       store(out + 3 * i + 3, half<1>(shown));
     }

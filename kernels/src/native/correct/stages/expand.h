@@ -44,7 +44,7 @@ inline EightInts in_units(const Eight& lack) {
 
 inline void put_tap(const int32_t* left, const int32_t* right, int16_t* to) {
   for (int c = 0; c < 3; c++) to[2 * c] = static_cast<int16_t>(left[c]), to[2 * c + 1] = static_cast<int16_t>(right[c]);
-  to[6] = to[7] = static_cast<int16_t>(kUnit);
+  to[6] = to[7] = 0;  // opacity
 }
 
 // A row of colours [width, 3], which `made` gives eight values at a time, as taps [width + 1, 4, 2].
@@ -69,16 +69,23 @@ inline Eight some(const float* from, int count) {
   return out;
 }
 
+// A row of a layer [width, 4] as taps.
+inline void pack_layer(int width, const float* from, int16_t* to) {
+  int32_t values[2 * kLanes];  // of a pixel, and of the one to the right
+  const auto put = [&](int i, int32_t* at) {
+    store(at, in_units(both(from + kLanes * i, from + kLanes * std::min(i + 1, width - 1))));
+  };
+  for (int i = -1; i < width; i++, to += kTap) {
+    put(std::max(i, 0), values);
+    const int32_t* right = i < 0 ? values : values + kLanes;
+    for (int c = 0; c < kLanes; c++) to[2 * c] = static_cast<int16_t>(values[c]), to[2 * c + 1] = static_cast<int16_t>(right[c]);
+  }
+}
+
 void expand(const CagsLackInput& in, int row, int16_t* to) {
   const float* coded = in.coded + 3 * int64_t{row} * in.width;
-  if (in.own) {
-    const float* own = in.own + 3 * int64_t{row} * in.width;
-    pack(in.width, to,
-         [=](int i, int count) { return clamped(some(coded + i, count), 0, 1) - clamped(some(own + i, count), 0, 1); });
-  } else {
-    const Compander by = compander_of(in.knee);
-    pack(in.width, to, [=](int i, int count) { return expanded(by, some(coded + i, count)); });
-  }
+  const Compander by = compander_of(in.knee);
+  pack(in.width, to, [=](int i, int count) { return expanded(by, some(coded + i, count)); });
 }
 
 }  // namespace
