@@ -2,8 +2,9 @@
 
 A *difference* is the true view minus that of the client's splats. It wins where these are good. Where they are poor and
 change in every frame, their own flicker would be coded, and a *picture* of the scene, which is steady in time, predicts
-better. Both are known here, so both are tried: the kind in use in every reference, the other one from time to time,
-beside it. A change of kind begins a new video, which costs a picture that needs no other.
+better; and where splats stand in the wrong place, a picture makes them give way to it. Both are known here, so both are
+tried: the kind in use in every reference, the other one from time to time, beside it, by what they leave at the
+display's size (:mod:`.detail`) and by their bytes. A change of kind begins a new video, which costs a picture that needs no other.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from cags_common.geometry import F32, Intrinsics
 from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
 from cags_protocol.wire.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
+from cags_server.reference.detail import detail_left
 from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 
@@ -51,6 +53,11 @@ KEEP_KNEE = 1.8
 TRIAL_EVERY, TRIAL_LENGTH = 20, 4
 """References from one trial of the other kind to the next, and in it. Its first picture, which needs no other, does not
 count.
+"""
+
+GROWN = 2.0
+"""Where the score of the kind in use has grown by this factor since the last trial, the next begins at once: a client
+may lose track of what moves within ten frames.
 """
 
 BETTER = 0.8
@@ -173,15 +180,15 @@ class ReferenceCoder:
         """Knee of the compander in the last difference, and most likely in the next."""
         return self._knee
 
-    def code(self, truth: F32, mirror: F32 | None, *, idr: bool) -> Coded:
+    def code(self, truth: F32, mirror: F32 | None, *, idr: bool, octaves: float = 0.0) -> Coded:
         """The reference of the scene, ``truth`` [h, w, 3], for a client that sees ``mirror`` [h, w, 3] from there.
 
         Both are RGB of the display's range; None: the client holds nothing, or is not compared with. ``idr``: the
-        reference must need no other.
+        reference must need no other. ``octaves``: by how many the client's display shows more than the reference has.
         """
-        return self.code_views(StagedViews(truth, mirror), idr=idr)
+        return self.code_views(StagedViews(truth, mirror), idr=idr, octaves=octaves)
 
-    def code_views(self, views: ComparedViews, *, idr: bool) -> Coded:
+    def code_views(self, views: ComparedViews, *, idr: bool, octaves: float = 0.0) -> Coded:
         """As :meth:`code`."""
         if not self.kinds:
             return Coded(NOTHING)
@@ -206,7 +213,7 @@ class ReferenceCoder:
             self._mean_bytes += (len(coded.access_unit) - self._mean_bytes) / min(self._counted + 1, RATE_WINDOW)
             self._counted += 1
         if len(self.kinds) > 1 and views.compared and self.compares:
-            self._try_other(coded, views)
+            self._try_other(coded, views, octaves)
         return coded
 
     def _coded(self, kind: ReferenceKind, views: ComparedViews, *, idr: bool) -> Coded:
@@ -229,17 +236,19 @@ class ReferenceCoder:
         left = (lack[::LOOKED_AT, ::LOOKED_AT] - expand(seen, knee)).astype(np.float32)
         return Coded(kind, unit, knee, is_idr(unit), after=_power(left))
 
-    def _try_other(self, used: Coded, views: ComparedViews) -> None:
+    def _try_other(self, used: Coded, views: ComparedViews, octaves: float) -> None:
         """Code the other kind beside the one in use, from time to time, and change over where it is better."""
         other = self.kinds[1]
-        step = self._trial.step()
+        step = self._trial.step(used)
         if step is None:
             return
         if step == 0:
             self._videos.pop(other, None)
         tried = self._coded(other, views, idr=step == 0)
         if step and not used.idr:
-            self._trial.count(used, tried)
+            left = detail_left(views.truth, views.lack, octaves)
+            finer = {DIFFERENCE: left.difference, PICTURE: left.picture}
+            self._trial.count(*(replace(coded, after=coded.after + finer[coded.kind]) for coded in (used, tried)))
         if self._trial.won:
             self._change_kind()
 
@@ -281,29 +290,44 @@ class _Trial:
         self._at = -first
         self._used: list[float] = []
         self._tried: list[float] = []
+        self._lowest = np.inf  # score since the last trial began
 
-    def step(self) -> int | None:
-        """Of the trial under way: its picture's number; None between trials, which come every :data:`TRIAL_EVERY`
-        references.
+    def step(self, used: Coded) -> int | None:
+        """Of the trial under way: the number in it of the reference that was coded as ``used``; None between trials,
+        which come every :data:`TRIAL_EVERY` references, or where the score of ``used`` has grown.
         """
+        if self._grown(used):
+            self._at = 0
         at, self._at = self._at, self._at + 1
         step = at % TRIAL_EVERY
         if at < 0 or step >= TRIAL_LENGTH:
             return None
         if step == 0:
-            self._used, self._tried = [], []
+            self._used, self._tried, self._lowest = [], [], np.inf
         return step
 
+    def _grown(self, used: Coded) -> bool:
+        if used.idr:
+            return False
+        score = _score(used)
+        self._lowest = min(self._lowest, score)
+        between = self._at < 0 or self._at % TRIAL_EVERY >= TRIAL_LENGTH
+        return between and score > self._lowest + np.log(GROWN)
+
     def count(self, used: Coded, tried: Coded) -> None:
-        """The two codings of one reference."""
+        """The two codings of one reference; ``after``: of all that is shown."""
         for scores, coded in ((self._used, used), (self._tried, tried)):
-            scores.append(np.log(max(coded.after, 1e-9)) + RATE_EXPONENT * np.log(max(len(coded.access_unit), 1)))
+            scores.append(_score(coded))
 
     @property
     def won(self) -> bool:
         """Whether the other kind is clearly better over a whole trial."""
         whole = len(self._tried) == TRIAL_LENGTH - 1
         return whole and float(np.mean(self._tried) - np.mean(self._used)) < np.log(BETTER)
+
+
+def _score(coded: Coded) -> float:
+    return float(np.log(max(coded.after, 1e-9)) + RATE_EXPONENT * np.log(max(len(coded.access_unit), 1)))
 
 
 def _kinds(settings: ServerSettings, hello: Hello) -> tuple[ReferenceKind, ...]:

@@ -14,6 +14,7 @@ from cags_protocol.wire.messages import ReferenceKind
 from cags_server.predict.base import PoseDistribution
 from cags_server.records import Ahead
 from cags_server.reference.coder import Coded, ReferenceCoder
+from cags_server.reference.detail import octaves_finer
 from cags_server.reference.mirror import Mirror
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
@@ -93,7 +94,8 @@ class FrameJob:
         rendered = clock()
         views = StagedViews(drawn.rgb, self._held(options)) if isinstance(drawn, RenderedView) else drawn
         mirrored = clock()
-        coded = NOTHING if views is None else self.coder.code_views(views, idr=self.plan.idr)
+        octaves = octaves_finer(self.client, self.camera.intrinsics)
+        coded = NOTHING if views is None else self.coder.code_views(views, idr=self.plan.idr, octaves=octaves)
         return FrameRender(
             plan=self.plan,
             intrinsics=self.camera.intrinsics,

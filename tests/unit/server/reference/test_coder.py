@@ -201,3 +201,25 @@ def test_a_client_that_takes_differences_alone_is_compared_with_however_late_the
         one.lateness.observe(late=True)
     assert one.compares
     assert one.code(moving(1)[0], None, idr=True).kind is ReferenceKind.DIFFERENCE
+
+
+def test_a_client_that_loses_track_of_what_moves_gets_pictures_within_a_few_references() -> None:
+    """Between two trials the splats stop where they are: what moves on shows pictures best, and at once."""
+    one, truth = coder(replace(SMALL, reference_crf=28.0)), moving(40, sigma_px=1.5)
+    for number in range(12):
+        one.code(truth[number], np.clip(truth[number] + np.float32(0.01), 0, 1), idr=not number, octaves=1.0)
+    assert one.kind is ReferenceKind.DIFFERENCE
+    kinds = [one.code(truth[number], truth[12], idr=False, octaves=1.0).kind for number in range(14, 24)]
+    assert kinds[-1] is ReferenceKind.PICTURE
+
+
+@pytest.mark.parametrize(
+    ("octaves", "kind"), [(0.0, ReferenceKind.DIFFERENCE), (1.0, ReferenceKind.PICTURE)], ids=["coarse", "fine"]
+)
+def test_wrong_detail_that_a_display_shows_speaks_for_pictures(octaves: float, kind: ReferenceKind) -> None:
+    """What stands still is coded well as either; between the reference's pixels a difference leaves the false grain."""
+    truth = moving(1)[0] * np.float32(0.6) + np.float32(0.2)
+    grain = np.random.default_rng(3).normal(0, 0.05, truth.shape).astype(np.float32)
+    one = coder(replace(SMALL, reference_crf=24.0))
+    kinds = [one.code(truth, truth + grain, idr=not number, octaves=octaves).kind for number in range(50)]
+    assert kinds[-1] is kind
