@@ -23,7 +23,7 @@ def scenario(tmp_path_factory) -> Scenario:
     bundle = cached_bundle(f"procedural:size=2000,frames={FRAMES}", cache, EncodeSettings(frames=FRAMES))
     # No other way to save time than to draw fewer, and none to gather detail before the first frame.
     client = ClientSettings(width=80, height=60, resolution="full", startup_ms=0)
-    return Scenario(bundle, "generated:steady-0.6", "synthetic:walking", client=client)
+    return Scenario(bundle, "generated:steady-0.8", "synthetic:walking", client=client)
 
 
 @pytest.fixture

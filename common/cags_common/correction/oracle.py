@@ -2,10 +2,10 @@
 
 Kernels and shaders are tested against it, and it serves while there are none. Its steps: the reference is *expanded* to
 what the client lacks, a layer of colour and opacity (0: a difference, which is added); the depth's *holes* are filled
-from around them (pull-push over inverse depth); each pixel is *projected* into the reference and faded towards its
-border (holes are not: beyond it they take the sample of its nearest point, so that they are never black); the sample is
-*laid over* the pixel, but where something nearer hides it from the reference (z-test): it takes the mean of what was
-added in its *surroundings*.
+from around them (pull-push over inverse depth); each pixel is *projected* into the reference, beyond which it takes the
+sample of the nearest point, fading with the distance (holes do not fade: they are never black); the sample is *laid
+over* the pixel, but where something nearer hides it from the reference (z-test): it takes the mean of what was added in
+its *surroundings*.
 """
 
 from __future__ import annotations
@@ -91,11 +91,9 @@ def correct(
     thin = view.alpha < settings.hole_alpha
     placement = Placement(camera, reference.camera)
     depth = filled(np.where(thin, np.inf, checked_depth(view, camera).astype(np.float64)))
-    x, y, z, inside, ahead = _placed(depth, placement)
-    hidden = _hidden(depth, (x, y, z), inside, placement, settings)
-    width, height = reference.camera.width_px, reference.camera.height_px
-    distance = np.minimum(np.minimum(x, width - x), np.minimum(y, height - y))
-    fade = np.where(inside, np.clip(distance / max(settings.border_px, 1e-6), 0.0, 1.0), 0.0)
+    x, y, z, beyond, ahead = _placed(depth, placement)
+    hidden = _hidden(depth, (x, y, z), ahead & (beyond <= 0), placement, settings)
+    fade = np.where(ahead, np.clip(1.0 - beyond / max(settings.border_px, 1e-6), 0.0, 1.0), 0.0)
     empty = np.where(thin & ahead, np.clip(1.0 - view.alpha / max(settings.hole_alpha, 1e-6), 0.0, 1.0), 0.0)
     weight = np.maximum(fade, empty)
     if veto is not None:
@@ -172,8 +170,10 @@ def _bilinear(image: F64, u: F64, v: F64) -> F64:
     return np.asarray(top * (1 - ay) + bottom * ay)
 
 
-def _placed(depth: F64, placement: Placement) -> tuple[F64, F64, F64, NDArray[np.bool_], NDArray[np.bool_]]:
-    """x, y (the nearest point of the reference), z of each pixel; whether it lies there, and before the camera."""
+def _placed(depth: F64, placement: Placement) -> tuple[F64, F64, F64, F64, NDArray[np.bool_]]:
+    """x, y (the nearest point of the reference), z of each pixel; how far beyond the reference it lies, pixels, along
+    the axis on which that is more; whether before the camera.
+    """
     v, u = np.indices(depth.shape) + 0.5
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ placement.matrix[:, :3].T
     p = rays * depth[..., None] + placement.matrix[:, 3]
@@ -182,9 +182,9 @@ def _placed(depth: F64, placement: Placement) -> tuple[F64, F64, F64, NDArray[np
     safe = np.where(ahead, z, 1.0)
     x, y = p[..., 0] / safe, p[..., 1] / safe
     width, height = placement.reference.width_px, placement.reference.height_px
-    inside = ahead & (x >= 0) & (y >= 0) & (x <= width) & (y <= height)
-    x, y = (np.where(ahead, np.clip(at, 0.0, most), 0.0) for at, most in ((x, width), (y, height)))
-    return x, y, np.where(inside, z, 0.0), inside, ahead
+    near_x, near_y = (np.where(ahead, np.clip(at, 0.0, most), 0.0) for at, most in ((x, width), (y, height)))
+    beyond = np.maximum(np.abs(x - near_x), np.abs(y - near_y))
+    return near_x, near_y, np.where(ahead & (beyond <= 0), z, 0.0), beyond, ahead
 
 
 def _hidden(

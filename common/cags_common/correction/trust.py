@@ -15,7 +15,7 @@ NOISE_WEIGHT = 2.0
 
 LEAST_POWER = 1e-9
 
-LEAST_DETAIL = 1e-5
+LEAST_DETAIL = 1e-4
 """Variance of colours under which a neighbourhood has no detail."""
 
 

@@ -11,7 +11,7 @@ const SIDE = 22u;            // pixels of a workgroup and of what is around them
 const NEAR = 147.0;          // values of a neighbourhood: 7 x 7 pixels, three channels
 const NOISE_WEIGHT = 2.0;
 const LEAST_POWER = 1e-9;
-const LEAST_DETAIL = 1e-5;
+const LEAST_DETAIL = 1e-4;
 
 fn own_at(i: u32) -> vec3<f32> { return clamp(own[i].xyz, vec3(0.0), vec3(1.0)); }
 fn coded_at(i: u32) -> vec3<f32> { return clamp(vec3(coded[3u * i], coded[3u * i + 1u], coded[3u * i + 2u]), vec3(0.0), vec3(1.0)); }

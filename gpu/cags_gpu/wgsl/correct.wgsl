@@ -199,17 +199,19 @@ fn vetoed(id: vec2<u32>, i: u32) -> f32 {
 
 struct Sample { xy: vec2<f32>, weight: f32 }  // where in the reference, and how much of it is added
 
-// Fades towards the border; holes do not, and take the nearest point of the reference beyond it.
+// Beyond the reference pixels take its nearest point, fading with the distance; holes do not fade.
 fn sample_of(id: vec2<u32>, i: u32, p: vec2<u32>, alpha: f32) -> Sample {
   let most = vec2<f32>(job.reference);
-  let xy = clamp(placed(id, bitcast<f32>(filled[i])).xy, vec2(0.0), most);  // what is compared was stored
-  var weight = 0.0;
-  if (p.y != OUTSIDE) {
-    let distance = min(min(xy.x, most.x - xy.x), min(xy.y, most.y - xy.y));
-    weight = clamp(distance / max(job.border, 1e-6), 0.0, 1.0);
-  }
+  let at = placed(id, bitcast<f32>(filled[i])).xy;  // what is compared was stored
+  let xy = clamp(at, vec2(0.0), most);
   let z = bitcast<f32>(p.x);
-  if (alpha < job.hole_alpha && z > 0.0 && z < 3e38) {
+  let ahead = z > 0.0 && z < 3e38;
+  var weight = select(0.0, 1.0, p.y != OUTSIDE);
+  if (p.y == OUTSIDE && ahead) {
+    let beyond = abs(at - xy);
+    weight = clamp(1.0 - max(beyond.x, beyond.y) / max(job.border, 1e-6), 0.0, 1.0);
+  }
+  if (alpha < job.hole_alpha && ahead) {
     weight = max(weight, clamp(1.0 - alpha / max(job.hole_alpha, 1e-6), 0.0, 1.0));
   }
   return Sample(xy, weight * (1.0 - vetoed(id, i)));

@@ -4,7 +4,8 @@ A *difference* is the true view minus that of the client's splats. It wins where
 change in every frame, their own flicker would be coded, and a *picture* of the scene, which is steady in time, predicts
 better; and where splats stand in the wrong place, a picture makes them give way to it. Both are known here, so both are
 tried: the kind in use in every reference, the other one from time to time, beside it, by what they leave at the
-display's size (:mod:`.detail`) and by their bytes. A change of kind begins a new video, which costs a picture that needs no other.
+display's size (:mod:`.detail`) and by their bytes. A change of kind begins a new video, which costs a picture that
+needs no other.
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ INVISIBLE = (0.5 / 255) ** 2
 
 QUIET = (0.8 / 255) ** 2
 """Mean squared difference of a block that is left out: coding it would bring as much noise as it takes away."""
+
+LEAST_SIDE_PX = 16
+"""Of a reference, however small the display."""
 
 BLOCK_PX = 8
 
@@ -121,9 +125,9 @@ class ReferenceCoder:
         """``hello`` says what the client can use: its kinds of references, its video decoder, its display's size."""
         self._settings, self._fps = settings, fps
         client: Intrinsics = hello.intrinsics
-        full = settings.reference_full_size
-        self.width_px = client.width_px // 2 * 2 if full else settings.reference_width
-        self.height_px = client.height_px // 2 * 2 if full else settings.reference_height
+        whole = [max(LEAST_SIDE_PX, side // 2 * 2) for side in (client.width_px, client.height_px)]
+        wanted = settings.reference_width, settings.reference_height
+        self.width_px, self.height_px = whole if settings.reference_full_size else map(min, wanted, whole)
         self.kinds = _kinds(settings, hello)
         """What may be sent, the one to begin with first; none: no references at all."""
         half = hello.chroma == HALF_CHROMA

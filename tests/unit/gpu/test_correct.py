@@ -64,7 +64,7 @@ def test_a_veto_and_holes_beyond_the_reference_are_the_definitions() -> None:
         free = right if free is None else free
         assert veto is None or (right.confidence < free.confidence - 0.1).mean() > 0.3
     assert free is not None
-    narrow = by_definition(splats, ref, CorrectSettings(hole_alpha=0.0))
+    narrow = by_definition(splats, ref, CorrectSettings(hole_alpha=0.0, border_px=0.0))
     assert ((free.confidence > 0.5) & (narrow.confidence == 0)).mean() > 0.05, "holes beyond the reference"
     with pytest.raises(ValueError, match="veto of shape"):
         corrected(rasteriser().load(splats), CLIENT, EXACT, ref, veto=np.zeros((3, 3), F))

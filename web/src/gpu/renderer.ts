@@ -20,7 +20,7 @@ const LEAST_BOXES = 64;
 const BEHIND = 0.1;
 
 /** See `cags_common.correction.CorrectSettings`. */
-const CORRECT = { depthTolerance: 0.03, slopeCells: 1, borderPx: 3, holeAlpha: 0.3 } as const;
+const CORRECT = { depthTolerance: 0.03, slopeCells: 1, borderPx: 16, holeAlpha: 0.3 } as const;
 
 /** A decoded reference. */
 export interface CodedReference {

@@ -43,7 +43,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: thrifty-policy\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[cags.rate_policies]\nthrifty = thrifty_policy:Thrifty\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(
+        sys, "path", [str(tmp_path), *sys.path]
+    )  # kosoku's stand-in for pkg_resources stops pytest's way
     importlib.invalidate_caches()
     yield tmp_path
     sys.modules.pop("thrifty_policy", None)

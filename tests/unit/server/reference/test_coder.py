@@ -39,9 +39,12 @@ def power(picture: F32) -> float:
     return float(np.mean(np.square(picture)))
 
 
-def test_references_are_as_large_as_asked() -> None:
+def test_references_are_as_large_as_asked_and_no_larger_than_the_display() -> None:
+    display = replace(HELLO, intrinsics=Intrinsics.of_fov(800, 600, 1.0, 0.8))
+    large = ReferenceCoder(ServerSettings(), display, 30)
+    assert (large.width_px, large.height_px) == (400, 300)
     small, full = coder(ServerSettings()), coder(ServerSettings(reference_full_size=True))
-    assert (small.width_px, small.height_px) == (400, 300)
+    assert (small.width_px, small.height_px) == (320, 240), "even, as 4:2:0 must be"
     assert (full.width_px, full.height_px) == (320, 240), "even, as 4:2:0 must be"
 
 

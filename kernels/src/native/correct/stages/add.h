@@ -54,11 +54,10 @@ inline bool place(const CagsAddInput& in, const Projection& project, int first, 
   uint32_t any = 0;
   for (int i = 0; i < count; i += kCell) {
     const Placed p =
-        project.operator()<kHoles>(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
-    const Eight distance = lesser(lesser(p.x, project.right - p.x), lesser(p.y, project.bottom - p.y));
-    Eight certain = keep(p.inside, clamped(distance * fade, 0, 1));
-    any |= bits(p.inside);
-    if constexpr (kHoles) {  // holes do not fade, and are not black beyond the reference
+        project(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
+    Eight certain = keep(p.ahead, clamped(1.0f - p.beyond * fade, 0, 1));
+    any |= bits(certain > 0.0f);
+    if constexpr (kHoles) {  // holes do not fade
       const Eight through = load(alpha + i);
       const EightInts hole = p.ahead & (through < all(in.hole_alpha));
       certain = greater(certain, keep(hole, clamped(1.0f - through * opaque, 0, 1)));

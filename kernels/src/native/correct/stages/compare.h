@@ -8,7 +8,7 @@ namespace cags::correct {
 namespace {
 
 constexpr float kNear = 3 * kSide * kSide;  // values of a neighbourhood
-constexpr float kLeastPower = 1e-9f, kLeastDetail = 1e-5f;
+constexpr float kLeastPower = 1e-9f, kLeastDetail = 1e-4f;
 
 // Beyond the edge the pixels on its other side, the outermost not twice.
 inline int mirrored(int at, int size) {

@@ -71,10 +71,13 @@ inline void line_of(const float* values, int columns, const Between& at, float* 
 
 // How pixels of one row lie in the reference.
 struct Placed {
-  Eight x, y;  // where not inside 0; where asked for what lies beyond, the nearest point of the reference
-  Eight z;     // 0 where not inside
+  Eight x, y;    // the nearest point of the reference; 0 where not ahead
+  Eight z;       // 0 where not inside
+  Eight beyond;  // reference pixels along the axis on which it lies farther out
   EightInts inside, ahead;
 };
+
+inline Eight apart(const Eight& a, const Eight& b) { return greater(a - b, b - a); }
 
 struct Projection {
   Projection(const CagsAddInput& in, int row)
@@ -84,7 +87,6 @@ struct Projection {
   }
 
   // Pixels at `u` (centres) of positive depths; what has none is nowhere.
-  template <bool kBeyond = false>
   Placed operator()(const Eight& u, const Eight& depth) const {
     const Eight z = depth * (slope[2] * u + offset[2]) + b[2], inverse = 1.0f / z;
     const Eight x = (depth * (slope[0] * u + offset[0]) + b[0]) * inverse;
@@ -92,9 +94,8 @@ struct Projection {
     // Comparisons with NaN are false, so that overflowing pixels fall out here.
     const EightInts ahead = (depth > 0.0f) & (z > 0.0f) & (z <= all(std::numeric_limits<float>::max()));
     const EightInts inside = ahead & (x >= 0.0f) & (y >= 0.0f) & (x <= all(right)) & (y <= all(bottom));
-    if constexpr (kBeyond)
-      return {keep(ahead, clamped(x, 0, right)), keep(ahead, clamped(y, 0, bottom)), keep(inside, z), inside, ahead};
-    return {keep(inside, x), keep(inside, y), keep(inside, z), inside, ahead};
+    const Eight near_x = keep(ahead, clamped(x, 0, right)), near_y = keep(ahead, clamped(y, 0, bottom));
+    return {near_x, near_y, keep(inside, z), greater(apart(x, near_x), apart(y, near_y)), inside, ahead};
   }
 
   float right, bottom;
