@@ -12,7 +12,7 @@ from cags_common.bundle.quality import MAX_QUALITY_BYTES, QUALITY_NAME, LodQuali
 from cags_common.bundle.source import SourceDelta, SourceFrame, SourceState, decode_source
 from cags_common.bundle.store import ByteStore, UrlStore
 from cags_common.coding.packing import check_crc, crc32, decode_ids
-from cags_common.errors import BundleError
+from cags_common.errors import BundleError, DecodeError
 from cags_common.runtime.recent import Recent
 from cags_common.splats import Ids
 from cags_common.tiles.svq import MAX_CODEBOOK_BYTES
@@ -119,7 +119,7 @@ class BundleReader:
             raise BundleError(f"LoD {lod} is outside 0 to {len(item.lod_bytes) - 1}")
         at = entry.removed_bytes + sum(sum(t.lod_bytes) for t in entry.tiles[:tile]) + sum(item.lod_bytes[:lod])
         data = self._frame_bytes(entry)[at : at + item.lod_bytes[lod]]
-        check_crc(data, item.crcs[lod], f"frame {frame}, tile {tile}, LoD {lod}")
+        self._check(frame, data, item.crcs[lod], f"frame {frame}, tile {tile}, LoD {lod}")
         return data
 
     def tile_ids(self, frame: int, tile: int) -> Ids:
@@ -134,7 +134,7 @@ class BundleReader:
         """The ids that ``frame`` removes, packed by :func:`~cags_common.coding.packing.encode_ids`."""
         entry = self.frame(frame)
         data = self._frame_bytes(entry)[: entry.removed_bytes]
-        check_crc(data, entry.removed_crc, f"frame {frame}, removed ids")
+        self._check(frame, data, entry.removed_crc, f"frame {frame}, removed ids")
         return data
 
     def removed_ids(self, frame: int) -> Ids:
@@ -214,6 +214,15 @@ class BundleReader:
             with self._lock:
                 self._frames.put(entry.frame, data, len(data))
         return data
+
+    def _check(self, frame: int, data: bytes, crc: int, what: str) -> None:
+        """Check a CRC-32; a frame that is damaged is read anew next time: its file may have been put back by then."""
+        try:
+            check_crc(data, crc, what)
+        except DecodeError:
+            with self._lock:
+                self._frames.drop(frame)
+            raise
 
     def _within(self, ids: Ids, frame: int, what: str) -> Ids:
         """``ids``, which index arrays and kernels' memory. Raises :class:`BundleError` beyond the group's capacity."""

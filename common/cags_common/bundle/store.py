@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import shutil
+import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
 from cags_common.errors import BundleError
+
+ANSWER_S, SLOWEST_BYTES_S = 5.0, 1e6
+"""How long a remote store may take for a read: so many seconds, and more for what is large."""
+
+AGAIN_S = 1.0
+"""From one attempt to the next to reach a store that has stopped answering."""
 
 
 class ByteStore(Protocol):
@@ -48,11 +56,18 @@ def local_path(url: str) -> Path | None:
 
 
 class UrlStore:
-    """A bundle's files under an fsspec URL. Safe to use from several threads."""
+    """A bundle's files under an fsspec URL. Safe to use from several threads.
+
+    A remote store that stops answering holds nobody up for long: the read that meets it fails after ``ANSWER_S``, those
+    after it at once, while a thread of its own asks on until the store answers. A local file system knows no such limit.
+    """
 
     def __init__(self, url: str) -> None:
         self._url = url
         self._fs, self._path = filesystem(url)
+        self._limited = bool(getattr(self._fs, "async_impl", False))
+        self._silent = threading.Event()
+        self._lock = threading.Lock()
 
     def read(self, name: str, start: int, end: int) -> bytes:
         """Bytes ``start`` to ``end`` of a file."""
@@ -73,24 +88,62 @@ class UrlStore:
     def has(self, name: str) -> bool:
         """Whether there is such a file."""
         with self._reading(name):
-            return bool(self._fs.exists(f"{self._path}/{name}"))
+            return bool(self._fs.exists(f"{self._path}/{name}", **self._limit(0)))
 
     def _cat(self, name: str, start: int, end: int) -> bytes:
         with self._reading(name):
-            return bytes(self._fs.cat_file(f"{self._path}/{name}", start=start, end=end))
+            return self._asked(name, start, end)
+
+    def _asked(self, name: str, start: int, end: int) -> bytes:
+        limit = self._limit(end - start)
+        return bytes(self._fs.cat_file(f"{self._path}/{name}", start=start, end=end, **limit))
+
+    def _limit(self, size_bytes: int) -> dict[str, float]:
+        """How long a read may take, for file systems that can be told."""
+        return {"timeout": ANSWER_S + size_bytes / SLOWEST_BYTES_S} if self._limited else {}
 
     @contextmanager
     def _reading(self, name: str) -> Iterator[None]:
         """Whatever goes wrong in it is a bundle's error: stores of other makers raise what they like."""
+        if self._silent.is_set():
+            raise self._no_answer(name)
         try:
             yield
         except (FileNotFoundError, NotADirectoryError) as error:
             raise BundleError(f"{self._url}: has no {name}; is it a bundle made by cags-encode?") from error
+        except TimeoutError as error:
+            self._ask_on(name)
+            raise self._no_answer(name) from error
         except OSError as error:
             raise BundleError(f"{self._url}/{name}: cannot be read ({error.strerror or error})") from error
         except Exception as error:
             way_out = "check the address and, for s3, the credentials in the environment"
             raise BundleError(f"{self._url}/{name}: cannot be read ({error}); {way_out}") from error
+
+    def _no_answer(self, name: str) -> BundleError:
+        return BundleError(f"{self._url}/{name}: the store does not answer; it is asked again until it does")
+
+    def _ask_on(self, name: str) -> None:
+        """Fail reads at once until the store answers again; it is asked for a byte of ``name``."""
+        if not self._limited:
+            return
+        with self._lock:
+            if self._silent.is_set():
+                return
+            self._silent.set()
+        threading.Thread(target=self._wait_for_answer, args=(name,), name="cags-store", daemon=True).start()
+
+    def _wait_for_answer(self, name: str) -> None:
+        while True:
+            time.sleep(AGAIN_S)
+            try:
+                self._asked(name, 0, 1)
+            except TimeoutError:
+                continue
+            except Exception:  # an answer, if not the one that was hoped for: whoever reads next is told what it is
+                break
+            break
+        self._silent.clear()
 
 
 def replace_files(url: str, files: Mapping[str, bytes]) -> None:

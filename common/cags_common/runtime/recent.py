@@ -41,6 +41,11 @@ class Recent(Generic[K, V]):
         while self.bytes > self._max_bytes and len(self._values) > self._least:
             self.bytes -= self._values.popitem(last=False)[1][1]
 
+    def drop(self, key: K) -> None:
+        """Forget the value of ``key``, if there is one."""
+        _, size_bytes = self._values.pop(key, (None, 0))
+        self.bytes -= size_bytes
+
     def clear(self) -> None:
         """Forget everything."""
         self._values.clear()

@@ -15,7 +15,7 @@ from pathlib import Path
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
-from cags_common.errors import NetworkError, OutputError
+from cags_common.errors import CagsError, NetworkError, OutputError
 from cags_common.runtime.rare_log import RareLog
 from cags_common.transport.accepting import listen_on
 from cags_common.transport.hosts import named
@@ -206,9 +206,12 @@ class App:
         if refusal is not None:
             return refusal
         try:
-            library = self._scenes.library(request.query.get("scene"))
+            library = await self._library(request.query.get("scene"))
         except UnknownSceneError as error:
             return web.json_response({"error": str(error)}, status=404)
+        except CagsError as error:
+            self._told.write(logging.WARNING, "scene", "a scene cannot be opened: %s", error)
+            return web.json_response({"error": "the server cannot read the scene at present"}, status=503)
         header = request.headers.get("Authorization")
         vouched = bool(self._settings.token) and header_allowed(self._settings.token, header)
         if not vouched and not await self._turns.take():
@@ -234,6 +237,12 @@ class App:
             if events is not None:
                 events.close()
         return transport.response
+
+    async def _library(self, name: str | None) -> SceneLibrary:
+        """The scene of that name; one that has yet to be opened is read while the loop serves others."""
+        if self._scenes.is_open(name):
+            return self._scenes.library(name)
+        return await asyncio.to_thread(self._scenes.library, name)
 
     def _wait_for_hello(self, peer: str, name: str) -> None:
         """One that has shown nothing yet may take the place of one that has been at it for longer."""

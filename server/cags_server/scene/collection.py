@@ -55,7 +55,7 @@ class Collection:
         self._watched = WeakValueDictionary[str, SceneLibrary]()
         self._idle = OrderedDict[str, SceneLibrary]()  # least recently watched first
         self._thumbnails = Recent[str, bytes](THUMBNAIL_BYTES)
-        self._lock, self._drawing = threading.Lock(), threading.Lock()
+        self._lock, self._drawing, self._opening = threading.Lock(), threading.Lock(), threading.Lock()
 
     @classmethod
     def of(cls, library: SceneLibrary) -> Collection:
@@ -118,14 +118,27 @@ class Collection:
         return sorted(found, key=lambda entry: (entry.title.casefold(), entry.name))
 
     def library(self, name: str | None) -> SceneLibrary:
-        """The scene to watch, opened where it was not; None: the only one. Raises :class:`UnknownSceneError`."""
+        """The scene to watch, opened where it was not, which may read from its store; None: the only one.
+
+        Raises :class:`UnknownSceneError`, or :class:`CagsError` where the bundle cannot be read.
+        """
         name = self._known(name)
-        with self._lock:
-            library = self._watched.get(name)
-            if library is None:
-                library = SceneLibrary(self._readers[name], self._rasteriser)
+        library = self._opened(name)
+        if library is None:
+            with self._opening:  # and nobody waits who watches what is open
+                library = self._opened(name) or SceneLibrary(self._readers[name], self._rasteriser)
+                self._keep(name, library)
+            return library
         self._keep(name, library)
         return library
+
+    def is_open(self, name: str | None) -> bool:
+        """Whether :meth:`library` answers from memory. Raises :class:`UnknownSceneError`."""
+        return self._opened(self._known(name)) is not None
+
+    def _opened(self, name: str) -> SceneLibrary | None:
+        with self._lock:
+            return self._watched.get(name)
 
     def manifest(self, name: str | None) -> Manifest:
         """The manifest of scene ``name``; None: of the only scene. Raises :class:`UnknownSceneError`."""
