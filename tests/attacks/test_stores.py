@@ -5,7 +5,6 @@ is told, and it is served again when it is back.
 from __future__ import annotations
 
 import asyncio
-import os
 import shutil
 import urllib.request
 from collections.abc import Callable
@@ -45,7 +44,7 @@ def renamed_over(served: Path, other: Path) -> None:
         target = served / file.relative_to(other)
         new = target.with_name(f"{target.name}.new")
         shutil.copyfile(file, new)
-        os.replace(new, target)
+        new.replace(target)
 
 
 def swapped(served: Path, other: Path) -> None:
@@ -114,13 +113,17 @@ def test_a_bundle_that_is_replaced_or_gone_hurts_no_other_and_is_served_again_wh
         assert server.stop() <= 5.0
 
 
+def _answers(page: str) -> None:
+    with urllib.request.urlopen(page, timeout=4) as answer:
+        assert answer.read()
+
+
 def test_a_store_that_stops_answering_stops_no_server_and_is_read_when_it_is_back(bundle: Path, tmp_path: Path) -> None:
     async def suffer(server: Keep) -> None:
         async with coming(server.url) as hurt:
             await until(lambda: any(CANNOT in words for words in hurt.endings), f"it is not told: {hurt.endings}")
             for path in ("healthz", "status.json"):
-                page = f"http://127.0.0.1:{server.port}/{path}"
-                await asyncio.to_thread(lambda: urllib.request.urlopen(page, timeout=4).read())  # noqa: B023
+                await asyncio.to_thread(_answers, f"http://127.0.0.1:{server.port}/{path}")
             store.speaks.set()
             await until(lambda: len(hurt.arrivals) > 10, f"it is not served again: {hurt.endings[-3:]}")
 

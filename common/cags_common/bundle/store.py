@@ -59,7 +59,7 @@ class UrlStore:
     """A bundle's files under an fsspec URL. Safe to use from several threads.
 
     A remote store that stops answering holds nobody up for long: the read that meets it fails after ``ANSWER_S``, those
-    after it at once, while a thread of its own asks on until the store answers. A local file system knows no such limit.
+    after it at once, while a thread asks on until the store answers. A local file system has no such limit.
     """
 
     def __init__(self, url: str) -> None:

@@ -210,7 +210,7 @@ class App:
         except UnknownSceneError as error:
             return web.json_response({"error": str(error)}, status=404)
         except CagsError as error:
-            self._told.write(logging.WARNING, "scene", "a scene cannot be opened: %s", error)
+            self._turned_away.write(logging.WARNING, "scene", "a scene cannot be opened: %s", error)
             return web.json_response({"error": "the server cannot read the scene at present"}, status=503)
         header = request.headers.get("Authorization")
         vouched = bool(self._settings.token) and header_allowed(self._settings.token, header)

@@ -55,7 +55,7 @@ class Collection:
         self._watched = WeakValueDictionary[str, SceneLibrary]()
         self._idle = OrderedDict[str, SceneLibrary]()  # least recently watched first
         self._thumbnails = Recent[str, bytes](THUMBNAIL_BYTES)
-        self._lock, self._drawing, self._opening = threading.Lock(), threading.Lock(), threading.Lock()
+        self._lock, self._drawing = threading.Lock(), threading.Lock()
 
     @classmethod
     def of(cls, library: SceneLibrary) -> Collection:
@@ -124,11 +124,10 @@ class Collection:
         """
         name = self._known(name)
         library = self._opened(name)
-        if library is None:
-            with self._opening:  # and nobody waits who watches what is open
-                library = self._opened(name) or SceneLibrary(self._readers[name], self._rasteriser)
-                self._keep(name, library)
-            return library
+        if library is None:  # without the lock: a slow store holds up nobody who wants another scene
+            opened = SceneLibrary(self._readers[name], self._rasteriser)
+            with self._lock:
+                library = self._watched.setdefault(name, opened)
         self._keep(name, library)
         return library
 

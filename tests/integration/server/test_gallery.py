@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import zipfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -14,7 +15,8 @@ from aiohttp import ClientSession
 from aiohttp.test_utils import TestServer
 
 from cags_client.net.endpoints import fetch_info, of_scene
-from cags_common.errors import ConfigError, NetworkError
+from cags_common.bundle import BundleReader
+from cags_common.errors import BundleError, ConfigError, NetworkError
 from cags_common.raster import create
 from cags_encoder.formats import write_splats
 from cags_server.http.app import App
@@ -236,3 +238,38 @@ def test_a_lying_or_damaged_archive_is_refused(tmp_path: Path) -> None:
         (tmp_path / f"{number}.zip").write_bytes(data)
         with pytest.raises(ArchiveError, match=r"\d\.zip|unpacks to more"):
             unpacked(tmp_path / f"{number}.zip", tmp_path / f"out{number}", 1000)
+
+
+async def test_a_scene_that_cannot_be_opened_is_refused_in_a_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def gone(reader: BundleReader) -> bytes:
+        raise BundleError("two.cags: is not there any more")
+
+    async with gallery(folder) as (url, _), ClientSession() as http:
+        monkeypatch.setattr(BundleReader, "weights", gone)
+        for _ in range(5):
+            answer = await http.get(f"{url}/stream", params={"scene": "two"})
+            assert answer.status == 503
+            assert "cannot read the scene at present" in (await answer.json())["error"]
+    assert 1 <= caplog.text.count("a scene cannot be opened: two.cags: is not there any more") < 5, "a line a second"
+    assert "Traceback" not in caplog.text
+
+
+async def test_a_scene_that_takes_long_to_open_holds_up_nobody(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, gate = threading.Event(), threading.Event()
+
+    def slow(reader: BundleReader) -> None:
+        if reader.manifest.frames == 1:
+            return
+        asked.set()
+        assert gate.wait(10), "the event loop waits for the store"
+
+    async with gallery(folder) as (url, _), ClientSession() as http:
+        monkeypatch.setattr(BundleReader, "weights", slow)
+        opening = asyncio.create_task(http.get(f"{url}/stream", params={"scene": "two"}))
+        assert await asyncio.to_thread(asked.wait, 10)
+        assert (await http.get(f"{url}/stream", params={"scene": "one"})).status == 400, "open, but no WebSocket"
+        assert not opening.done()
+        gate.set()
+        assert (await opening).status == 400
