@@ -58,14 +58,17 @@ def local_path(url: str) -> Path | None:
 class UrlStore:
     """A bundle's files under an fsspec URL. Safe to use from several threads.
 
-    A remote store that stops answering holds nobody up for long: the read that meets it fails after ``ANSWER_S``, those
-    after it at once, while a thread asks on until the store answers. A local file system has no such limit.
+    A remote store that stops answering holds nobody up for long: the read that meets it fails after ``ANSWER_S``,
+    later ones fail at once, while a thread asks on until the store answers. Local file systems, and caches over others,
+    have no such limit.
     """
 
     def __init__(self, url: str) -> None:
+        from fsspec.asyn import AsyncFileSystem  # here, as in filesystem(): it takes a while
+
         self._url = url
         self._fs, self._path = filesystem(url)
-        self._limited = bool(getattr(self._fs, "async_impl", False))
+        self._limited = isinstance(self._fs, AsyncFileSystem)
         self._silent = threading.Event()
         self._lock = threading.Lock()
 
