@@ -13,8 +13,10 @@ from cags_server.scene.ownership import Owners
 from cags_server.scene.stays import LONGEST_STAY, Stays
 from cags_server.scene.tile_map import Key, Numbers, TileMap
 
-CHUNK_AHEAD = 8
-"""Frames before its first that a chunk of motion may be sent: chunks that begin together need not travel together."""
+CHUNK_AHEAD = 16
+"""Frames before its first that a chunk of motion may be sent: chunks that begin together need not travel together, and
+an idle link carries what is worth nothing yet.
+"""
 
 
 @dataclass(frozen=True, slots=True)
