@@ -1,5 +1,5 @@
-// The C interface of the client's last step: what a server says is lacking, brought to the client's view by depth and laid over it;
-// see cags_common.correction for what it computes.
+// The C interface of the client's last step: what a server says is lacking, brought to the client's view by depth and laid over
+// it; see cags_common.correction for what it computes.
 #pragma once
 #include "cags_kernels.h"
 

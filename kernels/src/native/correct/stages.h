@@ -60,7 +60,8 @@ struct Line {
 };
 
 constexpr int kAround = 3, kSide = 2 * kAround + 1;  // of the neighbourhoods in which a picture and the own view are compared
-constexpr int kMoments = 9;  // of those: the own colours, the picture's, and sums over these of own^2, own * picture, difference^2
+constexpr int kMoments =
+    9;  // of those: the own colours, the picture's, and sums over these of own^2, own * picture, difference^2
 constexpr float kNoiseWeight = 2;
 
 // A worker's scratch for the comparison: what is known of the last seven rows.

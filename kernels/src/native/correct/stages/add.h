@@ -53,8 +53,7 @@ inline bool place(const CagsAddInput& in, const Projection& project, int first, 
   const int across = in.reference_width + 1, wide = in.reference_width + 1;
   uint32_t any = 0;
   for (int i = 0; i < count; i += kCell) {
-    const Placed p =
-        project(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
+    const Placed p = project(kSteps + (static_cast<float>(first + i) + 0.5f), lesser(load(depth + i), all(kFar)));
     Eight certain = keep(p.ahead, clamped(1.0f - p.beyond * fade, 0, 1));
     any |= bits(certain > 0.0f);
     if constexpr (kHoles) {  // holes do not fade
