@@ -1,14 +1,13 @@
 """Policies, predictors and restorers that somebody added: each is a method beside ours, with ours but for that part.
 
 They are found where the program finds them: in the registries, by entry points of installed packages or entered by the
-program's caller. Names are ``abr=NAME``, ``predictor=NAME`` and ``restore=NAME``.
+program's caller. Names are ``abr=NAME``, ``fov=NAME``, ``predictor=NAME`` and ``restore=NAME``.
 """
 
 from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from importlib.util import find_spec
@@ -16,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from cags_client.frame.restore import RESTORERS
+from cags_common.registry import Registry
+from cags_server.fov import FOV_POLICIES
 from cags_server.predict import PREDICTORS
 from cags_server.ratecontrol import RATE_POLICIES
 
@@ -31,15 +32,14 @@ class Seam:
     side: str
     """``server`` or ``client``."""
     what: str
-    registry: Mapping[str, Any]
-    group: str = ""
-    """Entry points; empty where there are none for it."""
+    registry: Registry[Any]
 
 
 SEAMS: dict[str, Seam] = {
-    "abr": Seam("server", "rate policy", RATE_POLICIES, RATE_POLICIES.group),
+    "abr": Seam("server", "rate policy", RATE_POLICIES),
+    "fov": Seam("server", "field-of-view policy", FOV_POLICIES),
     "predictor": Seam("server", "predictor", PREDICTORS),
-    "restore": Seam("client", "restorer", RESTORERS, RESTORERS.group),
+    "restore": Seam("client", "restorer", RESTORERS),
 }
 
 
@@ -65,7 +65,7 @@ def digest(method: str) -> str:
     if name in seam.registry:
         file = _file_of(seam.registry[name])
     else:
-        [entry, *_] = entry_points(group=seam.group, name=name)
+        [entry, *_] = entry_points(group=seam.registry.group, name=name)
         spec = find_spec(entry.module)
         file = spec.origin if spec else None
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16] if file and Path(file).is_file() else ""
@@ -74,7 +74,7 @@ def digest(method: str) -> str:
 def _added(seam: Seam) -> list[str]:
     """Names that are not the program's own, in order."""
     entered = [name for name, made in seam.registry.items() if _package(made) not in OWN_PACKAGES]
-    others = entry_points(group=seam.group) if seam.group else ()
+    others = entry_points(group=seam.registry.group)
     installed = {entry.name for entry in others if entry.dist is None or entry.dist.name != DISTRIBUTION}
     return [*entered, *sorted(installed - seam.registry.keys())]
 

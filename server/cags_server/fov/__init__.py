@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cags_common.errors import ConfigError
+from cags_common.registry import Registry
 from cags_server.fov.base import MAX_REFERENCE_FOV_RAD, FovObservation, FovPolicy, widened
 from cags_server.fov.fixed import FixedFov
 from cags_server.fov.lstm import LstmFov
@@ -21,19 +21,24 @@ class FovOptions:
     gain: float = 0.7
 
 
-FOV_POLICIES: dict[str, Callable[[FovOptions], FovPolicy]] = {
-    "fixed": lambda options: FixedFov(options.margin),
-    "quantile": lambda options: QuantileFov(options.quantile),
-    "lstm": lambda options: LstmFov(options.gain),
-}
-"""Every policy by name."""
+FOV_POLICIES: Registry[Callable[[FovOptions], FovPolicy]] = Registry(
+    "fov =",
+    "cags.fov_policies",
+    {
+        "fixed": lambda options: FixedFov(options.margin),
+        "quantile": lambda options: QuantileFov(options.quantile),
+        "lstm": lambda options: LstmFov(options.gain),
+    },
+)
+"""Policies by name."""
 
 
 def create_fov_policy(name: str, options: FovOptions | None = None) -> FovPolicy:
-    """The policy called ``name``. Raises :class:`ConfigError` for an unknown one, or weights that cannot be read."""
-    if name not in FOV_POLICIES:
-        raise ConfigError(f"fov = {name!r} is unknown; known: {', '.join(FOV_POLICIES)}")
-    return FOV_POLICIES[name](options or FovOptions())
+    """The policy called ``name``.
+
+    Raises :class:`~cags_common.errors.ConfigError` for an unknown one, or weights that cannot be read.
+    """
+    return FOV_POLICIES.find(name)(options or FovOptions())
 
 
 __all__ = [

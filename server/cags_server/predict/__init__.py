@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cags_common.errors import ConfigError
+from cags_common.registry import Registry
 from cags_server.predict.autoregressive import AutoregressivePredictor
 from cags_server.predict.base import MAX_HORIZON_US, PoseDistribution, Predictor
 from cags_server.predict.history import PoseHistory
@@ -12,20 +12,22 @@ from cags_server.predict.hold import HoldPredictor
 from cags_server.predict.kalman import KalmanPredictor
 from cags_server.predict.linear import LinearPredictor
 
-PREDICTORS: dict[str, Callable[[], Predictor]] = {
-    "hold": HoldPredictor,
-    "linear": LinearPredictor,
-    "autoregressive": AutoregressivePredictor,
-    "kalman": KalmanPredictor,
-}
-"""Every predictor by name."""
+PREDICTORS: Registry[Callable[[], Predictor]] = Registry(
+    "predictor =",
+    "cags.predictors",
+    {
+        "hold": HoldPredictor,
+        "linear": LinearPredictor,
+        "autoregressive": AutoregressivePredictor,
+        "kalman": KalmanPredictor,
+    },
+)
+"""Predictors by name."""
 
 
 def create_predictor(name: str) -> Predictor:
-    """The predictor called ``name``. Raises :class:`ConfigError` for an unknown one."""
-    if name not in PREDICTORS:
-        raise ConfigError(f"predictor = {name!r} is unknown; known: {', '.join(PREDICTORS)}")
-    return PREDICTORS[name]()
+    """The predictor called ``name``. Raises :class:`~cags_common.errors.ConfigError` for an unknown one."""
+    return PREDICTORS.find(name)()
 
 
 __all__ = [

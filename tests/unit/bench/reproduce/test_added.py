@@ -24,7 +24,17 @@ from cags_server.ratecontrol import RATE_POLICIES
 SCENE = "procedural:size=500,frames=6"
 SMALL = (SCENE,), "synthetic:walking", "generated:steady-5", 6, 64, 48
 THRIFTY = '''
+from cags_server.fov.fixed import FixedFov
+from cags_server.predict.hold import HoldPredictor
 from cags_server.ratecontrol.base import Decision
+
+
+class Still(HoldPredictor):
+    """Says that nobody moves."""
+
+
+def wide(options):
+    return FixedFov(options.margin + 0.4)
 
 
 class Thrifty:
@@ -37,15 +47,17 @@ class Thrifty:
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A package that is installed beside the program, and registers a rate policy by an entry point."""
+    """A package that is installed beside the program, and registers policies and a predictor by entry points."""
     (tmp_path / "thrifty_policy.py").write_text(THRIFTY)
     info = tmp_path / "thrifty_policy-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: thrifty-policy\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[cags.rate_policies]\nthrifty = thrifty_policy:Thrifty\n")
-    monkeypatch.setattr(
-        sys, "path", [str(tmp_path), *sys.path]
-    )  # kosoku's stand-in for pkg_resources stops pytest's way
+    entries = {"rate_policies": "thrifty = thrifty_policy:Thrifty", "predictors": "still = thrifty_policy:Still"}
+    entries["fov_policies"] = "wide = thrifty_policy:wide"
+    lines = (f"[cags.{group}]\n{entry}\n" for group, entry in entries.items())
+    (info / "entry_points.txt").write_text("".join(lines))
+    # syspath_prepend fails where kosoku's pkg_resources was loaded
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     importlib.invalidate_caches()
     yield tmp_path
     sys.modules.pop("thrifty_policy", None)
@@ -66,14 +78,13 @@ def test_nothing_is_added_by_the_program_itself() -> None:
     assert set(RATE_POLICIES.names()) > {"utility", "paper"}, "which are its own, by entry points too"
 
 
-def test_an_installed_policy_and_an_entered_predictor_are_methods(
-    installed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_installed_or_entered_is_a_method(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PREDICTORS, "stubborn", Stubborn)
-    assert added.names() == ("abr=thrifty", "predictor=stubborn")
+    assert added.names() == ("abr=thrifty", "fov=wide", "predictor=stubborn", "predictor=still")
     assert METHODS["abr=thrifty"].server == {"abr": "thrifty"}
+    assert METHODS["fov=wide"].server == {"fov": "wide"}
     assert METHODS["predictor=stubborn"].server == {"predictor": "stubborn"}
-    assert {"abr=thrifty", "predictor=stubborn"} < set(Plan(*SMALL, quick=True).methods)
+    assert set(added.names()) < set(Plan(*SMALL, quick=True).methods)
 
 
 @pytest.mark.parametrize("name", ["abr=utility", "abr=paper", "abr=nothing", "fov=fixed", "cags2"])
@@ -103,6 +114,11 @@ def test_the_policy_is_played_and_has_a_row_of_the_table(installed: Path, tmp_pa
 
         def result(self, case: StreamCase) -> dict:
             return theirs if case.method == "abr=thrifty" else ours
+
+    margins = [
+        context.result(context.case(SCENE, method, 30.0))["frames"] for method in ("fov=wide", "predictor=still")
+    ]
+    assert all(len(frames) == 6 for frames in margins)
 
     rows = {row[0]: row for row in fixed(Fast(plan, runner, lambda _: None)).rows}
     assert rows["CAGS, abr thrifty"][2] == pytest.approx(theirs["summary"]["psnr_restored_db"])
