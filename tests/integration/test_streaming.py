@@ -113,10 +113,8 @@ def test_late_and_rare_references_make_no_picture_worse(tmp_path):
     restored = [f for f in frames if "correction" in f["effects"]]
     assert restored, "no reference came in time to be of use"
     gains = [f["psnr_restored_db"] - f["psnr_distorted_db"] for f in restored]
-    for frame in restored:
-        # how much is held by then hangs on the machine: half a decibel, or a step of 8 bits, which nobody sees
-        before, after = (10 ** (-frame[f"psnr_{which}_db"] / 10) for which in ("distorted", "restored"))
-        assert after <= before * 10**0.05 + (1 / 255) ** 2, frame
+    worst = restored[gains.index(min(gains))]
+    assert min(gains) >= -0.5, worst
     assert sum(gains) / len(gains) > 0
 
 

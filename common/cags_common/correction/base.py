@@ -45,7 +45,7 @@ class CorrectSettings:
     slope_cells: float = parameter(
         1.0, "depth change over this many reference pixels of the surface's own slope hides nothing", low=0, high=8
     )
-    border_px: float = parameter(16.0, "corrections fade over this many reference pixels beyond it", low=0, high=64)
+    border_px: float = parameter(16.0, "corrections fade over this many pixels beyond the reference", low=0, high=64)
     hole_alpha: float = parameter(0.3, "pixels of less opacity take their depth from around them", low=0, high=1)
 
     def __post_init__(self) -> None:

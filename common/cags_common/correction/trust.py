@@ -20,25 +20,27 @@ LEAST_DETAIL = 1e-4
 
 
 def layer(coded: F32, own: F32, error: float) -> F32:
-    """What is to be laid over the client's view where it looks like ``own`` [h, w, 3]: [h, w, 4], a colour in [-1, 1],
-    premultiplied, and an opacity in [0, 1], by the picture ``coded`` [h, w, 3].
+    """What the decoded picture ``coded`` lays over the client's view.
 
-    ``error`` is the mean squared error that coding has left ([0, 1] RGB; 0: none). In a neighbourhood where the two
-    differ by d, the picture counts as far as this is more than coding's noise: 1 - k error / mean d^2 (Wiener's share),
-    of which nothing is left where the client's own view is as good as the picture. k is 2; where the client's own error
-    over the whole picture, mean d^2 - error, is less than coding's, it is larger by their ratio: a picture that is
-    poorer than the view says less of it, and mostly errs where it seems to say something.
+    ``own`` is that view from the picture's camera; both are [h, w, 3] RGB in [0, 1]. ``error`` is the mean squared
+    error that coding left in the picture (0: none). Returns [h, w, 4]: premultiplied colour in [-1, 1], and opacity in
+    [0, 1].
 
-    Of that share, the own colours are kept as far as their detail is the picture's, g = cov(own, coded) / var(own) in
-    the neighbourhood, since at the display's size they have more of it; what is wrong, such as splats that stand where
-    they were, gives way to the picture (opacity 1 - g).
+    The picture counts as far as it differs from the view by more than coding's noise: with d the difference, by
+    Wiener's share 1 - k error / mean d^2 of each neighbourhood. k is 2. The client's own error over the whole picture
+    is about mean d^2 - error; where that is less than ``error``, k grows by their ratio, so that a picture which is
+    poorer than the view says nothing.
+
+    Of that share, own colours stay as far as their detail is the picture's, g = cov(own, coded) / var(own): at the
+    display's size they have more of it. The rest, such as splats that have not followed the scene's motion, gives way
+    to the picture (opacity 1 - g).
     """
     own = np.clip(own, 0.0, 1.0)
     coded = np.clip(coded, 0.0, 1.0)
-    away, over_picture = _mean_square(own - coded)
-    over_own = max(over_picture - error, LEAST_POWER)
+    power = _product(own - coded, own - coded)
+    over_own = max(float(power.mean()) - error, LEAST_POWER)
     noise = NOISE_WEIGHT * max(1.0, error / over_own) * error
-    share = np.clip(1 - noise / np.maximum(away, LEAST_POWER), 0.0, 1.0)
+    share = np.clip(1 - noise / np.maximum(_around(power), LEAST_POWER), 0.0, 1.0)
     own_mean, coded_mean = _around(own), _around(coded)
     spread = _around(_product(own, own)) - _product(own_mean, own_mean)
     together = _around(_product(own, coded)) - _product(own_mean, coded_mean)
@@ -48,12 +50,6 @@ def layer(coded: F32, own: F32, error: float) -> F32:
     out[..., :3] = share[..., None] * (coded - kept[..., None] * own)
     out[..., 3] = share * (1 - kept)
     return out
-
-
-def _mean_square(image: F32) -> tuple[F32, float]:
-    """Around every pixel, and over the whole."""
-    power = _product(image, image)
-    return _around(power), float(power.mean())
 
 
 def _product(a: F32, b: F32) -> F32:

@@ -125,9 +125,10 @@ class ReferenceCoder:
         """``hello`` says what the client can use: its kinds of references, its video decoder, its display's size."""
         self._settings, self._fps = settings, fps
         client: Intrinsics = hello.intrinsics
-        whole = [max(LEAST_SIDE_PX, side // 2 * 2) for side in (client.width_px, client.height_px)]
-        wanted = settings.reference_width, settings.reference_height
-        self.width_px, self.height_px = whole if settings.reference_full_size else map(min, wanted, whole)
+        width, height = (max(LEAST_SIDE_PX, side // 2 * 2) for side in (client.width_px, client.height_px))
+        full = settings.reference_full_size
+        self.width_px = width if full else min(settings.reference_width, width)
+        self.height_px = height if full else min(settings.reference_height, height)
         self.kinds = _kinds(settings, hello)
         """What may be sent, the one to begin with first; none: no references at all."""
         half = hello.chroma == HALF_CHROMA

@@ -60,16 +60,15 @@ struct Line {
 };
 
 constexpr int kAround = 3, kSide = 2 * kAround + 1;  // of the neighbourhoods in which a picture and the own view are compared
-constexpr int kMoments =
-    9;  // of those: the own colours, the picture's, and sums over these of own^2, own * picture, difference^2
+constexpr int kMoments = 9;                          // own colours, the picture's, own^2, own * picture, difference^2
 constexpr float kNoiseWeight = 2;
 
 // A worker's scratch for the comparison: what is known of the last seven rows.
 struct Near {
   static size_t pitch_of(int width) { return rounded_up(width + 2 * kAround, kCell) + kCell; }
-  static size_t floats(int width) { return ((2 * kSide + 1) * kMoments + kLanes) * pitch_of(width); }
+  static size_t floats(int width) { return (2 * kSide * kMoments + 1 + kLanes) * pitch_of(width); }
   Near(float* memory, int width) : pitch(pitch_of(width)), rows(memory) {
-    wide = rows + 2 * kSide * kMoments * pitch, layer = wide + kMoments * pitch;
+    wide = rows + 2 * kSide * kMoments * pitch, layer = wide + pitch;
   }
   float* planes(int row) const { return rows + size_t((row + kSide) % kSide) * kMoments * pitch; }
   float* sums(int row) const { return planes(row) + kSide * kMoments * pitch; }
