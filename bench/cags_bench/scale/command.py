@@ -32,8 +32,8 @@ class ScaleSettings:
     scene: str = setting("", "a scene or a bundle (folder that ends in .cags) to watch instead")
     viewers: int = setting(4, "viewers at one server", low=1, high=256)
     mbps: float = setting(5.0, "link of each viewer, Mbps", low=0.1, high=1000.0)
-    clip_frames: int = setting(60, "media frames that each viewer watches", low=2, high=100_000)
-    rounds: int = setting(3, "times that every way to watch is played, in turns", low=1, high=100)
+    clip_frames: int = setting(45, "media frames that each viewer watches", low=2, high=100_000)
+    rounds: int = setting(2, "times that every way to watch is played, in turns", low=1, high=100)
     crowd: int = setting(20, "viewers at 5 frames a second and 3 Mbps on two cores; 0: not", low=0, high=1000)
     job_ms: float | None = setting(
         None, "processor time of one reference, ms, for the model of servers; measured when not given", low=0.1

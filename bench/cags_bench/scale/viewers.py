@@ -43,8 +43,8 @@ class Audience:
     mbps: float
     sharing: str = SAME
     references: str = "auto"
-    width: int = 800
-    height: int = 600
+    width: int = 400
+    height: int = 300
     poses: str = "synthetic:walking"
 
     def scenarios(self, first_seed: int) -> list[Scenario]:
