@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.jsonl import check, summary
+from cags_bench.jsonl import check, provenance, summary
 from cags_bench.scale.cluster import Cluster, Load
 from cags_common.errors import ConfigError
 from cags_common.settings import add_settings, check_settings, load_settings, setting
@@ -28,7 +28,7 @@ SERVED = 0.99
 class ScaleSettings:
     """What is watched, what the servers are like, and who comes."""
 
-    sizes: str = setting("10000,30000,100000", "splats of the built-in scenes that are watched, comma separated")
+    sizes: str = setting("10000,30000", "splats of the built-in scenes that are watched, comma separated")
     scene: str = setting("", "a scene or a bundle (folder that ends in .cags) to watch instead")
     viewers: int = setting(4, "viewers at one server", low=1, high=256)
     mbps: float = setting(5.0, "link of each viewer, Mbps", low=0.1, high=1000.0)
@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """See :mod:`cags_bench.cli`."""
     settings = load_settings(ScaleSettings, arguments)
+    provenance()  # now: figures are of the code that a long run began with
     checks: list[dict[str, Any]] = []
     job_ms = settings.job_ms
     if job_ms is None:
