@@ -35,14 +35,15 @@ class Station(Rival):
     def __init__(self, flow: Flow, start_us: int) -> None:
         super().__init__(flow, start_us)
         self.log = Arrivals()
+        self.due_us: int | None = start_us
+        """When :meth:`step` wants to be called; whatever reaches the station or its flow brings it forward."""
         self.server, self.client = LoadServer(MeasuredEstimator(), self.log, FPS), LoadClient(self.log)
 
     def step(self, now_us: int) -> tuple[bool, list[bytes]]:
         """Do what is due; whether there was anything, and what the client says."""
-        local_us = now_us - self.start_us
-        if local_us < 0:
+        if self.due_us is None or now_us < max(self.due_us, self.start_us):
             return False, []
-        busy = False
+        local_us, busy = now_us - self.start_us, False
         for peer in (self.server, self.client):
             timer_us = peer.next_timer_us()
             if timer_us is not None and timer_us <= local_us:
@@ -53,17 +54,20 @@ class Station(Rival):
             for message in messages:
                 self.flow.write(message)
         said = self.client.data_to_send(local_us)
-        return busy or bool(said), said
-
-    def next_us(self) -> int | None:
-        """When :meth:`step` is next due."""
         times = [time for time in (self.server.next_timer_us(), self.client.next_timer_us()) if time is not None]
-        return self.start_us + max(min(times), 0) if times else None
+        self.due_us = self.start_us + min(times) if times else None
+        return busy or bool(said), said
 
     def delivered(self, messages: list[bytes], now_us: int) -> None:
         """Messages have come to the client."""
         for message in messages:
             self.client.receive(message, now_us - self.start_us)
+        self.due_us = now_us
+
+    def heard(self, message: bytes, now_us: int) -> None:
+        """A message has come to the server."""
+        self.server.receive(message, now_us - self.start_us)
+        self.due_us = now_us
 
 
 class Bottleneck:
@@ -98,9 +102,10 @@ class Bottleneck:
         while self._acks and self._acks[0][0] <= now_us:
             segment = self._acks.popleft()[1]
             segment.flow.acknowledged(segment, now_us)
+            self._wake(segment.flow, now_us)
         while self._said and self._said[0][0] <= now_us:
             _, station, data = self._said.popleft()
-            station.server.receive(data, now_us - station.start_us)
+            station.heard(data, now_us)
         for station in self._stations:
             did, said = station.step(now_us)
             busy |= did
@@ -108,8 +113,14 @@ class Bottleneck:
         for flow, start_us in self._flows:
             for segment in flow.segments(now_us) if now_us >= start_us else ():
                 self._link.push(now_us, segment, segment.size + SEGMENT_OVERHEAD_BYTES)
+                self._wake(flow, now_us)  # its socket has room
                 busy = True
         return busy
+
+    def _wake(self, flow: Flow, now_us: int) -> None:
+        station = self._of.get(id(flow))
+        if station is not None:
+            station.due_us = now_us
 
     def _deliver(self, now_us: int) -> bool:
         while self._sample_us <= now_us:
@@ -126,7 +137,7 @@ class Bottleneck:
     def _next_us(self) -> int:
         times = [self._sample_us, self._link.next_delivery_us()]
         times += [queue[0][0] for queue in (self._acks, self._said) if queue]
-        times += [station.next_us() for station in self._stations]
+        times += [station.due_us for station in self._stations]
         for flow, start_us in self._flows:
             next_us = flow.next_us()
             times.append(None if next_us is None else max(next_us, start_us))

@@ -72,12 +72,18 @@ class Case:
             "share_least": min(shares[:OURS]),
             "share_rival": shares[OURS] if rivals else 0.0,
             "used": sum(shares),
-            "fairness": sum(shares[:OURS]) ** 2 / (OURS * sum(share**2 for share in shares[:OURS])),
+            "fairness": fairness(shares[:OURS]),
             "queue_ms": float(np.median(queue_ms)),
             "queue_p95_ms": float(np.percentile(queue_ms, 95)),
             "age_ms": float(np.median(ages_ms)),
             "age_p99_ms": float(np.percentile(ages_ms, 99)),
         }
+
+
+def fairness(shares: Sequence[float]) -> float:
+    """Jain's index: 1 where all get the same, be it nothing; 1 / n where one of n gets all."""
+    squares = len(shares) * sum(share**2 for share in shares)
+    return sum(shares) ** 2 / squares if squares else 1.0
 
 
 def ages(log: Arrivals, start_us: int, from_us: int, until_us: int) -> np.ndarray:

@@ -11,7 +11,7 @@ import pytest
 from cags_bench.network.checks import checks
 from cags_bench.network.cross.bottleneck import Bottleneck, Rival, Station
 from cags_bench.network.cross.congestion import CUBIC_ALPHA, RULES, Ack, Bbr, Cubic
-from cags_bench.network.cross.experiment import Case, ages, cross_lines
+from cags_bench.network.cross.experiment import Case, ages, cross_lines, fairness
 from cags_bench.network.cross.tcp import Flow, Segment
 from cags_bench.network.load import Arrivals
 from cags_shaper.link import SEGMENT_BYTES, Link, LinkSettings
@@ -185,6 +185,12 @@ def test_a_session_alone_gets_its_link_over_either() -> None:
         Bottleneck(Link(open_trace(TEN_MBPS), settings), [station], [], 10e6).run(8_000_000)
         assert share(station.flow, 7.7) > 0.75
         assert len(station.log.references) > 200
+
+
+def test_fairness_is_jains() -> None:
+    assert fairness([0.3, 0.3]) == pytest.approx(1)
+    assert fairness([0.4, 0.0]) == pytest.approx(0.5)
+    assert fairness([0.0, 0.0]) == 1
 
 
 def test_the_age_is_that_of_the_newest_frame_that_has_come() -> None:
