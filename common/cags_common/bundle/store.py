@@ -105,6 +105,14 @@ class UrlStore:
         """How long a read may take, for file systems that can be told."""
         return {"timeout": ANSWER_S + size_bytes / SLOWEST_BYTES_S} if self._limited else {}
 
+    def _why_absent(self, name: str) -> str:
+        folder = local_path(self._url)
+        if folder is not None and not folder.exists():
+            return "no such folder; cags-encode makes bundles"
+        if folder is not None and folder.is_file():
+            return "is a file, and a bundle is a folder; cags-encode makes one"
+        return f"has no {name}; is it a bundle made by cags-encode?"
+
     @contextmanager
     def _reading(self, name: str) -> Iterator[None]:
         """Whatever goes wrong in it is a bundle's error: stores of other makers raise what they like."""
@@ -113,7 +121,7 @@ class UrlStore:
         try:
             yield
         except (FileNotFoundError, NotADirectoryError) as error:
-            raise BundleError(f"{self._url}: has no {name}; is it a bundle made by cags-encode?") from error
+            raise BundleError(f"{self._url}: {self._why_absent(name)}") from error
         except TimeoutError as error:
             self._ask_on(name)
             raise self._no_answer(name) from error

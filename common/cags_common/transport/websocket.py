@@ -158,7 +158,7 @@ async def connect(
     except InvalidURI as error:
         raise NetworkError(f"{url}: is not a WebSocket address; give ws://HOST:PORT/stream") from error
     except InvalidStatus as error:
-        raise NetworkError(f"{url}: refused with HTTP {error.response.status_code}{_body(error)}") from error
+        raise NetworkError(f"{url}: {_why_refused(error)}") from error
     except (InvalidHandshake, EOFError) as error:
         other = "is it a cags-server?"
         if url.startswith("ws://"):
@@ -192,9 +192,12 @@ def _os_reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _body(error: Any) -> str:
+def _why_refused(error: Any) -> str:
+    status = int(error.response.status_code)
+    if status < 300:
+        return "is a page and no stream; a server's stream is at ws://HOST:PORT/stream"
     text = bytes(error.response.body or b"")[:200].decode(errors="replace").strip()
-    return f" ({text.splitlines()[0]})" if text else ""
+    return f"refused with HTTP {status}" + (f" ({text.splitlines()[0]})" if text else "")
 
 
 def _why_closed(error: Any) -> str:

@@ -19,7 +19,7 @@ def run(*flags: str) -> subprocess.CompletedProcess[str]:
     ("flags", "code", "words"),
     [
         ((), 2, "bundle is not given"),
-        (("--bundle", "/nowhere/at-all"), 1, "has no manifest.json"),
+        (("--bundle", "/nowhere/at-all"), 1, "no such folder"),
         (("--bundle", "x", "--predictor", "psychic"), 2, "predictor = 'psychic' is unknown"),
         (("--bundle", "x", "--fov", "fisheye"), 2, "fov = 'fisheye' is unknown"),
         (("--bundle", "x", "--port", "99999"), 2, "port = 99999 must lie in"),

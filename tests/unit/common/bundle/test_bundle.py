@@ -118,8 +118,13 @@ def test_a_store_that_cannot_be_reached_is_named(monkeypatch: pytest.MonkeyPatch
 
 
 def test_what_is_missing_or_outside_is_named(tmp_path: Path) -> None:
-    with pytest.raises(BundleError, match=r"manifest.json; is it a bundle"):
+    with pytest.raises(BundleError, match="no such folder"):
         BundleReader.open(str(tmp_path / "nothing"))
+    (tmp_path / "notes").write_text("no bundle")
+    with pytest.raises(BundleError, match="is a file, and a bundle is a folder"):
+        BundleReader.open(str(tmp_path / "notes"))
+    with pytest.raises(BundleError, match=r"has no manifest\.json; is it a bundle"):
+        BundleReader.open(str(tmp_path))
     with pytest.raises(BundleError, match="cannot be opened"):
         BundleReader.open("nonsense://x")
     write(str(tmp_path / "out"))

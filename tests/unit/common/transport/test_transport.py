@@ -23,8 +23,12 @@ async def serving(handler):
         await handler(transport)
         return transport.response
 
+    async def page(request):
+        return web.Response(text="<!doctype html>", content_type="text/html")
+
     app = web.Application()
     app.router.add_get("/stream", stream)
+    app.router.add_get("/", page)
     runner = web.AppRunner(app)
     await runner.setup()
     site = web.TCPSite(runner, "127.0.0.1", 0)
@@ -138,6 +142,8 @@ async def test_wrong_addresses_are_one_line():
     async with serving(echo) as url:
         with pytest.raises(NetworkError, match="refused with HTTP 404"):
             await connect(url + "/nowhere", **PROTOCOL)
+        with pytest.raises(NetworkError, match=r"is a page and no stream.*ws://HOST:PORT/stream"):
+            await connect(url.removesuffix("stream"), **PROTOCOL)
     with pytest.raises(NetworkError, match="is not a WebSocket address"):
         await connect("http://127.0.0.1/", **PROTOCOL)
 

@@ -119,7 +119,7 @@ def test_export_for_an_independent_reader(bundle: Path, tmp_path: Path, capsys: 
         (["--export", "B", "7", "o.ply"], 1, "frame 7 is outside"),
         (["--export", "B", "0:99", "o.ply"], 1, "LoD 99 is outside"),
         (["--export", "B", "0", "o.glb"], 1, "'.glb' is unknown"),
-        (["--verify", "nowhere"], 1, "has no manifest.json"),
+        (["--verify", "nowhere"], 1, "no such folder"),
         (["--inspect", "B", "scene.ply"], 2, "takes no scene"),
         (["--plot", "x.png", "a", "b"], 2, "--inspect BUNDLE"),
         (["only-a-scene"], 2, "SCENE and OUT are needed"),
