@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_kernels.library import check, library, native
+from cags_kernels.library import address, check, fields, library, native, sized
 
 F32: TypeAlias = NDArray[np.float32]
 U32: TypeAlias = NDArray[np.uint32]
@@ -28,6 +28,7 @@ class _Attribute(ctypes.Structure):
     _fields_ = [
         *((name, _Pointer) for name in ("layer_bits", "table", "leaves", "spreads")),
         *((name, _int32) for name in ("layers", "dim", "below_bits", "column", "offset")),
+        ("lengths", _int64 * 4),
     ]
 
 
@@ -37,6 +38,7 @@ class _Tile(ctypes.Structure):
         ("count", _int64),
         ("before", _Pointer),
         ("data", ctypes.c_char_p),
+        ("before_length", _int64),
         ("data_bytes", _int64),
         ("attributes", _int32),
         ("rotation", _int32),
@@ -46,7 +48,10 @@ class _Tile(ctypes.Structure):
 
 @native("CagsCodecTargets")
 class _Targets(ctypes.Structure):
-    _fields_ = [("codes", _Pointer), ("columns", _Pointer * len(COLUMNS))]
+    _fields_ = [
+        *(("codes", _Pointer), ("columns", _Pointer * len(COLUMNS))),
+        *(("codes_length", _int64), ("column_lengths", _int64 * len(COLUMNS))),
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +71,10 @@ class CodecAttribute:
     def structure(self) -> _Attribute:
         """What the library takes. Raises ``ValueError`` for tables that do not fit."""
         self._check()
-        arrays = (_address(a) for a in (self.layer_bits, self.table, self.leaves, self.spreads))
+        *arrays, lengths = fields(self.layer_bits, self.table, self.leaves, self.spreads)
         numbers = (len(self.layer_bits), self.table.shape[1], self.below_bits, COLUMNS.index(self.column), self.offset)
-        made = _Attribute(*arrays, *numbers)
-        made.rows, made.arrays = self._rows(), self  # of Python alone: what codes may reach, and whose memory it is
+        made = _Attribute(*arrays, *numbers, lengths)
+        made.arrays = self  # of Python alone: whose memory it is
         return made
 
     def _rows(self) -> int:
@@ -107,34 +112,30 @@ def dequantise(
     """Fill ``columns`` (name -> [n, ...] C-contiguous) and return the codes [attributes, n].
 
     ``data`` holds the fresh layers, attribute by attribute; ``before`` [attributes, n] the codes that they continue.
-    Raises ``KernelError`` for data of another length, ``ValueError`` for arrays that do not fit.
+    Raises ``KernelError`` for data of another length and for codes that lead beyond the tables, ``ValueError`` for
+    arrays that do not fit; nothing is written then.
     """
     count = len(columns["quats"])
     for name in COLUMNS:
         array = columns[name]
         if array.dtype != np.float32 or len(array) != count or not (array.flags.c_contiguous and array.flags.writeable):
             raise ValueError(f"column {name} of {array.dtype} and shape {array.shape} for {count} splats")
-    if before is not None:
-        _check_before(attributes, before, count)
     codes = np.empty((len(attributes), count), np.uint32)
-    strides = [columns[name].size // max(count, 1) for name in COLUMNS]
+    if before is not None and (before.dtype, before.shape, before.flags.c_contiguous) != (
+        codes.dtype,
+        codes.shape,
+        True,
+    ):
+        raise ValueError(f"codes of {before.dtype} and shape {before.shape}, expected {codes.shape}")
+    *pointers, (before_length, codes_length, *lengths) = fields(before, codes, *(columns[name] for name in COLUMNS))
     tile = _Tile(
-        *(count, _address(before), data, len(data), len(attributes), int(rodrigues)), (_int32 * len(COLUMNS))(*strides)
+        *(count, pointers[0], data, before_length, len(data), len(attributes), int(rodrigues)),
+        tuple(size // max(count, 1) for size in lengths),
     )
-    targets = _Targets(_address(codes), (_Pointer * len(COLUMNS))(*(_address(columns[name]) for name in COLUMNS)))
+    targets = _Targets(pointers[1], tuple(pointers[2:]), codes_length, tuple(lengths))
     given = (_Attribute * len(attributes))(*attributes)
     check(library().cags_codec_dequantise(ctypes.byref(tile), given, ctypes.byref(targets)), "codec_dequantise")
     return codes
-
-
-def _check_before(attributes: Sequence[_Attribute], before: U32, count: int) -> None:
-    """Codes that further bits are appended to must leave the tables room for them."""
-    if before.dtype != np.uint32 or before.shape != (len(attributes), count) or not before.flags.c_contiguous:
-        raise ValueError(f"codes of {before.dtype} and shape {before.shape}, expected {(len(attributes), count)}")
-    for attribute, most in zip(attributes, before.max(axis=1, initial=0).tolist(), strict=True):
-        layer_bits = ctypes.cast(attribute.layer_bits, ctypes.POINTER(ctypes.c_uint8))[: attribute.layers]
-        if (most + 1) << sum(layer_bits) > attribute.rows:
-            raise ValueError(f"code {most} continued by {sum(layer_bits)} bits for {attribute.rows} entries")
 
 
 def positions(cells: F32, origin: NDArray[np.float64], step: float) -> F32:
@@ -144,10 +145,6 @@ def positions(cells: F32, origin: NDArray[np.float64], step: float) -> F32:
     cells, means = np.ascontiguousarray(cells), np.empty(cells.shape, np.float32)
     origin = np.ascontiguousarray(origin, np.float64)
     call = library().cags_codec_positions
-    status = call(_int64(len(cells)), _address(cells), _address(origin), ctypes.c_double(step), _address(means))
+    status = call(*sized(cells), address(origin), ctypes.c_double(step), *sized(means))
     check(status, "codec_positions")
     return means
-
-
-def _address(array: NDArray[Any] | None) -> ctypes.c_void_p:
-    return _Pointer(None if array is None else array.ctypes.data)

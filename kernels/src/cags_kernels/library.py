@@ -7,9 +7,11 @@ import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-ABI_VERSION = 13
+from numpy.typing import NDArray
+
+ABI_VERSION = 14
 _LIBRARY = "libcags_kernels.so"
 _REASONS = {1: "an argument is out of range", 2: "out of memory", 3: "an internal failure"}
 
@@ -113,6 +115,22 @@ def check(status: int, call: str) -> None:
     """Raise :class:`KernelError` unless ``status`` is that of success."""
     if status != 0:
         raise KernelError(f"{call}: {_REASONS.get(status, f'status {status}')}")
+
+
+def address(array: NDArray[Any] | None) -> ctypes.c_void_p:
+    """Of the first element; null where there is no array."""
+    return ctypes.c_void_p(None if array is None else array.ctypes.data)
+
+
+def fields(*arrays: NDArray[Any] | None) -> tuple[Any, ...]:
+    """Fields of a structure: the address of each array, null where there is none, and a row of all their elements."""
+    addresses = [None if array is None else array.ctypes.data for array in arrays]
+    return (*addresses, tuple([0 if array is None else array.size for array in arrays]))
+
+
+def sized(array: NDArray[Any]) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
+    """An array as an argument and the next: its address and its elements."""
+    return address(array), ctypes.c_int64(array.size)
 
 
 def instruction_set() -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cags_kernels.library import check, library, native
+from cags_kernels.library import address, check, fields, library, native, sized
 
 F32: TypeAlias = NDArray[np.float32]
 F64: TypeAlias = NDArray[np.float64]
@@ -39,6 +39,7 @@ class _Tree(ctypes.Structure):
     _fields_ = [
         *((name, _int32) for name in ("span", "splats", "parts", "turn", "knots", "first_table", "first_real_table")),
         *((name, _Pointer) for name in ("order", "classes")),
+        ("classes_length", _int64),
     ]
 
 
@@ -49,6 +50,7 @@ class _Tile(ctypes.Structure):
         *((name, _double) for name in ("time", "share", "block_unit")),
         *((name, _Pointer) for name in ("rows", "moves", "turns", "move_steps", "turn_steps")),
         *((name, _Pointer) for name in ("block_shifts", "block_turns", "lives")),
+        ("lengths", _int64 * 8),
     ]
 
 
@@ -57,6 +59,26 @@ class _Arrays(ctypes.Structure):
     _fields_ = [
         ("capacity", _int64),
         *((name, _Pointer) for name in ("means", "quats", "logits", "into_means", "into_quats", "into_logits")),
+        ("lengths", _int64 * 6),
+    ]
+
+
+@native("CagsSymbolsEncoding")
+class _SymbolsEncoding(ctypes.Structure):
+    _fields_ = [
+        *(
+            (name, _Pointer)
+            for name in ("tables", "symbols", "run_lengths", "frequencies", "firsts", "states", "words")
+        ),
+        ("lengths", _int64 * 7),
+    ]
+
+
+@native("CagsTreeEncoding")
+class _TreeEncoding(ctypes.Structure):
+    _fields_ = [
+        *((name, _Pointer) for name in ("left", "told", "tables", "symbols", "escapes")),
+        *(("lengths", _int64 * 5), ("deadzone", _double), ("unit", _int32), ("reserved", _int32)),
     ]
 
 
@@ -91,8 +113,8 @@ class Tree:
             *numbers,
             self.first_table,
             self.first_real_table,
-            _address(_typed(self.order, np.int32)),
-            _address(_typed(self.classes, np.uint8)),
+            _typed(self.order, np.int32).ctypes.data,
+            *(_typed(self.classes, np.uint8).ctypes.data, self.classes.size),
         )
 
 
@@ -100,8 +122,8 @@ def count_symbols(tables: U8, symbols: U8) -> NDArray[np.int64]:
     """How often each table codes each symbol, [64, 256]. Raises ``KernelError`` for a table beyond."""
     counts = np.empty((MAX_TABLES, 256), np.int64)
     tables, symbols = _typed(tables, np.uint8), _typed(symbols, np.uint8)
-    arrays = (_address(array) for array in (tables, symbols, counts))
-    check(library().cags_symbols_count(_int64(_same_length(tables, symbols)), *arrays), "symbols_count")
+    _check_same_length(tables, symbols)
+    check(library().cags_symbols_count(*sized(tables), *sized(symbols), *sized(counts)), "symbols_count")
     return counts
 
 
@@ -111,17 +133,12 @@ def encode_symbols(
     """States [lanes] and words of the ``symbols``; ``shares``: frequencies and their sums before, [tables, 256]."""
     tables, symbols, runs = _typed(tables, np.uint8), _typed(symbols, np.uint8), _typed(runs, np.int64)
     frequencies, firsts = (_typed(array, np.uint32) for array in shares)
-    count, used = _same_length(tables, symbols), 256 * (1 + int(tables.max(initial=0)))
-    if frequencies.size < used or firsts.size < used:
-        raise ValueError(f"shares of {frequencies.size} symbols, {used} expected")
-    states, words, written = np.empty(lanes, np.uint32), np.empty(count, np.uint16), _int64()
-    status = library().cags_symbols_encode(
-        *(_int64(count), _address(tables), _address(symbols), _int64(len(runs)), _address(runs), _int32(lanes)),
-        *(_address(array) for array in (frequencies, firsts, states, words)),
-        ctypes.byref(written),
-    )
-    check(status, "symbols_encode")
-    return states, words[count - written.value :]
+    _check_same_length(tables, symbols)
+    states, words, written = np.empty(lanes, np.uint32), np.empty(len(symbols), np.uint16), _int64()
+    arrays = (tables, symbols, runs, frequencies, firsts, states, words)
+    given = _SymbolsEncoding(*fields(*arrays))
+    check(library().cags_symbols_encode(ctypes.byref(given), ctypes.byref(written)), "symbols_encode")
+    return states, words[len(words) - written.value :]
 
 
 class SymbolDecoder:
@@ -132,15 +149,15 @@ class SymbolDecoder:
         call = library().cags_symbols_decoder_bytes
         call.restype = _int64
         self._state = np.empty(call() // 8, np.int64)
-        status = library().cags_symbols_open(_address(self._data), _int64(self._data.size), _address(self._state))
+        decoder = address(self._state), _int64(self._state.nbytes)
+        status = library().cags_symbols_open(*sized(self._data), *decoder)
         _check_data(status, "symbols_open")
 
     def take(self, tables: U8) -> U8:
         """The next symbols [n], by the table of each."""
         tables = _typed(tables, np.uint8)
         symbols = np.empty(len(tables), np.uint8)
-        call = library().cags_symbols_take
-        status = call(_address(self._state), _int64(len(tables)), _address(tables), _address(symbols))
+        status = library().cags_symbols_take(address(self._state), *sized(tables), *sized(symbols))
         _check_data(status, "symbols_take")
         return symbols
 
@@ -150,18 +167,17 @@ class SymbolDecoder:
         ``told`` [span + 1, splats, parts]: see ``cags_common.motion``; it is changed.
         """
         escapes, given = _typed(escapes, np.int32), tree.structure()
-        pointer = _fitting(told, np.uint8, tree.shape)
         samples, escape = np.empty(tree.shape, np.int32), _int64(at)
         status = library().cags_motion_decode_tree(
-            *(ctypes.byref(given), _address(self._state), _address(escapes), _int64(len(escapes))),
-            *(ctypes.byref(escape), pointer, _address(samples)),
+            *(ctypes.byref(given), address(self._state), *sized(escapes)),
+            *(ctypes.byref(escape), *sized(_fitting(told, np.uint8, tree.shape)), *sized(samples)),
         )
         _check_data(status, "motion_decode_tree")
         return samples, escape.value
 
     def finish(self) -> None:
         """Check that everything was read."""
-        _check_data(library().cags_symbols_finish(_address(self._state)), "symbols_finish")
+        _check_data(library().cags_symbols_finish(address(self._state)), "symbols_finish")
 
 
 def encode_tree(tree: Tree, left: F64, told: U8, unit: int, deadzone: float) -> tuple[U8, U8, I32]:
@@ -173,12 +189,10 @@ def encode_tree(tree: Tree, left: F64, told: U8, unit: int, deadzone: float) -> 
         raise ValueError(f"residuals of shape {left.shape} and {left.dtype}, expected {tree.shape} and float64")
     tables, symbols = (np.empty(tree.symbols, np.uint8) for _ in range(2))
     escapes, written, given = np.empty(tree.symbols, np.int32), _int64(), tree.structure()
-    status = library().cags_motion_encode_tree(
-        *(ctypes.byref(given), _address(left), _fitting(told, np.uint8, tree.shape), _int32(unit), _double(deadzone)),
-        *(_address(array) for array in (tables, symbols, escapes)),
-        ctypes.byref(written),
-    )
-    check(status, "motion_encode_tree")
+    arrays = (left, _fitting(told, np.uint8, tree.shape), tables, symbols, escapes)
+    encoding = _TreeEncoding(*fields(*arrays), deadzone, unit, 0)
+    call = library().cags_motion_encode_tree
+    check(call(ctypes.byref(given), ctypes.byref(encoding), ctypes.byref(written)), "motion_encode_tree")
     return tables, symbols, escapes[: written.value].copy()
 
 
@@ -209,8 +223,7 @@ class TileMotion:
         n, samples = self.splats, self.span + 1
         size, metres, shifts, turns = self.blocks or (0, 0.0, None, None)
         blocks = (samples, -(-n // size) if size > 0 else 0, 3)
-        return _Tile(
-            *(n, self.span, self.sample, size, int(self.fades), 0, self.time, self.share, metres),
+        arrays = (
             _fitting(self.rows, np.int32, (n,)),
             _fitting(self.moves, np.int32, (samples, n, 3)),
             _fitting(self.turns, np.int32, (samples, n, 4)),
@@ -219,6 +232,8 @@ class TileMotion:
             *(_fitting(array, np.int32, blocks) for array in (shifts, turns)),
             _fitting(self.lives, np.uint8, (n,)),
         )
+        numbers = (n, self.span, self.sample, size, int(self.fades), 0, self.time, self.share, metres)
+        return _Tile(*numbers, *fields(*arrays))
 
 
 def move_rows(
@@ -230,9 +245,9 @@ def move_rows(
     """
     capacity = len(looks[0])
     shapes = ((capacity, 3), (capacity, 4), (capacity,))
-    pointers = [_fitting(a, np.float32, s) for arrays in (looks, into) for a, s in zip(arrays, shapes, strict=True)]
+    columns = [_fitting(a, np.float32, s) for arrays in (looks, into) for a, s in zip(arrays, shapes, strict=True)]
     given = (_Tile * len(tiles))(*(tile.structure() for tile in tiles))
-    arrays = _Arrays(capacity, *pointers)
+    arrays = _Arrays(capacity, *fields(*columns))
     status = library().cags_motion_rows(given, _int32(len(tiles)), ctypes.byref(arrays), _int32(threads))
     check(status, "motion_rows")
 
@@ -243,10 +258,9 @@ def _check_data(status: int, call: str) -> None:
     check(status, call)
 
 
-def _same_length(tables: U8, symbols: U8) -> int:
+def _check_same_length(tables: U8, symbols: U8) -> None:
     if tables.shape != symbols.shape or tables.ndim != 1:
         raise ValueError(f"{tables.shape} tables for {symbols.shape} symbols")
-    return len(symbols)
 
 
 def _typed(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
@@ -255,11 +269,10 @@ def _typed(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
     return array
 
 
-def _fitting(array: NDArray[Any] | None, dtype: type[np.generic], shape: tuple[int, ...]) -> ctypes.c_void_p:
+_Array = TypeVar("_Array", bound=NDArray[Any] | None)
+
+
+def _fitting(array: _Array, dtype: type[np.generic], shape: tuple[int, ...]) -> _Array:
     if array is not None and _typed(array, dtype).shape != shape:
         raise ValueError(f"array of shape {array.shape}, expected {shape}")
-    return _address(array)
-
-
-def _address(array: NDArray[Any] | None) -> ctypes.c_void_p:
-    return _Pointer(None if array is None else array.ctypes.data)
+    return array

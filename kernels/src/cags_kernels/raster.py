@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cags_kernels.buffers import BufferPool
-from cags_kernels.library import check, library, native
+from cags_kernels.library import check, fields, library, native, sized
 
 F32: TypeAlias = NDArray[np.float32]
 F64: TypeAlias = NDArray[np.float64]
@@ -167,7 +167,7 @@ class NativeScene:
         if splats[5].shape[1] != self._coefficients:
             raise ValueError(f"{splats[5].shape[1]} SH coefficients for a scene of {self._coefficients}")
         update = self._library.cags_raster_scene_update
-        status = update(self._handle, _address(rows), _int64(len(rows)), ctypes.byref(given))
+        status = update(self._handle, *sized(rows), ctypes.byref(given))
         check(status, "raster_scene_update")
 
     def _rows(self, rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
@@ -190,8 +190,7 @@ class NativeScene:
                 f"{len(splats[0])} splats of {splats[5].shape[1]} coefficients for a scene of {self.count}"
             )
         move = self._library.cags_raster_scene_move
-        count = _int64(len(rows))
-        check(move(self._handle, _address(rows), count, ctypes.byref(given), threads), "raster_scene_move")
+        check(move(self._handle, *sized(rows), ctypes.byref(given), threads), "raster_scene_move")
 
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
         """Render one view over black; depth as ``options.depth`` says."""
@@ -218,8 +217,8 @@ def enlarge(picture: F32, width: int, height: int, threads: int) -> F32:
     if picture.shape != (*_half_shape(width, height), 3):
         raise ValueError(f"picture of shape {picture.shape} is not half of {width}x{height} px")
     half, whole = np.ascontiguousarray(picture, np.float32), _pictures.empty((height, width, 3))
-    sizes = _int64(half.size), _int32(width), _int32(height), _int32(threads)
-    check(library().cags_enlarge(_address(half), *sizes, _address(whole), _int64(whole.size)), "enlarge")
+    sizes = _int32(width), _int32(height), _int32(threads)
+    check(library().cags_enlarge(*sized(half), *sizes, *sized(whole)), "enlarge")
     return whole
 
 
@@ -234,10 +233,6 @@ def _half_shape(width: int, height: int) -> tuple[int, int]:
     return (height + 1) // 2, (width + 1) // 2
 
 
-def _address(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
-    return _Pointer(None if array is None else array.ctypes.data)
-
-
 def _splats(arrays: tuple[F32, ...]) -> _Splats:
     if len(arrays) != len(SPLAT_SHAPES):
         raise ValueError(f"{len(arrays)} splat arrays, expected {len(SPLAT_SHAPES)}")
@@ -248,15 +243,11 @@ def _splats(arrays: tuple[F32, ...]) -> _Splats:
         coefficients = rest.shape[1:2] if name == "sh_rest" else ()
         if array.shape != (*means.shape[:1], *coefficients, *shape):
             raise ValueError(f"{name} of shape {array.shape} for {len(means)} splats")
-    return _Splats(len(means), rest.shape[1], *map(_address, arrays), _lengths(*arrays))
+    return _Splats(len(means), rest.shape[1], *fields(*arrays))
 
 
 def _targets(*arrays: F32 | None) -> _Targets:
-    return _Targets(*map(_address, arrays), _lengths(*arrays))
-
-
-def _lengths(*arrays: F32 | None) -> ctypes.Array[ctypes.c_int64]:
-    return (_int64 * len(arrays))(*(0 if array is None else array.size for array in arrays))
+    return _Targets(*fields(*arrays))
 
 
 def _arguments(camera: RasterCamera, options: RasterOptions) -> tuple[object, object]:

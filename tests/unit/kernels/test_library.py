@@ -27,6 +27,8 @@ STRUCTURES = {
     "CagsMotionTree": motion._Tree,
     "CagsMotionTile": motion._Tile,
     "CagsMotionArrays": motion._Arrays,
+    "CagsSymbolsEncoding": motion._SymbolsEncoding,
+    "CagsTreeEncoding": motion._TreeEncoding,
 }
 OF_ARRAYS = {"CagsKnot"}
 """Structures that are rows of an array here: five integers."""
@@ -45,16 +47,18 @@ def structure(*fields: tuple[str, type]) -> type[ctypes.Structure]:
     return type("_Made", (ctypes.Structure,), {"_fields_": list(fields)})
 
 
-ARRAYS = ("means", "quats", "logits", "into_means", "into_quats", "into_logits")
+CAPACITY = ("capacity", ctypes.c_int64)
+ARRAYS = [(name, ctypes.c_void_p) for name in ("means", "quats", "logits", "into_means", "into_quats", "into_logits")]
+LENGTHS = ("lengths", ctypes.c_int64 * 6)
 
 
 @pytest.mark.parametrize(
     ("fields", "what"),
     [
-        ([("capacity", ctypes.c_int64), *((name, ctypes.c_void_p) for name in ARRAYS[:-1])], "the whole"),
-        ([("capacity", ctypes.c_int32), *((name, ctypes.c_void_p) for name in ARRAYS)], "capacity"),
-        ([*((name, ctypes.c_void_p) for name in ARRAYS), ("capacity", ctypes.c_int64)], "means"),
-        ([("capacity", ctypes.c_int64), *((name, ctypes.c_void_p) for name in (*ARRAYS[:-1], "else"))], "else"),
+        ([CAPACITY, *ARRAYS[:-1], LENGTHS], "the whole"),
+        ([("capacity", ctypes.c_int32), *ARRAYS, LENGTHS], "capacity"),
+        ([*ARRAYS, CAPACITY, LENGTHS], "means"),
+        ([CAPACITY, *ARRAYS[:-1], ("else", ctypes.c_void_p), LENGTHS], "else"),
     ],
 )
 def test_another_size_type_order_or_name_is_refused_by_name(fields: list, what: str) -> None:

@@ -71,7 +71,7 @@ def test_arrays_of_another_kind_or_shape_are_refused() -> None:
         motion.count_symbols(bytes_[::2], bytes_[::2])
     with pytest.raises(cags_kernels.KernelError):
         motion.count_symbols(bytes_ + np.uint8(64), bytes_)
-    with pytest.raises(ValueError, match="shares"):
+    with pytest.raises(cags_kernels.KernelError, match="out of range"):
         motion.encode_symbols(bytes_ + np.uint8(4), bytes_, np.array([4]), 1, (one, one))
     for runs, lanes in (([5], 1), ([-1, 5], 1), ([3], 1), ([4], 0), ([4], 33)):
         with pytest.raises((cags_kernels.KernelError, ValueError)):
@@ -108,6 +108,8 @@ BLOCK = np.zeros((SPAN + 1, 3, 3), np.int32)
         {"rows": np.full(SPLATS, 9, np.int32)},
         {"rows": np.full(SPLATS, -2, np.int32)},
         {"rows": np.zeros(SPLATS - 1, np.int32)},
+        {"span": 65},
+        {"splats": 1 << 17, "rows": np.zeros(1 << 17, np.int32)},
         {"sample": SPAN},
         {"sample": -1},
         {"time": float("nan")},
@@ -117,6 +119,7 @@ BLOCK = np.zeros((SPAN + 1, 3, 3), np.int32)
         {"move_steps": np.ones(SPLATS - 1, np.float32)},
         {"blocks": (1, 1.0, BLOCK, BLOCK)},
         {"blocks": (-2, 1.0, BLOCK, BLOCK)},
+        {"blocks": (1 << 30, 1.0, BLOCK[:, :1].copy(), BLOCK[:, :1].copy())},
         {"lives": np.zeros(SPLATS + 1, np.uint8)},
     ],
     ids=lambda changes: next(iter(changes)),

@@ -11,7 +11,8 @@ const PLACES: ReadonlyMap<string, readonly [number, number]> = new Map([
   ["scale", [1, 0]], ["rotation", [0, 1]], ["rotation_real", [0, 0]], ["rotation_imag", [0, 1]], ["opacity", [2, 0]],
   ["alpha", [2, 0]], ["sh0", [3, 0]], ["sh1", [4, 0]], ["sh2", [4, 9]], ["sh3", [4, 24]],
 ]);
-const ATTRIBUTE_BYTES = 36;
+/** Sizes of the kernel's structures, and where the lengths of their arrays begin (`cags_codec.h`, pointers of 4 bytes). */
+const [ATTRIBUTE_BYTES, ATTRIBUTE_LENGTHS, TILE_BYTES, TARGETS_BYTES, TARGETS_LENGTHS] = [72, 40, 64, 72, 24];
 
 /** Layers of one attribute that its codes do not hold yet: `parts[i]` is layer `first + i`. */
 export interface FreshLayers {
@@ -55,17 +56,18 @@ export class Dequantiser {
       const codes = before ? scope.put(before) : scope.take(4 * this.list.length * count);
       const columns = widths.map((width) => scope.take(4 * width * count));
       const { data, bytes } = this.data(scope, fresh);
-      const tile = scope.take(56);
-      const targets = scope.take(24);
-      const t = this.kernels.view(tile, 56);
+      const [tile, targets] = [scope.take(TILE_BYTES), scope.take(TARGETS_BYTES)];
+      const t = this.kernels.view(tile, TILE_BYTES);
       t.setBigInt64(0, BigInt(count), true);
       t.setUint32(8, before ? codes : 0, true);
       t.setUint32(12, data, true);
-      t.setBigInt64(16, BigInt(bytes), true);
-      t.setInt32(24, this.list.length, true);
-      t.setInt32(28, this.rodrigues ? 1 : 0, true);
-      widths.forEach((width, i) => t.setInt32(32 + 4 * i, width, true));
+      t.setBigInt64(16, BigInt(before?.length ?? 0), true);
+      t.setBigInt64(24, BigInt(bytes), true);
+      t.setInt32(32, this.list.length, true);
+      t.setInt32(36, this.rodrigues ? 1 : 0, true);
+      widths.forEach((width, i) => t.setInt32(40 + 4 * i, width, true));
       this.kernels.u32(targets, 6).set([codes, ...columns]);
+      this.kernels.writeLengths(targets + TARGETS_LENGTHS, [this.list.length, ...widths].map((width) => width * count));
       try {
         check("cags_codec_dequantise", this.kernels.calls.cags_codec_dequantise(tile, attributes, targets));
       } catch (error) {
@@ -80,8 +82,8 @@ export class Dequantiser {
   positions(cells: Float32Array, origin: readonly number[], step: number): Float32Array<ArrayBuffer> {
     return this.kernels.scoped((scope) => {
       const [from, at, to] = [scope.put(cells), scope.put(Float64Array.from(origin)), scope.take(cells.byteLength)];
-      const count = BigInt(cells.length / 3);
-      check("cags_codec_positions", this.kernels.calls.cags_codec_positions(count, from, at, step, to));
+      const length = BigInt(cells.length);
+      check("cags_codec_positions", this.kernels.calls.cags_codec_positions(from, length, at, step, to, length));
       return this.kernels.f32(to, cells.length).slice();
     });
   }
@@ -96,18 +98,22 @@ export class Dequantiser {
   private attributes(scope: Scope, fresh: readonly FreshLayers[]): number {
     const described = this.list.map((book, i) => this.described(scope, book, fresh[i]!));
     const at = scope.take(ATTRIBUTE_BYTES * described.length);
-    this.kernels.u32(at, 9 * described.length).set(described.flat());
+    described.forEach(({ words, lengths }, i) => {
+      this.kernels.u32(at + ATTRIBUTE_BYTES * i, words.length).set(words);
+      this.kernels.writeLengths(at + ATTRIBUTE_BYTES * i + ATTRIBUTE_LENGTHS, lengths);
+    });
     return at;
   }
 
-  private described(scope: Scope, book: Codebook, { first, parts }: FreshLayers): number[] {
+  private described(scope: Scope, book: Codebook, { first, parts }: FreshLayers): { words: number[]; lengths: number[] } {
     const layers = first + parts.length;
     const below = book.belowBits(layers);
     const [column, offset] = PLACES.get(book.attribute)!;
     const bits = scope.put(Uint8Array.from(book.layerBits.slice(first, layers)));
-    const table = this.table(book.tables[layers - 1]!);
-    const [leaves, spreads] = below ? [this.table(book.tables[book.firstStage - 1]!), this.table(book.spreads!)] : [0, 0];
-    return [bits, table, leaves, spreads, parts.length, book.dim, below, column, offset];
+    const two = [book.tables[book.firstStage - 1], book.spreads];
+    const arrays = [book.tables[layers - 1], ...(below ? two : [undefined, undefined])];
+    const words = [bits, ...arrays.map((array) => (array ? this.table(array) : 0)), parts.length, book.dim, below, column, offset];
+    return { words, lengths: [parts.length, ...arrays.map((array) => array?.length ?? 0)] };
   }
 
   private table(values: Float32Array): number {

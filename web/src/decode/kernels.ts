@@ -16,13 +16,16 @@ interface Exports {
   cags_web_free(at: number): void;
   cags_web_pack(splats: number, count: number, rows: number, all: number, out: number): void;
   cags_codec_dequantise(tile: number, attributes: number, targets: number): number;
-  cags_codec_positions(count: bigint, cells: number, origin: number, step: number, means: number): number;
+  cags_codec_positions(
+    cells: number, cellsLength: bigint, origin: number, step: number, means: number, meansLength: bigint,
+  ): number;
   cags_symbols_decoder_bytes(): bigint;
-  cags_symbols_open(data: number, bytes: bigint, decoder: number): number;
-  cags_symbols_take(decoder: number, count: bigint, tables: number, symbols: number): number;
+  cags_symbols_open(data: number, bytes: bigint, decoder: number, decoderBytes: bigint): number;
+  cags_symbols_take(decoder: number, tables: number, tablesLength: bigint, symbols: number, symbolsLength: bigint): number;
   cags_symbols_finish(decoder: number): number;
   cags_motion_decode_tree(
-    tree: number, decoder: number, escapes: number, count: bigint, escape: number, told: number, samples: number,
+    tree: number, decoder: number, escapes: number, escapesLength: bigint, escape: number, told: number, toldLength: bigint,
+    samples: number, samplesLength: bigint,
   ): number;
   cags_motion_rows(tiles: number, count: number, arrays: number, threads: number): number;
 }
@@ -85,6 +88,11 @@ export class Kernels {
 
   view(at: number, length: number): DataView {
     return new DataView(this.memory.buffer, at, length);
+  }
+
+  /** Write lengths of arrays, as structures have them, from `at` on. */
+  writeLengths(at: number, lengths: readonly number[]): void {
+    new BigInt64Array(this.memory.buffer, at, lengths.length).set(lengths.map(BigInt));
   }
 
   /** Copy `array` to memory at `at`. */

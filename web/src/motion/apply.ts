@@ -6,7 +6,8 @@ import type { Chunk } from "./chunk.ts";
 /** Opacity logit of a splat that is not there: every rasteriser culls it. */
 export const ABSENT_LOGIT = -30;
 
-const TILE_BYTES = 80;
+/** Sizes of the kernel's structures, and where the lengths of their arrays begin (`cags_motion.h`, pointers of 4 bytes). */
+const [TILE_BYTES, TILE_LENGTHS, ARRAYS_BYTES, ARRAYS_LENGTHS] = [144, 80, 80, 32];
 const fround = Math.fround;
 
 /** Addresses in the kernels' memory of columns by id. */
@@ -42,7 +43,10 @@ export class MovingTile {
     [chunk.splats, chunk.span, 0, blocks?.size ?? 0, fades ? 1 : 0].forEach((value, i) => s.setInt32(4 * i, value, true));
     s.setFloat64(40, blocks?.unit ?? 0, true);
     const arrays = [rows, chunk.moves, chunk.turns, moveUnits, turnUnits, blocks?.shifts, blocks?.turns, chunk.lives];
-    arrays.forEach((array, i) => s.setUint32(48 + 4 * i, array ? this.keep(array) : 0, true));
+    arrays.forEach((array, i) => {
+      s.setUint32(48 + 4 * i, array ? this.keep(array) : 0, true);
+      s.setBigInt64(TILE_LENGTHS + 8 * i, BigInt(array?.length ?? 0), true);
+    });
   }
 
   /** Write what the kernel takes to `at`. */
@@ -70,10 +74,11 @@ export class MovingTile {
 /** Evaluate the splats of `tiles`: from rows of `from` to the same rows of `into`, columns by id of `capacity` rows. */
 export function moveRows(kernels: Kernels, tiles: readonly MovingTile[], capacity: number, from: MovingColumns, into: MovingColumns): void {
   kernels.scoped((scope) => {
-    const [given, arrays] = [scope.take(TILE_BYTES * tiles.length), scope.take(32)];
+    const [given, arrays] = [scope.take(TILE_BYTES * tiles.length), scope.take(ARRAYS_BYTES)];
     tiles.forEach((tile, i) => tile.writeTo(given + TILE_BYTES * i));
     kernels.view(arrays, 8).setBigInt64(0, BigInt(capacity), true);
     kernels.u32(arrays + 8, 6).set([from.means, from.quats, from.logits, into.means, into.quats, into.logits]);
+    kernels.writeLengths(arrays + ARRAYS_LENGTHS, [3, 4, 1, 3, 4, 1].map((width) => width * capacity));
     check("cags_motion_rows", kernels.calls.cags_motion_rows(given, tiles.length, arrays, 1));
   });
   const [before, after] = [kernels.f32(from.logits, capacity), kernels.f32(into.logits, capacity)];

@@ -17,6 +17,8 @@ const MAX_ESCAPES = 1 << 23;
 const ESCAPE = 254;
 const [STARTS, TURNS, LIVES, FADES, MOVES, STILLS] = [1, 2, 4, 8, 16, 32] as const;
 const HEAD_BYTES = 40;
+/** Size of the kernel's tree, and where the length of its classes is (`cags_motion.h`, pointers of 4 bytes). */
+const [TREE_BYTES, TREE_LENGTHS] = [48, 40];
 const FADE_WIDTHS = Array.from({ length: 48 }, (_, i) => 2 ** (i / 4 - 3));
 const FADE_STEP = 4;
 const LIFE_EDGES = [2, 3, 5, 8];
@@ -322,9 +324,9 @@ let classes: Uint8Array | undefined;
 function withReader<T>(kernels: Kernels, escapes: Uint8Array, symbols: Uint8Array, work: (reader: SymbolReader) => T): T {
   const large = readEscapes(escapes);
   return kernels.scoped((scope) => {
-    const decoder = scope.take(Number(kernels.calls.cags_symbols_decoder_bytes()));
-    const data = scope.put(symbols);
-    checkData(kernels.calls.cags_symbols_open(data, BigInt(symbols.length), decoder));
+    const bytes = kernels.calls.cags_symbols_decoder_bytes();
+    const decoder = scope.take(Number(bytes));
+    checkData(kernels.calls.cags_symbols_open(scope.put(symbols), BigInt(symbols.length), decoder, bytes));
     return work(new SymbolReader(kernels, decoder, large));
   });
 }
@@ -346,7 +348,8 @@ class SymbolReader {
   plain(tables: Uint8Array): Uint8Array {
     return this.kernels.scoped((scope) => {
       const [which, out] = [scope.put(tables), scope.take(tables.length)];
-      checkData(this.kernels.calls.cags_symbols_take(this.decoder, BigInt(tables.length), which, out));
+      const length = BigInt(tables.length);
+      checkData(this.kernels.calls.cags_symbols_take(this.decoder, which, length, out, length));
       return this.kernels.u8(out, tables.length).slice();
     });
   }
@@ -364,16 +367,18 @@ class SymbolReader {
   tree(order: Int32Array, told: Uint8Array, chunk: Chunk, turn: boolean): Int32Array {
     const k = this.kernels;
     return k.scoped((scope) => {
-      const [knotsAt, classesAt, toldAt] = [scope.put(order), scope.put((classes ??= classTables())), scope.put(told)];
+      classes ??= classTables();
+      const [knotsAt, classesAt, toldAt] = [scope.put(order), scope.put(classes), scope.put(told)];
       const [escapes, escape, samples] = [scope.put(this.escapes), scope.take(8), scope.take(4 * told.length)];
-      const tree = scope.take(36);
+      const tree = scope.take(TREE_BYTES);
       const first = turn ? TURN_TABLE : MOVE_TABLE;
       const parts = turn ? 4 : 3;
       const numbers = [chunk.span, told.length / parts / (chunk.span + 1), parts, turn ? 1 : 0, order.length / 5, first, REAL_TABLE];
       k.i32(tree, 9).set([...numbers, knotsAt, classesAt]);
       k.view(escape, 8).setBigInt64(0, BigInt(this.at), true);
-      const count = BigInt(this.escapes.length);
-      checkData(k.calls.cags_motion_decode_tree(tree, this.decoder, escapes, count, escape, toldAt, samples));
+      k.writeLengths(tree + TREE_LENGTHS, [classes.length]);
+      const [large, length] = [BigInt(this.escapes.length), BigInt(told.length)];
+      checkData(k.calls.cags_motion_decode_tree(tree, this.decoder, escapes, large, escape, toldAt, length, samples, length));
       this.at = Number(k.view(escape, 8).getBigInt64(0, true));
       told.set(k.u8(toldAt, told.length));
       return k.i32(samples, told.length).slice();

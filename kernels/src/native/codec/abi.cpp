@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <limits>
 
 namespace cags::codec {
 namespace {
@@ -15,6 +16,8 @@ static_assert(std::endian::native == std::endian::little);
 constexpr int kBlock = 512;  // splats at a time: codes and values stay in the first-level cache
 static_assert(kBlock % kGroup == 0, "blocks begin at whole bytes of every layer");
 constexpr float kNoDirection = 1e-12f;
+constexpr int kMostFreshBits = 30;
+constexpr int64_t kMostSplats = std::numeric_limits<int32_t>::max();  // so that no product of sizes overflows
 
 int64_t packed_bytes(int64_t count, int bits) { return (count * bits + 7) / 8; }
 
@@ -57,17 +60,47 @@ void normalise(float* quats, int count) {
   }
 }
 
-bool valid(const CagsCodecTile& tile, const CagsCodecAttribute* attributes) {
+// Bits of the fresh layers together; negative where one cannot be read.
+int fresh_bits(const CagsCodecAttribute& at) {
+  if (at.layers < 0 || at.lengths[0] != at.layers) return -1;
+  int sum = 0;
+  for (int layer = 0; layer < at.layers; layer++) {
+    const int bits = at.layer_bits[layer];
+    if (bits < 1 || bits > kMostBits || sum + bits > kMostFreshBits) return -1;
+    sum += bits;
+  }
+  return sum;
+}
+
+// Whether the tables have a row for each of the `codes` codes that their bits can name.
+bool reached(const CagsCodecAttribute& at, int64_t codes) {
+  const int64_t rows = at.lengths[1] / at.dim;
+  if (!at.leaves) return !at.spreads && at.lengths[2] == 0 && at.lengths[3] == 0 && codes <= rows;
+  const int64_t below = int64_t{1} << at.below_bits, leaves = (codes + below - 1) / below;
+  return at.spreads && at.lengths[3] == at.lengths[2] && below <= rows && leaves <= at.lengths[2] / at.dim;
+}
+
+bool fits(const CagsCodecTile& tile, const CagsCodecAttribute& at, const uint32_t* before) {
+  if (at.column < 0 || at.column >= CAGS_COLUMNS || at.below_bits < 0 || at.below_bits > 16 || at.dim < 1) return false;
+  if (at.offset < 0 || int64_t{at.offset} + at.dim > tile.strides[at.column]) return false;
+  const int fresh = fresh_bits(at);
+  if (fresh < 0) return false;
+  uint32_t bits = 0;  // that any of the codes has: unlike the greatest, every processor finds them in vectors
+  for (int64_t i = 0, count = before ? tile.count : 0; i < count; i++) bits |= before[i];
+  return reached(at, int64_t{1} << (std::bit_width(bits) + fresh));
+}
+
+bool valid(const CagsCodecTile& tile, const CagsCodecAttribute* attributes, const CagsCodecTargets& targets) {
+  if (tile.count < 0 || tile.count > kMostSplats || tile.attributes < 1 || tile.strides[CAGS_QUATS] != 4) return false;
+  const int64_t codes = tile.attributes * tile.count;
+  if (targets.codes_length != codes || tile.before_length != (tile.before ? codes : 0)) return false;
+  for (int column = 0; column < CAGS_COLUMNS; column++) {
+    if (tile.strides[column] < 0 || targets.column_lengths[column] != tile.strides[column] * tile.count) return false;
+  }
   int64_t bytes = 0;
   for (int a = 0; a < tile.attributes; a++) {
-    const CagsCodecAttribute& at = attributes[a];
-    if (at.column < 0 || at.column >= CAGS_COLUMNS || at.below_bits < 0 || at.below_bits > 16 || at.dim < 1) return false;
-    if (at.offset < 0 || at.offset + at.dim > tile.strides[at.column]) return false;
-    for (int layer = 0; layer < at.layers; layer++) {
-      const int bits = at.layer_bits[layer];
-      if (bits < 1 || bits > kMostBits) return false;
-      bytes += packed_bytes(tile.count, bits);
-    }
+    if (!fits(tile, attributes[a], tile.before ? tile.before + a * tile.count : nullptr)) return false;
+    for (int layer = 0; layer < attributes[a].layers; layer++) bytes += packed_bytes(tile.count, attributes[a].layer_bits[layer]);
   }
   return bytes == tile.data_bytes;
 }
@@ -107,16 +140,15 @@ void dequantise(const CagsCodecTile& tile, const CagsCodecAttribute* attributes,
 
 int32_t cags_codec_dequantise(const CagsCodecTile* tile, const CagsCodecAttribute* attributes, const CagsCodecTargets* targets) {
   using namespace cags::codec;
-  if (tile->count < 0 || tile->attributes < 1 || tile->strides[CAGS_QUATS] != 4 || !valid(*tile, attributes)) {
-    return CAGS_INVALID;
-  }
+  if (!valid(*tile, attributes, *targets)) return CAGS_INVALID;
   dequantise(*tile, attributes, *targets);
   return CAGS_OK;
 }
 
-int32_t cags_codec_positions(int64_t count, const float* cells, const double* origin, double step, float* means) {
-  if (count < 0) return CAGS_INVALID;
-  for (int64_t i = 0; i < 3 * count; i += 3) {
+int32_t cags_codec_positions(const float* cells, int64_t cells_length, const double* origin, double step, float* means,
+                             int64_t means_length) {
+  if (cells_length < 0 || cells_length % 3 || means_length != cells_length) return CAGS_INVALID;
+  for (int64_t i = 0; i < cells_length; i += 3) {
     for (int axis = 0; axis < 3; axis++) means[i + axis] = static_cast<float>(origin[axis] + double{cells[i + axis]} * step);
   }
   return CAGS_OK;

@@ -13,13 +13,14 @@ struct CagsCodecAttribute {
   const float* spreads;       // as leaves: the unit of the table's rows
   int32_t layers, dim, below_bits;
   int32_t column, offset;  // where the values go: a CagsColumn, and the first float of a row
+  int64_t lengths[4];      // elements of the four arrays, in their order: codes that would reach beyond are refused
 };
 
 struct CagsCodecTile {
   int64_t count;
   const uint32_t* before;  // [attributes, count] codes so far; null: none
   const uint8_t* data;     // the fresh layers, attribute by attribute: ceil(count bits / 8) bytes each, low bits first
-  int64_t data_bytes;
+  int64_t before_length, data_bytes;
   int32_t attributes, rotation;
   int32_t strides[CAGS_COLUMNS];  // floats a row of each column
 };
@@ -27,9 +28,13 @@ struct CagsCodecTile {
 struct CagsCodecTargets {
   uint32_t* codes;               // [attributes, count]; may be the same memory as before
   float* columns[CAGS_COLUMNS];  // [count, stride]
+  int64_t codes_length;
+  int64_t column_lengths[CAGS_COLUMNS];
 };
 
+// Nothing is written where a length does not fit, or a code leads beyond a table (CAGS_INVALID).
 CAGS_API int32_t cags_codec_dequantise(const CagsCodecTile* tile, const CagsCodecAttribute* attributes,
                                        const CagsCodecTargets* targets);
-// means [count, 3] = float(origin + cells step), each product and sum rounded as a double
-CAGS_API int32_t cags_codec_positions(int64_t count, const float* cells, const double* origin, double step, float* means);
+// means [count, 3] = float(origin + cells step), each product and sum rounded as a double; lengths in floats
+CAGS_API int32_t cags_codec_positions(const float* cells, int64_t cells_length, const double* origin, double step, float* means,
+                                      int64_t means_length);

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <vector>
 
@@ -14,6 +15,7 @@ namespace {
 constexpr int kPiece = 2048;  // splats a piece of work
 constexpr double kFraction = 64.0, kTurnUnit = 1.0 / 4096;
 constexpr float kAbsentLogit = -30.0f;
+constexpr int64_t kMostRows = std::numeric_limits<int32_t>::max();  // rows are named by 32 bits
 
 // Of the splats of a run, one after the other in a tile: every loop over them does one thing, so that compilers make
 // vectors of it, and divisions and roots of neighbours overlap. Each splat's bits are those of one alone.
@@ -179,8 +181,40 @@ class Mover {
   double said_[4 * kRun];
 };
 
+// Whether each array is of its size, or not there.
+bool fits(const CagsMotionTile& tile) {
+  const int64_t splats = tile.splats, samples = tile.span + 1;
+  const int64_t blocks = tile.block ? (splats + tile.block - 1) / tile.block : 0;
+  const struct {
+    const void* array;
+    int64_t wanted;
+  } arrays[] = {
+      {tile.rows, splats},
+      {tile.moves, 3 * splats * samples},
+      {tile.turns, 4 * splats * samples},
+      {tile.move_steps, splats},
+      {tile.turn_steps, splats},
+      {tile.block_shifts, 3 * blocks * samples},
+      {tile.block_turns, 3 * blocks * samples},
+      {tile.lives, splats},
+  };
+  static_assert(std::size(arrays) == std::size(CagsMotionTile{}.lengths));
+  for (size_t i = 0; i < std::size(arrays); i++) {
+    if (tile.lengths[i] != (arrays[i].array ? arrays[i].wanted : 0)) return false;
+  }
+  return tile.rows || !splats;
+}
+
+bool fits(const CagsMotionArrays& arrays) {
+  const int64_t wanted[] = {3 * arrays.capacity, 4 * arrays.capacity, arrays.capacity};
+  return arrays.capacity >= 0 && arrays.capacity <= kMostRows && std::equal(wanted, wanted + 3, arrays.lengths) &&
+         std::equal(wanted, wanted + 3, arrays.lengths + 3);
+}
+
 bool valid(const CagsMotionTile& tile, int64_t capacity) {
-  if (tile.splats < 0 || tile.span < 1 || tile.sample < 0 || tile.sample >= tile.span || tile.block < 0) return false;
+  auto within = [](int32_t value, int32_t least, int32_t most) { return least <= value && value <= most; };
+  if (!within(tile.splats, 0, CAGS_MAX_TILE_SPLATS) || !within(tile.span, 1, CAGS_MAX_SPAN)) return false;
+  if (!within(tile.sample, 0, tile.span - 1) || !within(tile.block, 0, CAGS_MAX_TILE_SPLATS) || !fits(tile)) return false;
   if (!(tile.time >= 0.0 && tile.time <= tile.span) || !(tile.share >= 0.0 && tile.share <= 1.0)) return false;
   if ((tile.moves && !tile.move_steps) || (tile.turns && !tile.turn_steps)) return false;
   if (tile.block && (!tile.block_shifts || !tile.block_turns)) return false;
@@ -199,7 +233,7 @@ struct Piece {
 
 int32_t cags_motion_rows(const CagsMotionTile* tiles, int32_t count, const CagsMotionArrays* arrays, int32_t threads) {
   using namespace cags::motion;
-  if (count < 0 || threads < 1 || arrays->capacity < 0) return CAGS_INVALID;
+  if (count < 0 || threads < 1 || !fits(*arrays)) return CAGS_INVALID;
   for (int i = 0; i < count; i++) {
     if (!valid(tiles[i], arrays->capacity)) return CAGS_INVALID;
   }

@@ -12,6 +12,7 @@ enum CagsMotionStatus : int32_t {
   CAGS_ESCAPES_END = 20,      // large residuals are missing
 };
 
+enum CagsMotionLimits : int32_t { CAGS_MAX_SPAN = 64, CAGS_MAX_TILE_SPLATS = 1 << 16 };
 enum CagsKnotKind : int32_t { CAGS_KNOT_START = 0, CAGS_KNOT_END = 1, CAGS_KNOT_MIDDLE = 2 };
 
 struct CagsKnot {
@@ -26,6 +27,7 @@ struct CagsMotionTree {
   int32_t first_table, first_real_table;
   const CagsKnot* order;   // [knots]
   const uint8_t* classes;  // [9, 1513] of a residual, by what is known and what it tells
+  int64_t classes_length;
 };
 
 // One tile at a time. Null pointers leave that part of the motion out.
@@ -43,35 +45,56 @@ struct CagsMotionTile {
   const int32_t* block_shifts;  // [span + 1, blocks, 3]
   const int32_t* block_turns;   // [span + 1, blocks, 3]
   const uint8_t* lives;         // [splats]
+  int64_t lengths[8];           // elements of the eight, in their order: what does not fit is refused
 };
 
 struct CagsMotionArrays {  // by id
   int64_t capacity;
   const float *means, *quats, *logits;
   float *into_means, *into_quats, *into_logits;
+  int64_t lengths[6];  // floats in each of the six, in their order
 };
 
+// What is coded, and where it goes.
+struct CagsSymbolsEncoding {
+  const uint8_t *tables, *symbols;       // [count]
+  const int64_t* run_lengths;            // which together are the count
+  const uint32_t *frequencies, *firsts;  // [tables, 256]; frequencies of what occurs are above 0
+  uint32_t* states;                      // [lanes]
+  uint16_t* words;                       // [count], of which the last are written
+  int64_t lengths[7];                    // elements of the seven, in their order
+};
+
+// What is left of the samples to be said, and where it goes.
+struct CagsTreeEncoding {
+  double* left;               // [span + 1, splats, parts], every value within 2^26: what was said is taken off
+  uint8_t* told;              // of that shape: not 0 where a coarser level had a residual, becomes 1 where this one has
+  uint8_t *tables, *symbols;  // [knots splats parts]
+  int32_t* escapes;           // as many at most
+  int64_t lengths[5];         // elements of the five, in their order
+  double deadzone;
+  int32_t unit, reserved;
+};
+
+// All lengths are in elements; where one does not fit the answer is CAGS_INVALID, and nothing is written.
+
 // counts [64, 256]: how often each table codes each symbol; CAGS_INVALID for a table beyond
-CAGS_API int32_t cags_symbols_count(int64_t count, const uint8_t* tables, const uint8_t* symbols, int64_t* counts);
-// frequencies and firsts [tables, 256], those of what occurs above 0; states [lanes]; words [count], of which the last
-// *word_count are written
-CAGS_API int32_t cags_symbols_encode(int64_t count, const uint8_t* tables, const uint8_t* symbols, int64_t runs,
-                                     const int64_t* run_lengths, int32_t lanes, const uint32_t* frequencies,
-                                     const uint32_t* firsts, uint32_t* states, uint16_t* words, int64_t* word_count);
+CAGS_API int32_t cags_symbols_count(const uint8_t* tables, int64_t tables_length, const uint8_t* symbols, int64_t symbols_length,
+                                    int64_t* counts, int64_t counts_length);
+CAGS_API int32_t cags_symbols_encode(const CagsSymbolsEncoding* given, int64_t* word_count);
 
 // A decoder is memory of the caller's, 8-byte aligned; `data` has to live as long.
 CAGS_API int64_t cags_symbols_decoder_bytes();
-CAGS_API int32_t cags_symbols_open(const uint8_t* data, int64_t bytes, void* decoder);
-CAGS_API int32_t cags_symbols_take(void* decoder, int64_t count, const uint8_t* tables, uint8_t* symbols);
+CAGS_API int32_t cags_symbols_open(const uint8_t* data, int64_t bytes, void* decoder, int64_t decoder_bytes);
+CAGS_API int32_t cags_symbols_take(void* decoder, const uint8_t* tables, int64_t tables_length, uint8_t* symbols,
+                                   int64_t symbols_length);
 CAGS_API int32_t cags_symbols_finish(const void* decoder);
 
-// samples [span + 1, splats, parts]; *escape is the next of escapes [escape_count], little-endian and of any alignment;
-// told, of the samples' shape: not 0 where a coarser level had a residual, becomes 1 where this one has
-CAGS_API int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes, int64_t escape_count,
-                                         int64_t* escape, uint8_t* told, int32_t* samples);
-// left [span + 1, splats, parts], every value within 2^26: what was said is taken off; told as above; tables and symbols
-// [knots splats parts]; escapes as many at most, *escape_count of them
-CAGS_API int32_t cags_motion_encode_tree(const CagsMotionTree* tree, double* left, uint8_t* told, int32_t unit, double deadzone,
-                                         uint8_t* tables, uint8_t* symbols, int32_t* escapes, int64_t* escape_count);
+// samples [span + 1, splats, parts]; *escape is the next of the escapes, little-endian and of any alignment; told, of the
+// samples' shape: not 0 where a coarser level had a residual, becomes 1 where this one has
+CAGS_API int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes,
+                                         int64_t escapes_length, int64_t* escape, uint8_t* told, int64_t told_length,
+                                         int32_t* samples, int64_t samples_length);
+CAGS_API int32_t cags_motion_encode_tree(const CagsMotionTree* tree, const CagsTreeEncoding* given, int64_t* escape_count);
 
 CAGS_API int32_t cags_motion_rows(const CagsMotionTile* tiles, int32_t count, const CagsMotionArrays* arrays, int32_t threads);

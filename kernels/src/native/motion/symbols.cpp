@@ -114,19 +114,21 @@ int64_t encode(int64_t count, const uint8_t* tables, const uint8_t* symbols, int
 
 using namespace cags::motion;
 
-int32_t cags_symbols_count(int64_t count, const uint8_t* tables, const uint8_t* symbols, int64_t* counts) {
-  std::fill_n(counts, kMaxTables * kSymbols, int64_t{0});
-  for (int64_t i = 0; i < count; i++) {
+int32_t cags_symbols_count(const uint8_t* tables, int64_t tables_length, const uint8_t* symbols, int64_t symbols_length,
+                           int64_t* counts, int64_t counts_length) {
+  if (tables_length != symbols_length || counts_length != kMaxTables * kSymbols) return CAGS_INVALID;
+  std::fill_n(counts, counts_length, int64_t{0});
+  for (int64_t i = 0; i < tables_length; i++) {
     if (tables[i] >= kMaxTables) return CAGS_INVALID;
     counts[tables[i] * kSymbols + symbols[i]]++;
   }
   return CAGS_OK;
 }
 
-int32_t cags_symbols_encode(int64_t count, const uint8_t* tables, const uint8_t* symbols, int64_t runs,
-                            const int64_t* run_lengths, int32_t lanes, const uint32_t* frequencies, const uint32_t* firsts,
-                            uint32_t* states, uint16_t* words, int64_t* word_count) {
-  if (count < 0 || runs < 0 || lanes < 1 || lanes > kMaxLanes) return CAGS_INVALID;
+int32_t cags_symbols_encode(const CagsSymbolsEncoding* given, int64_t* word_count) {
+  const auto [tables, symbols, run_lengths, frequencies, firsts, states, words, lengths] = *given;
+  const int64_t count = lengths[0], runs = lengths[2], lanes = lengths[5];
+  if (count < 0 || lengths[1] != count || lengths[6] != count || runs < 0 || lanes < 1 || lanes > kMaxLanes) return CAGS_INVALID;
   int64_t sum = 0;
   for (int64_t run = 0; run < runs; run++) {
     if (run_lengths[run] < 0 || run_lengths[run] > count - sum) return CAGS_INVALID;
@@ -134,29 +136,30 @@ int32_t cags_symbols_encode(int64_t count, const uint8_t* tables, const uint8_t*
   }
   int used = 0;
   for (int64_t i = 0; i < count; i++) used = std::max<int>(used, tables[i] + 1);
-  if (sum != count || used > kMaxTables) return CAGS_INVALID;
+  if (sum != count || used > kMaxTables || std::min(lengths[3], lengths[4]) < used * kSymbols) return CAGS_INVALID;
   static thread_local Coded coded[kMaxTables * kSymbols];
   for (int i = 0; i < used * kSymbols; i++) {
     if (frequencies[i] > kTotal || firsts[i] > kTotal) return CAGS_INVALID;
     coded[i] = {1.0 / std::max(frequencies[i], 1u), std::max(frequencies[i], 1u), firsts[i]};
   }
-  *word_count = encode(count, tables, symbols, runs, run_lengths, lanes, coded, states, words);
+  *word_count = encode(count, tables, symbols, runs, run_lengths, static_cast<int>(lanes), coded, states, words);
   return CAGS_OK;
 }
 
 int64_t cags_symbols_decoder_bytes() { return sizeof(SymbolDecoder); }
 
-int32_t cags_symbols_open(const uint8_t* data, int64_t bytes, void* decoder) {
+int32_t cags_symbols_open(const uint8_t* data, int64_t bytes, void* decoder, int64_t decoder_bytes) {
+  if (decoder_bytes != cags_symbols_decoder_bytes()) return CAGS_INVALID;
   return static_cast<SymbolDecoder*>(decoder)->open(data, bytes);
 }
 
-int32_t cags_symbols_take(void* decoder, int64_t count, const uint8_t* tables, uint8_t* symbols) {
+int32_t cags_symbols_take(void* decoder, const uint8_t* tables, int64_t tables_length, uint8_t* symbols, int64_t symbols_length) {
   auto& self = *static_cast<SymbolDecoder*>(decoder);
-  if (count < 0) return CAGS_INVALID;
-  for (int64_t i = 0; i < count; i++) {
+  if (tables_length < 0 || symbols_length != tables_length) return CAGS_INVALID;
+  for (int64_t i = 0; i < tables_length; i++) {
     if (tables[i] >= self.tables) return CAGS_SYMBOLS_TABLE;
   }
-  return self.take(count, tables, symbols) ? int32_t{CAGS_OK} : int32_t{CAGS_SYMBOLS_END};
+  return self.take(tables_length, tables, symbols) ? int32_t{CAGS_OK} : int32_t{CAGS_SYMBOLS_END};
 }
 
 int32_t cags_symbols_finish(const void* decoder) {

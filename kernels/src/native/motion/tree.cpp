@@ -10,7 +10,6 @@
 namespace cags::motion {
 namespace {
 
-constexpr int kMaxSpan = 64, kMaxSplats = 1 << 16;
 constexpr int64_t kMaxSamples = int64_t{1} << 20;
 constexpr int kFractionBits = 6;
 constexpr int kEscape = 254;
@@ -19,11 +18,12 @@ constexpr int kSums = 2 * 3 * kMagnitude + 2 * 6 * kMagnitude + 3 * 2 * kMagnitu
 constexpr int kKnown = 9;
 
 bool valid(const CagsMotionTree& tree) {
-  if (tree.span < 1 || tree.span > kMaxSpan || tree.splats < 0 || tree.splats > kMaxSplats) return false;
+  if (tree.span < 1 || tree.span > CAGS_MAX_SPAN || tree.splats < 0 || tree.splats > CAGS_MAX_TILE_SPLATS) return false;
   if (int64_t{tree.splats} * (tree.span + 1) > kMaxSamples || tree.knots < 0 || tree.knots > tree.span + 1) return false;
   if (tree.turn < 0 || tree.turn > 1 || tree.parts != 3 + tree.turn) return false;
   if (std::min(tree.first_table, tree.first_real_table) < 0 || std::max(tree.first_table, tree.first_real_table) > 32)
     return false;
+  if (tree.classes_length != kKnown * kSums) return false;
   if (std::any_of(tree.classes, tree.classes + kKnown * kSums, [](uint8_t c) { return c >= kClasses; })) return false;
   auto within = [&](int32_t sample) { return sample >= 0 && sample <= tree.span; };
   return std::all_of(tree.order, tree.order + tree.knots, [&](const CagsKnot& knot) {
@@ -31,6 +31,14 @@ bool valid(const CagsMotionTree& tree) {
     const bool between = knot.kind != CAGS_KNOT_MIDDLE || (knot.left < knot.at && knot.at < knot.right);
     return samples && between && knot.kind >= 0 && knot.kind <= 2 && (knot.parent == -1 || within(knot.parent));
   });
+}
+
+int64_t samples_of(const CagsMotionTree& tree) { return int64_t{tree.span + 1} * tree.splats * tree.parts; }
+
+bool fits(const CagsTreeEncoding& given, const CagsMotionTree& tree) {
+  const int64_t samples = samples_of(tree), symbols = int64_t{tree.knots} * tree.splats * tree.parts;
+  const int64_t wanted[] = {samples, samples, symbols, symbols, symbols};
+  return std::equal(std::begin(wanted), std::end(wanted), given.lengths);
 }
 
 int32_t wrapped_sum(int32_t a, int32_t b) { return static_cast<int32_t>(static_cast<uint32_t>(a) + static_cast<uint32_t>(b)); }
@@ -354,21 +362,22 @@ void encode(const CagsMotionTree& tree, double* left, uint8_t* told, int32_t uni
 
 using namespace cags::motion;
 
-int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes, int64_t escape_count,
-                                int64_t* escape, uint8_t* told, int32_t* samples) {
-  if (!valid(*tree) || escape_count < 0 || *escape < 0) return CAGS_INVALID;
+int32_t cags_motion_decode_tree(const CagsMotionTree* tree, void* decoder, const uint8_t* escapes, int64_t escapes_length,
+                                int64_t* escape, uint8_t* told, int64_t told_length, int32_t* samples, int64_t samples_length) {
+  if (!valid(*tree) || escapes_length < 0 || *escape < 0) return CAGS_INVALID;
+  if (told_length != samples_of(*tree) || samples_length != told_length) return CAGS_INVALID;
   int32_t status = CAGS_OK;
-  Escapes large{escapes, escape_count, *escape};
+  Escapes large{escapes, escapes_length, *escape};
   const int32_t ran = cags::guarded([&] { status = decode(*tree, *static_cast<SymbolDecoder*>(decoder), large, told, samples); });
   *escape = large.at;
   return ran == CAGS_OK ? status : ran;
 }
 
-int32_t cags_motion_encode_tree(const CagsMotionTree* tree, double* left, uint8_t* told, int32_t unit, double deadzone,
-                                uint8_t* tables, uint8_t* symbols, int32_t* escapes, int64_t* escape_count) {
-  if (!valid(*tree) || unit < 1 || !std::has_single_bit(static_cast<uint32_t>(unit))) return CAGS_INVALID;
-  Written out{tables, symbols, escapes};
-  const int32_t ran = cags::guarded([&] { encode(*tree, left, told, unit, deadzone, out); });
+int32_t cags_motion_encode_tree(const CagsMotionTree* tree, const CagsTreeEncoding* given, int64_t* escape_count) {
+  const int32_t unit = given->unit;
+  if (!valid(*tree) || !fits(*given, *tree) || unit < 1 || !std::has_single_bit(static_cast<uint32_t>(unit))) return CAGS_INVALID;
+  Written out{given->tables, given->symbols, given->escapes};
+  const int32_t ran = cags::guarded([&] { encode(*tree, given->left, given->told, unit, given->deadzone, out); });
   *escape_count = out.escape_count;
   return ran;
 }
