@@ -161,9 +161,15 @@ def cross_table(lines: Sequence[JsonObject]) -> str:
         known = low is not None and high is not None
         ratio = f"{line['age_p99_ratio']:.2f} [{low:.2f}, {high:.2f}]" if known else ""
         other = "" if line["rival"] == ALONE else f"{line['share_rival']:.0%}"
-        rows.append(
-            f"| {line['rival']} | {line['carrier']} | {line['loss']:.0%} "
-            f"| {line['share']:.0%} ({line['share_least']:.0%}) | {other} | {line['queue_ms']:.0f} / {line['queue_p95_ms']:.0f} "
-            f"| {line['age_ms']:.0f} / {line['age_p99_ms']:.0f} | {ratio} |"
-        )
+        cells = [
+            line["rival"],
+            line["carrier"],
+            f"{line['loss']:.0%}",
+            f"{line['share']:.0%} ({line['share_least']:.0%})",
+            other,
+            f"{line['queue_ms']:.0f} / {line['queue_p95_ms']:.0f}",
+            f"{line['age_ms']:.0f} / {line['age_p99_ms']:.0f}",
+            ratio,
+        ]
+        rows.append("| " + " | ".join(cells) + " |")
     return "\n".join(rows) + "\n"
