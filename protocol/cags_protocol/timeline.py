@@ -1,8 +1,8 @@
 """Which media frame is displayed when, by the client's clock: the same sum on both sides.
 
 Each :class:`~cags_protocol.wire.messages.Control` makes a new timeline, and frames are counted from the one that it
-names by *ticks*: tick 0 is that frame, and ticks go on through every loop. Ticks before 0 are those of a client that has
-not come to it yet.
+names by *ticks*: tick 0 is that frame, and ticks go on through every loop. Ticks before 0 are those of a client that
+has not come to it yet.
 """
 
 from __future__ import annotations
