@@ -58,6 +58,15 @@ def test_sessions_beside_each_other_are_what_each_is_alone(scenario):
         )
 
 
+def test_sessions_that_join_apart_are_what_each_is_alone(scenario):
+    late = simulate_together([scenario, scenario], 200_000)[1]
+    alone = simulate(scenario)
+    assert dump({"frames": late.frames}) == dump({"frames": alone.frames})
+    assert late.spent.playing.began_us == alone.spent.playing.began_us  # by its own clock
+    assert late.spent.serving_ms > 0
+    assert late.spent.mirror_bytes > 0
+
+
 def test_sessions_of_several_bundles_are_not_played_together(scenario, tmp_path):
     with pytest.raises(ConfigError, match="2 bundles"):
         simulate_together([scenario, replace(scenario, bundle=tmp_path)])

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from cags_bench.jsonl import JsonObject, check
+from cags_bench.network.cross.experiment import judged as _cross
 
 STEADY = "generated:steady-"
 
@@ -19,6 +20,7 @@ def checks(lines: list[JsonObject]) -> list[JsonObject]:
     for case, judge in (
         ("sending", _sending),
         ("sockets", _sockets),
+        ("cross", _cross),
         ("first", _first),
         ("content", _content),
         ("realtime", _realtime),

@@ -15,16 +15,19 @@ from cags_common.settings import add_settings, check_settings, load_settings, se
 if TYPE_CHECKING:
     from cags_bench.sim.session import Scenario
 
-SUMMARY = "How the stream holds: utilisation, latency, quality by trace and policy, many sessions, a soak."
+SUMMARY = (
+    "How the stream holds: utilisation, latency, other traffic, quality by trace and policy, many sessions, a soak."
+)
 
 EXAMPLES = """\
   cags-bench network --json
   cags-bench network --parts sending,crowd --json
+  cags-bench network --parts cross --seeds 10 --json
   cags-bench network --parts content --scene procedural:size=6000 --frames 60 --traces generated:steady-30,link.csv
   cags-bench network --parts soak --soak-minutes 1440
 """
 
-PARTS = ("sending", "sockets", "first", "content", "realtime", "clients", "crowd", "soak")
+PARTS = ("sending", "sockets", "cross", "first", "content", "realtime", "clients", "crowd", "soak")
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class NetworkSettings:
         high=100_000_000,
     )
     first_scene: str = setting("procedural:size=160000,frames=6", "scene whose first picture is waited for")
-    workers: int = setting(0, "processes of the content part; 0: one a core", low=0, high=256)
+    workers: int = setting(0, "processes of the content and cross parts; 0: one a core", low=0, high=256)
     frames: int = setting(210, "media frames to play", low=2, high=1_000_000)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
     traces: str = setting("", "traces of the content part, comma separated; empty: all generated ones, and 10 Mbps")
@@ -50,7 +53,8 @@ class NetworkSettings:
     width: int = setting(400, "client width in pixels", low=1, high=8192)
     height: int = setting(300, "client height in pixels", low=1, high=8192)
     delay_ms: float = setting(10.0, "one-way propagation delay, ms", low=0, high=1000)
-    seconds: float = setting(20.0, "virtual seconds of each sending case", low=5, high=3600)
+    seconds: float = setting(20.0, "virtual seconds of each sending and each cross case", low=5, high=3600)
+    seeds: int = setting(5, "plays of each cross case, whose figures are means with 95 % intervals", low=1, high=1000)
     clients: int = setting(16, "headless clients at one server", low=1, high=1000)
     sessions: int = setting(1000, "sessions of the crowd", low=1, high=100_000)
     soak_minutes: float = setting(10.0, "virtual minutes of the soak", low=0.1, high=100_000)
@@ -71,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield a line a case and the summary with its checks."""
-    from cags_bench.jsonl import summary
+    from cags_bench.jsonl import provenance, summary
     from cags_bench.network.checks import checks
 
     if arguments.plot is not None:
@@ -80,6 +84,7 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         yield {"plot": str(plot_session(Path(arguments.plot)))}
         return
     settings = load_settings(NetworkSettings, arguments)
+    provenance()  # now: figures are of the code that a long run began with
     lines: list[dict[str, Any]] = []
     for line in _cases(settings):
         lines.append(line)
@@ -98,6 +103,10 @@ def _cases(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
 
         yield from socket_lines(round(settings.seconds * 1e6), delay_us)
         yield from direct_lines(round(settings.seconds * 1e6), delay_us)
+    if "cross" in parts:
+        from cags_bench.network.cross.experiment import cross_lines
+
+        yield from cross_lines(round(settings.seconds * 1e6), settings.seeds, settings.workers or os.cpu_count() or 1)
     if "first" in parts:
         yield from _first_pictures(settings)
     if {"content", "realtime", "clients"} & set(parts):

@@ -44,6 +44,9 @@ class Outcome:
     due: int = 0
     """References that sessions were due."""
     on_time: int = 0
+    late: int = 0
+    """That came too late, or never because a newer one was due. Those under way when a run, or a server, ends are
+    neither late nor on time."""
     peak_imbalance: int = 0
     """Largest difference between the fullest and the emptiest living server."""
 
@@ -118,6 +121,7 @@ class Cluster:
             return
         self.outcome.due += 1
         if session.busy:
+            self.outcome.late += session.overdue_s is not None
             session.overdue_s = now
         else:
             self._ask(session, server, now, now)
@@ -140,7 +144,9 @@ class Cluster:
             return
         server.idle += 1
         if session.server is server:
-            self.outcome.on_time += now - planned_s <= self._load.lead_ms / 1e3
+            on_time = now - planned_s <= self._load.lead_ms / 1e3
+            self.outcome.on_time += on_time
+            self.outcome.late += not on_time
             session.busy = False
             if session.overdue_s is not None:
                 self._ask(session, server, session.overdue_s, now)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cags_bench.sim.bundle import open_bundle, truth_of
 from cags_bench.sim.seeds import trace_of, walk_of
-from cags_bench.sim.spent import Spent
+from cags_bench.sim.spent import MeteredConnection, Spent
 from cags_bench.sim.truth import LastTruth
 from cags_bench.sim.usage import Usage
 from cags_bench.sim.world import Direction, World
@@ -28,7 +28,6 @@ from cags_common.poses import Focus
 from cags_protocol.sessions.client import ClientSession
 from cags_server.ratecontrol.bandwidth import BandwidthEstimator, MeasuredEstimator, OracleEstimator
 from cags_server.scene.library import SceneLibrary
-from cags_server.session.connection import Connection
 from cags_server.settings import ServerSettings
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import Trace, open_trace
@@ -128,9 +127,10 @@ STEP_TOGETHER_US = 10_000
 """Sessions that are played together are at most so far apart."""
 
 
-def simulate_together(scenarios: Sequence[Scenario]) -> list[SessionResult]:
+def simulate_together(scenarios: Sequence[Scenario], apart_us: int = 0) -> list[SessionResult]:
     """Play sessions of one bundle side by side, from one server: what it has decoded or loaded for one, all share.
 
+    Each joins ``apart_us`` after the one before and has a clock of its own, which begins then.
     Raises :class:`CagsError` when a part of any fails, :class:`ConfigError` where they are not of one bundle.
     """
     bundles = {str(scenario.bundle) for scenario in scenarios}
@@ -142,8 +142,8 @@ def simulate_together(scenarios: Sequence[Scenario]) -> list[SessionResult]:
         now_us = 0
         while not all(session.player.finished for session in sessions):
             now_us += STEP_TOGETHER_US
-            for session in sessions:
-                session.play_until(now_us)
+            for number, session in enumerate(sessions):
+                session.play_until(now_us - number * apart_us)
         return [session.result() for session in sessions]
 
 
@@ -192,9 +192,12 @@ class _Simulation:
         """Result of a play that has ended."""
         return SessionResult(self.frames, self._summary(), self.spent)
 
-    def _connection(self, now_us: int) -> Connection:
+    def _connection(self, now_us: int) -> MeteredConnection:
         estimator = make_estimator(self.scenario.estimator, self.trace)
-        return Connection(self.library, self.scenario.server, name="simulated", now_us=now_us, estimator=estimator)
+        settings = self.scenario.server
+        made = MeteredConnection(self.library, settings, name="simulated", now_us=now_us, estimator=estimator)
+        made.spent = self.spent
+        return made
 
     def _directions(self) -> tuple[Direction, Direction]:
         """Towards the client and back; nothing of an earlier connection is on its way."""
@@ -247,7 +250,7 @@ class _Simulation:
     def _work(self, now_us: int) -> bool:
         busy = self._connections(now_us)
         while (job := self.server.next_job(now_us)) is not None:
-            self.server.job_done(self.spent.job(job), now_us)
+            self.server.job_done(self.spent.job(job, now_us), now_us)
             busy = True
         busy |= self._drawn(now_us)
         while (action := self.player.next_action(now_us)) is not None:
@@ -272,6 +275,7 @@ class _Simulation:
             return False
         (_, action, result), self._drawing = self._drawing, None
         if action.media:
+            self.spent.begins_play(now_us)
             self._record(action, result, now_us)
         elif action.first and self.truth is not None and not self._first:
             self._first = self._scored(result, *self.truth(result.frame, result.camera))

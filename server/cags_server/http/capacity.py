@@ -42,7 +42,7 @@ def capacity(settings: ServeSettings, fps: float, stats: Iterable[StreamStats], 
     if count < LEAST_MEASURED:
         return Capacity(cores, None)
     threads = min(settings.render_threads, cores)
-    spent_ns = sum(each.render_ns * threads + each.encode_ns for each in every)
+    spent_ns = sum((each.render_ns + each.mirror_ns) * threads + each.encode_ns for each in every)
     reference_s = spent_ns / count / 1e9
     usable = HEADROOM * min(cores, settings.workers * threads)
     return Capacity(max(1, int(usable / (reference_s * fps / settings.reference_every))), reference_s * 1e3)

@@ -28,6 +28,14 @@ def test_what_references_cost_says_how_many() -> None:
     assert half.clients == 8
 
 
+def test_the_mirror_s_render_is_part_of_a_reference() -> None:
+    """10 ms for the truth and 10 ms for the mirror, on two threads, and 5 ms of coding."""
+    measured = StreamStats(references=100, render_ns=10**9, mirror_ns=10**9, encode_ns=5 * 10**8)
+    found = capacity(ServeSettings(bundle="x", workers=4), 30.0, [measured], cores=4)
+    assert found.reference_ms == pytest.approx(45.0)
+    assert found.clients == 2
+
+
 def test_auto_is_the_number_for_it() -> None:
     assert _spelt_out(["--max-clients", "auto", "--host", "auto"]) == ["--max-clients", "0", "--host", "auto"]
     assert _spelt_out(["--max-clients=auto"]) == ["--max-clients=0"]
