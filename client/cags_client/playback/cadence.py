@@ -32,32 +32,30 @@ STEADY = 0.06
 
 
 class Cadence:
-    """Chooses which media frames one play displays."""
+    """Chooses which media frames one play displays: ticks of its :class:`~cags_protocol.timeline.Timeline`."""
 
-    def __init__(self, first_frame: int) -> None:
+    def __init__(self) -> None:
         self.permille = EVERY_FRAME
         """How many of 1,000 media frames are displayed."""
-        self.counted_from = first_frame
-        """The media frame that the newest Control named; each loop since takes a clip's frames off it."""
         self._since_us: int | None = None
         self._begun_us = 0  # the drawing of the newest frame
         self._busy_us = self._due = self._chosen = self._drawn = 0  # in this window
 
-    def next(self, frame: int, end_frame: int) -> int:
-        """The first media frame to display from ``frame`` on; that before ``end_frame`` is displayed in any case."""
-        return min(self.counted_from + next_displayed(frame - self.counted_from, self.permille), end_frame - 1)
+    def next(self, tick: int, end_tick: int) -> int:
+        """The first tick to display from ``tick`` on; that before ``end_tick`` is displayed in any case."""
+        return min(next_displayed(tick, self.permille), end_tick - 1)
 
-    def newest_due(self, now_us: int, from_frame: int, end_frame: int, due_us: Callable[[int], int]) -> int:
-        """The frame to draw now: the newest one due of those to display from ``from_frame`` on."""
-        frame, missed = self.next(from_frame, end_frame), 0
-        while (later := self.next(frame + 1, end_frame)) > frame and due_us(later) <= now_us:
-            frame, missed = later, missed + 1
+    def newest_due(self, now_us: int, from_tick: int, end_tick: int, display_us: Callable[[int], int]) -> int:
+        """The tick to draw now: the newest one due of those to display from ``from_tick`` on."""
+        tick, missed = self.next(from_tick, end_tick), 0
+        while (later := self.next(tick + 1, end_tick)) > tick and display_us(later) <= now_us:
+            tick, missed = later, missed + 1
         if self._since_us is None:
             self._begin(now_us)
         self._begun_us = now_us
-        self._due += frame + 1 - from_frame
+        self._due += tick + 1 - from_tick
         self._chosen += 1 + missed
-        return frame
+        return tick
 
     def drawn(self, now_us: int) -> None:
         """The frame that was handed out is drawn."""
@@ -69,9 +67,9 @@ class Cadence:
             self._choose(now_us - self._since_us)
             self._begin(now_us)
 
-    def restart(self, frame: int) -> None:
-        """A Control names ``frame``: the window that was under way counts for nothing."""
-        self.counted_from, self._since_us = frame, None
+    def restart(self) -> None:
+        """Ticks are counted anew: the window that was under way counts for nothing."""
+        self._since_us = None
 
     def _begin(self, now_us: int) -> None:
         self._since_us, self._busy_us, self._due, self._chosen, self._drawn = now_us, 0, 0, 0, 0

@@ -1,9 +1,9 @@
 """A player that the viewer steers: pause, play, seek, speed, loop, and a camera that moves while the clip stands still.
 
-The state of play is one anchor: frame ``f`` is displayed at client time ``t``. Every wish makes a new anchor and tells
-the server. A seek waits until no decoding and no drawing is under way. Where the store cannot show the frame from what
-it holds, the server is asked to hold there; when the frame has come whole, the clip goes on from it. So nothing is
-skipped, however slow the link is. A loop within one group of frames goes on without a break: the server plans it ahead.
+The state of play is a :class:`~cags_protocol.timeline.Timeline`. Every wish makes a new one and tells the server. A
+seek waits until no decoding and no drawing is under way. Where the store cannot show the frame from what it holds, the
+server is asked to hold there; when the frame has come whole, the clip goes on from it. So nothing is skipped, however
+slow the link is. A loop within one group of frames goes on without a break: the server plans it ahead.
 """
 
 from __future__ import annotations
@@ -33,11 +33,9 @@ class InteractivePlayer(Player):
         self.playing, self.loop, self.rate = True, True, 1.0
         self.frame = 0
         """The media frame on display."""
-        self._anchor = (0, 0)
         self._wanted_frame: int | None = None
         self._awaited: tuple[int, int] | None = None
         self._shown_pose: Pose | None = None
-        self._loop_told = False
         super().__init__(*arguments, **named)
         self.frame = self.settings.start_frame
 
@@ -54,7 +52,7 @@ class InteractivePlayer(Player):
         if self.playing:
             return
         self.playing = True
-        if self.frame >= self._end_frame - 1:
+        if self.frame >= self._last_frame:
             self._tell("play", self.frame, now_us, now_us)
             self.seek(0)
         else:
@@ -63,17 +61,14 @@ class InteractivePlayer(Player):
     def seek(self, frame: int) -> None:
         """Go to ``frame`` as soon as what is under way has ended."""
         if self.stats.started_us is not None:
-            self._wanted_frame = max(0, min(frame, self._end_frame - 1))
+            self._wanted_frame = max(0, min(frame, self._last_frame))
 
     def set_rate(self, rate: float, now_us: int) -> None:
         """Change the speed from the next frame on."""
-        if self.stats.started_us is None:
-            self.rate = rate
-            return
-        next_us = max(self._frame_due_us(self.frame + 1), now_us)
         self.rate = rate
-        if self.playing and self.frame + 1 < self._end_frame:
-            self._tell("rate", self.frame + 1, next_us, now_us)
+        if self.stats.started_us is not None and self.playing and self._next_tick < self._end_tick:
+            next_us = max(self._timeline.display_us(self._next_tick), now_us)
+            self._tell("rate", self._media_frame(self._next_tick), next_us, now_us)
 
     def set_loop(self, on: bool, now_us: int) -> None:
         """Start again at the clip's end, or hold there."""
@@ -124,28 +119,27 @@ class InteractivePlayer(Player):
         self._presented(action, result, now_us)
         if not action.media:
             return
-        if self.playing and self._wanted_frame is None and self._next_frame >= self._end_frame:
+        if self.playing and self._wanted_frame is None and self._next_tick >= self._end_tick:
             self._at_end(now_us)
 
     # --------------------------------------------------------------------------------------------------------- details
 
     def _at_end(self, now_us: int) -> None:
         assert self.pipeline is not None
+        told = self._timeline
         if not self.loop:
             self.pause(now_us)
-        elif now_us - self._frame_due_us(self._end_frame) > JUMP_US:  # the machine slept: no round is made up for
+        elif now_us - told.display_us(self._end_tick) > JUMP_US:  # the machine slept: no round is made up for
             self.seek(0)
-        elif self._loop_told and self.pipeline.keeps(0):
-            self._anchor = (0, self._frame_due_us(self._end_frame))
-            self._cadence.counted_from -= self._end_frame
-            self._next_frame, self._due_us = 0, self._frame_due_us(self._cadence.next(0, self._end_frame))
+        elif told.loop and told.rate == self.rate and self.pipeline.keeps(0):
+            self._end_tick = told.round_end(self._end_tick)
+            self._due_us = told.display_us(self._cadence.next(self._next_tick, self._end_tick))
         else:
             self.seek(0)
 
-    def _open(self, now_us: int) -> None:
-        super()._open(now_us)
-        if self.info is not None:
-            self._end_frame = self.info.frames
+    @property
+    def _last_frame(self) -> int:
+        return self._timeline.frames - 1
 
     def _ask_to_play(self, at_us: int, now_us: int) -> None:
         if self.playing:
@@ -156,13 +150,9 @@ class InteractivePlayer(Player):
     def _tell(self, action: str, frame: int, at_us: int, now_us: int) -> None:
         if self.stats.started_us is None:
             return
-        self._anchor, self._next_frame, self._due_us = (frame, at_us), frame, at_us
-        self._cadence.restart(frame)
-        self._interpolation.cancel()
         keeps = self.pipeline is not None and self.pipeline.keeps(frame)
-        self._loop_told = self.loop and keeps and self.info is not None and len(self.info.gof_starts) == 1
-        control = Control(action, frame, at_us, self.rate, loop=self._loop_told, keeps=keeps)
-        self._session.control(control, now_us=now_us)
+        loop = self.loop and keeps and self.info is not None and len(self.info.gof_starts) == 1
+        self._control(Control(action, frame, at_us, self.rate, loop=loop, keeps=keeps), now_us)
 
     def _seek_now(self, frame: int, now_us: int) -> None:
         assert self.pipeline is not None
@@ -201,12 +191,7 @@ class InteractivePlayer(Player):
             assert going is not None
             control = going
         keeps = self.pipeline is not None and self.pipeline.keeps(control.frame)
-        return replace(control, rate=self.rate, loop=self._loop_told, keeps=keeps)
-
-    def _frame_due_us(self, frame: int) -> int:
-        assert self.info is not None
-        anchored, at_us = self._anchor
-        return at_us + round((frame - anchored) * 1e6 / (self.info.fps * self.rate))
+        return replace(control, rate=self.rate, loop=self._timeline.loop, keeps=keeps)
 
     def _present(self, now_us: int) -> Present | None:  # type: ignore[override]
         if self.playing:

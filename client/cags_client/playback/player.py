@@ -38,6 +38,7 @@ from cags_protocol import events as ev
 from cags_protocol.sessions.base import SessionTimers
 from cags_protocol.sessions.blobs import CODEBOOKS_BLOB, WEIGHTS_BLOB
 from cags_protocol.sessions.client import ClientSession, ClientSessionSettings
+from cags_protocol.timeline import Timeline
 from cags_protocol.wire.inventory import pack_inventory, unpack_inventory
 from cags_protocol.wire.limits import PROTOCOL_VERSION
 from cags_protocol.wire.messages import Control, Hello, Welcome
@@ -85,13 +86,13 @@ class Player:
         self._weights: bytes | None = None
         self._decode_queue = DecodeQueue()
         self._restarts_due = 0  # jumps by which everything was forgotten, and of which the server has not heard
-        self._presenting, self._next_frame = False, settings.start_frame
+        self._timeline: Timeline  # once the manifest is there; so are the ticks to display next, and to end before
+        self._presenting, self._next_tick, self._end_tick = False, 0, 1
         self._preview_due = False  # there is more of the picture before the start than was shown
         self._startup = Startup(settings.startup_ms * 1000, now_us)
-        self._cadence = Cadence(settings.start_frame)
+        self._cadence = Cadence()
         self._interpolation = Interpolation(settings.interpolate, settings.display_rate)
         self._due_us: int | None = None
-        self._end_frame = settings.start_frame + 1
         self._asked_idr_us: int | None = None
         session.hello(self._hello(settings.start_frame, poses.pose_at(0)), now_us=now_us)
 
@@ -168,7 +169,7 @@ class Player:
         """There is a connection again: say Hello with what is held."""
         self._session = ClientSession(RESUMING, now_us=now_us)
         self._restarts_due = 0
-        self._resume_at = self._state_of_play(now_us)
+        self._resume_at, self._asked_by = self._state_of_play(now_us), self._timeline
         frame = self.settings.start_frame if self._resume_at is None else self._resume_at.frame
         hello = self._hello(frame, self._viewpoint.pose_at(now_us))
         self._decode_queue.add(Restarted(unpack_inventory(hello.inventory)))
@@ -200,7 +201,7 @@ class Player:
         if isinstance(action, Present):
             assert isinstance(result, PresentedFrame)
             self._presented(action, result, now_us)
-            if action.media and self._next_frame >= self._end_frame:
+            if action.media and self._next_tick >= self._end_tick:
                 self._finish(now_us)
             return
         assert isinstance(result, DecodeResult)
@@ -306,8 +307,10 @@ class Player:
                 return
             self._open(now_us)
         if self._resume_at is not None:
+            if self._timeline is not self._asked_by:  # the viewer wished for something meanwhile
+                self._resume_at = self._state_of_play(now_us) or self._resume_at
             self._session.control(self._resume_at, now_us=now_us)
-            self._cadence.restart(self._resume_at.frame)
+            self._go_on_by(self._resume_at)
             self._resume_at = None
 
     def _on_codebooks(self, data: bytes, now_us: int) -> None:
@@ -334,20 +337,16 @@ class Player:
         """Where the play will stand once a server has taken the session over; None before it has begun."""
         if self.stats.started_us is None:
             return None
-        frame = min(self._next_frame, self._end_frame - 1)
-        while frame + 1 < self._end_frame and self._frame_due_us(frame) < now_us + self.settings.start_delay_ms * 1000:
-            frame += 1
-        return Control("play", frame, self._frame_due_us(frame))
+        soon = self._timeline.first_tick(now_us + self.settings.start_delay_ms * 1000)
+        tick = min(max(self._next_tick, soon), self._end_tick - 1)
+        return Control("play", self._media_frame(tick), self._timeline.display_us(tick))
 
     def _open(self, now_us: int) -> None:
         """Make the pipeline once the manifest is there; the codebooks follow."""
         if self.info is None or self.pipeline is not None:
             return
         self.pipeline = ClientPipeline(self.info, self.settings, live=self.live, clock=self._clock)
-        last = self.info.frames
-        if self.settings.duration is not None:
-            last = min(last, self.settings.start_frame + max(1, round(self.settings.duration * self.info.fps)))
-        self._end_frame = max(last, self.settings.start_frame + 1)
+        self._timeline = Timeline(self.info.fps, self.info.frames, min(self.settings.start_frame, self.info.frames - 1))
 
     def _take_weights(self) -> None:
         """Hand the content's own weights to the pipeline, once both are there; damaged ones are only reported."""
@@ -380,31 +379,50 @@ class Player:
         if self._startup.greeting and self.pipeline is not None:
             self.pipeline.forget_references(self._startup.greeting)
         at_us = now_us + self.settings.start_delay_ms * 1000
-        self._due_us = self.stats.started_us = at_us
+        self.stats.started_us = at_us
         self._viewpoint.begin(at_us)
         self._ask_to_play(at_us, now_us)
 
     def _ask_to_play(self, at_us: int, now_us: int) -> None:
-        self._session.control(Control("play", self.settings.start_frame, at_us), now_us=now_us)
+        self._control(Control("play", self.settings.start_frame, at_us), now_us)
+        if self.settings.duration is not None:
+            self._end_tick = min(self._end_tick, max(1, round(self.settings.duration * self._timeline.fps)))
 
-    def _frame_due_us(self, frame: int) -> int:
-        assert self.info is not None
-        assert self.stats.started_us is not None
-        return self.stats.started_us + round((frame - self.settings.start_frame) * 1e6 / self.info.fps)
+    def _control(self, control: Control, now_us: int) -> None:
+        """Count ticks anew, as ``control`` says, and tell the server."""
+        self._timeline = self._timeline.controlled(control)
+        self._next_tick, self._end_tick, self._due_us = 0, self._timeline.round_end(0), control.at_us
+        self._cadence.restart()
+        self._interpolation.cancel()
+        self._session.control(control, now_us=now_us)
+
+    def _go_on_by(self, control: Control) -> None:
+        """A server that took over counts from ``control``, a place of the timeline: what is displayed stays."""
+        if control.action == "play":
+            passed = self._timeline.first_tick(control.at_us)
+            self._next_tick, self._end_tick = self._next_tick - passed, self._end_tick - passed
+            self._timeline = self._timeline.controlled(control)
+        self._cadence.restart()
+
+    def _media_frame(self, tick: int) -> int:
+        frame = self._timeline.media_frame(tick)
+        assert frame is not None, "ticks past the end are not displayed"
+        return frame
 
     def _present(self, now_us: int) -> Present:
-        frame = self._cadence.next(self._next_frame, self._end_frame)
+        tick = self._cadence.next(self._next_tick, self._end_tick)
         if self.settings.drop_late:
-            frame = self._cadence.newest_due(now_us, self._next_frame, self._end_frame, self._frame_due_us)
-        self.stats.dropped += frame - self._next_frame
-        self._next_frame, self._presenting = frame + 1, True
-        due_us = self._frame_due_us(frame)
-        following = self._cadence.next(frame + 1, self._end_frame)
-        self._due_us = self._frame_due_us(following) if following > frame else None
+            tick = self._cadence.newest_due(now_us, self._next_tick, self._end_tick, self._timeline.display_us)
+        self.stats.dropped += tick - self._next_tick
+        self._next_tick, self._presenting = tick + 1, True
+        frame, due_us = self._media_frame(tick), self._timeline.display_us(tick)
+        following = self._cadence.next(tick + 1, self._end_tick)
+        following_us = self._timeline.display_us(following)
+        self._due_us = following_us if following > tick else None
         self._interpolation.cancel()
         assert self.info is not None and self.pipeline is not None
-        if self.info.motion is not None and following > frame:
-            self._interpolation.begin(due_us, self._frame_due_us(following), following - frame)
+        if self.info.motion is not None and following > tick:
+            self._interpolation.begin(due_us, following_us, following - tick)
         self._interpolation.drawing(now_us)
         return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._decode_queue.traffic())
 
@@ -420,7 +438,7 @@ class Player:
         assert self.pipeline is not None
         self._presenting = True
         self._interpolation.drawing(now_us)
-        frame, pose = self._next_frame - 1, self._viewpoint.pose_at(moment.due_us)
+        frame, pose = self._media_frame(self._next_tick - 1), self._viewpoint.pose_at(moment.due_us)
         return Present(frame, moment.due_us, pose, self.pipeline, Traffic(), moment.share)
 
     def _ask_idr(self, last_seq: int, now_us: int) -> None:

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from cags_protocol.cadence import EVERY_FRAME, last_displayed, next_displayed
+from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import Control
 from cags_server.session.clock import ClientClock
 from cags_server.session.pace import Pace
-from cags_server.session.timeline import Timeline
 from cags_server.settings import ServerSettings
 
 RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
@@ -85,7 +85,7 @@ class Schedule:
 
     def media_frame(self, tick: int) -> int | None:
         """While paused the viewer still moves: the same frame is planned again and again. None past the end."""
-        return self.timeline.media_frame(tick) if self.timeline.playing else self.timeline.frame
+        return self.timeline.media_frame(tick)
 
     @property
     def next_tick(self) -> int:
@@ -95,7 +95,7 @@ class Schedule:
     def _up_to_the_end(self, tick: int) -> int:
         """``tick``, or that of the clip's last frame if it lies between."""
         t = self.timeline
-        last = tick if t.loop or not t.playing else t.frames - 1 - t.frame
+        last = tick if t.loop or not t.playing else t.round_end(tick) - 1
         return min(tick, last) if last >= self._from_tick else tick
 
     def ahead(self, tick: int) -> int:
@@ -107,7 +107,7 @@ class Schedule:
         for _ in range(self._tiles_ahead):
             after = next_displayed(after + 1, self.cadence_permille)
         after = max(after, self._served_ahead)
-        return after if t.loop or not t.playing else max(tick, min(after, t.frames - 1 - t.frame))
+        return after if t.loop or not t.playing else max(tick, min(after, t.round_end(tick) - 1))
 
     @property
     def reference_period_us(self) -> float:

@@ -13,6 +13,7 @@ from cags_common.geometry import Camera, Pose
 from cags_common.tiles.inventory import InventoryEntry
 from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
+from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import (
     Control,
     FrameEnd,
@@ -41,7 +42,6 @@ from cags_server.session.pace import MARGIN_US
 from cags_server.session.schedule import Schedule
 from cags_server.session.startup import Startup
 from cags_server.session.tile_sender import TileSender
-from cags_server.session.timeline import Timeline
 from cags_server.session.viewer import Viewer
 from cags_server.settings import PLAIN, ServerSettings
 from cags_server.visibility.visibility import Visibility

@@ -24,9 +24,9 @@ from cags_common.metrics import flicker, psnr, ssim
 from cags_common.raster.base import Exactness, RenderOptions
 from cags_common.raster.cpu import BOUNDS
 from cags_encoder.quantiser.kmeans import NearestCentre, kmeans
+from cags_protocol.timeline import Timeline
 from cags_server.fov.base import MAX_REFERENCE_FOV_RAD, widened
 from cags_server.ratecontrol import RATE_POLICIES, Observation, TileView, create_rate_policy
-from cags_server.session.timeline import Timeline
 from support.raster_scenes import camera, random_splats
 
 DENORMAL = np.float32(1e-42)

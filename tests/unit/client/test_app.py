@@ -295,7 +295,7 @@ async def test_pictures_between_frames_go_to_who_looks_and_are_counted_apart() -
     client = Shell(ours, made, (file, page), None, nowhere)
     pipe = ClientPipeline(manifest(), ClientSettings(width=16, height=12))
     pipe.on_codebooks(books().to_bytes())
-    made._end_frame, made._next_frame = 9, 5
+    made._next_tick, made._end_tick = 5, 9
     for share in (0.0, 0.5):
         await client._present(Present(4, now_us(), Pose.identity(), pipe, Traffic(), share))
     await asyncio.gather(*client._tasks)

@@ -13,8 +13,6 @@ const STEADY = 0.06;
 export class Cadence {
   /** How many of 1,000 media frames are displayed. */
   permille = EVERY_FRAME;
-  /** The media frame that the newest control named; each loop since takes a clip's frames off it. */
-  countedFrom: number;
   #sinceUs: number | null = null;
   #begunUs = 0;
   #busyUs = 0;
@@ -22,25 +20,21 @@ export class Cadence {
   #chosen = 0;
   #drawn = 0;
 
-  constructor(firstFrame: number) {
-    this.countedFrom = firstFrame;
+  /** The first tick to display from `tick` on; that before `endTick` is displayed in any case. */
+  next(tick: number, endTick: number): number {
+    return Math.min(nextDisplayed(tick, this.permille), endTick - 1);
   }
 
-  /** The first media frame to display from `frame` on; that before `endFrame` is displayed in any case. */
-  next(frame: number, endFrame: number): number {
-    return Math.min(this.countedFrom + nextDisplayed(frame - this.countedFrom, this.permille), endFrame - 1);
-  }
-
-  /** The frame to draw now: the newest one due of those to display from `fromFrame` on. */
-  newestDue(nowUs: number, fromFrame: number, endFrame: number, dueUs: (frame: number) => number): number {
-    let frame = this.next(fromFrame, endFrame);
+  /** The tick to draw now: the newest one due of those to display from `fromTick` on. */
+  newestDue(nowUs: number, fromTick: number, endTick: number, displayUs: (tick: number) => number): number {
+    let tick = this.next(fromTick, endTick);
     let missed = 0;
-    for (let later; (later = this.next(frame + 1, endFrame)) > frame && dueUs(later) <= nowUs; missed++) frame = later;
+    for (let later; (later = this.next(tick + 1, endTick)) > tick && displayUs(later) <= nowUs; missed++) tick = later;
     if (this.#sinceUs === null) this.#begin(nowUs);
     this.#begunUs = nowUs;
-    this.#due += frame + 1 - fromFrame;
+    this.#due += tick + 1 - fromTick;
     this.#chosen += 1 + missed;
-    return frame;
+    return tick;
   }
 
   /** The frame that was handed out is drawn. */
@@ -54,9 +48,8 @@ export class Cadence {
     }
   }
 
-  /** A control names `frame`: the window that was under way counts for nothing. */
-  restart(frame: number): void {
-    this.countedFrom = frame;
+  /** Ticks are counted anew: the window that was under way counts for nothing. */
+  restart(): void {
     this.#sinceUs = null;
   }
 

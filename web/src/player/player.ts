@@ -1,9 +1,9 @@
 /**
  * Plays a scene: which media frame is shown when, with which reference, from where.
  *
- * The state of play is one anchor: frame f is displayed at time t. Every wish makes a new anchor and tells the source. A
- * seek keeps the picture until the frame it went to has come whole. {@link Player.step} is called once a refresh of the
- * screen; at most one frame is under way.
+ * The state of play is a {@link Timeline}. Every wish makes a new one and tells the source. A seek keeps the picture until
+ * the frame it went to has come whole. {@link Player.step} is called once a refresh of the screen; at most one frame is
+ * under way.
  */
 
 import { atHalfResolution, CLASSIC, type Exactness, type Footprint } from "../gpu/layout.ts";
@@ -11,6 +11,7 @@ import type { CodedReference, FrameOptions, FrameTimes, Renderer } from "../gpu/
 import { References } from "../playback/references.ts";
 import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status } from "../seam.ts";
 import { ReferenceVideo } from "../video/stream.ts";
+import { Timeline } from "../wire/timeline.ts";
 import { Cadence } from "./cadence.ts";
 import { Resolution } from "./resolution.ts";
 import { Startup, STARTUP_US } from "./startup.ts";
@@ -108,14 +109,14 @@ export class Player {
   #holdUs = STARTUP_US; // of the first frame, at most
   #resolution = new Resolution(1000 / 30);
   #samples: PoseSample[] = [];
-  #anchor: readonly [number, number] = [0, 0];
+  #timeline = new Timeline(1, 1);
   #startedUs: number | null = null;
-  #nextFrame: number;
+  #nextTick = 0;
+  #endTick = 1;
   #dueUs: number | null = null;
   #wanted: number | null = null;
   #awaited: Awaited | null = null;
   readonly #whole = new Set<number>(); // media frames that are there, since everything was forgotten
-  #loopTold = false;
   #busy = false;
   #news = false;
   #takesUs = 0;
@@ -136,8 +137,8 @@ export class Player {
     this.correct = options.correct;
     this.exactness = options.exactness;
     this.adaptResolution = options.adaptResolution;
-    this.frame = this.#nextFrame = this.#startFrame = options.startFrame;
-    this.#cadence = new Cadence(options.startFrame);
+    this.frame = this.#startFrame = options.startFrame;
+    this.#cadence = new Cadence();
     this.#video = new ReferenceVideo({
       decoded: (reference, coded) => {
         const { camera, knee, kind, error } = reference;
@@ -238,6 +239,7 @@ export class Player {
     switch (event.type) {
       case "info":
         this.info = event.info;
+        this.#timeline = new Timeline(event.info.fps, event.info.frames, { frame: this.#startFrame });
         this.#resolution = new Resolution(1000 / event.info.fps);
         if (event.info.waits) this.#startup = new Startup((this.#holdUs = 0), nowUs()); // nobody would refine it
         this.#events.info(event.info);
@@ -262,7 +264,7 @@ export class Player {
         this.#references.reset();
         break;
       case "restarted":
-        if (event.resumeAt) this.#cadence.restart(event.resumeAt.frame);
+        if (event.resumeAt) this.#goOnBy(event.resumeAt);
         break;
       case "notice":
         this.#events.notice(event.message);
@@ -331,9 +333,10 @@ export class Player {
   /** A picture of what moves by itself, or of the frame on display from where the viewer is now. */
   #between(now: number): (() => Promise<void>) | null {
     if (this.#dueUs === null || now + CAUTION * this.#takesUs > this.#dueUs) return null;
-    const due = this.#frameDueUs(this.frame);
-    const share = ((now - due) * this.info!.fps * this.rate) / 1e6;
-    if (this.info!.moves && share > 0 && share < 1) return () => this.#present(this.frame, share, false);
+    const timeline = this.#timeline;
+    const tick = timeline.mediaFrame(this.#nextTick) === this.frame ? this.#nextTick : this.#nextTick - 1;
+    const share = ((now - timeline.displayUs(tick)) * timeline.fps * timeline.place.rate) / 1e6;
+    if (this.info!.moves && this.frame < timeline.frames - 1 && share > 0 && share < 1) return () => this.#present(this.frame, share, false);
     return this.#redraw(now);
   }
 
@@ -344,16 +347,17 @@ export class Player {
   }
 
   async #presentDue(now: number): Promise<void> {
-    const end = this.info!.frames;
-    const frame = this.#cadence.newestDue(now, this.#nextFrame, end, (f) => this.#frameDueUs(f));
+    const timeline = this.#timeline;
+    const tick = this.#cadence.newestDue(now, this.#nextTick, this.#endTick, (t) => timeline.displayUs(t));
+    const frame = timeline.mediaFrame(tick)!;
     if (this.info!.waits && !this.#whole.has(frame)) return this.#stall(frame, now);
-    this.#nextFrame = frame + 1;
-    const following = this.#cadence.next(frame + 1, end);
-    this.#dueUs = following > frame ? this.#frameDueUs(following) : null;
+    this.#nextTick = tick + 1;
+    const following = this.#cadence.next(tick + 1, this.#endTick);
+    this.#dueUs = following > tick ? timeline.displayUs(following) : null;
     this.frame = frame;
     await this.#present(frame, 0, true);
     this.#cadence.drawn(nowUs());
-    if (this.playing && this.#wanted === null && !this.#awaited && this.#nextFrame >= end) this.#atEnd();
+    if (this.playing && this.#wanted === null && !this.#awaited && this.#nextTick >= this.#endTick) this.#atEnd();
   }
 
   async #present(frame: number, share: number, media: boolean): Promise<void> {
@@ -440,20 +444,35 @@ export class Player {
   }
 
   #tell(action: PlayState["action"], frame: number, atUs: number): void {
-    this.#anchor = [frame, atUs];
-    this.#nextFrame = frame;
+    const loop = this.loop && this.#source.keeps(frame) && this.info!.gofStarts.length === 1;
+    const state = { action, frame, atUs, rate: this.rate, loop };
+    this.#timeline = this.#timeline.controlled(state);
+    this.#nextTick = 0;
+    this.#endTick = this.#timeline.roundEnd(0);
     this.#dueUs = atUs;
-    this.#cadence.restart(frame);
-    this.#loopTold = this.loop && this.#source.keeps(frame) && this.info!.gofStarts.length === 1;
-    this.#source.control({ action, frame, atUs, rate: this.rate, loop: this.#loopTold });
+    this.#cadence.restart();
+    this.#source.control(state);
     this.#events.changed();
+  }
+
+  /** A server that took over counts from `state`. Where that is no place of the timeline, a later wish is on its way. */
+  #goOnBy(state: PlayState): void {
+    const timeline = this.#timeline;
+    const passed = timeline.firstTick(state.atUs);
+    const there = timeline.displayUs(passed) === state.atUs && timeline.mediaFrame(passed) === state.frame;
+    if (state.action === "play" && timeline.place.playing && there) {
+      this.#nextTick -= passed;
+      this.#endTick -= passed;
+      this.#timeline = timeline.controlled(state);
+    }
+    this.#cadence.restart();
   }
 
   /** Speed or loop have changed: from the next frame on. */
   #retell(): void {
     if (this.#startedUs === null || !this.info || !this.playing || this.#awaited) return;
-    const next = Math.min(this.frame + 1, this.info.frames - 1);
-    this.#tell("rate", next, Math.max(this.#dueUs ?? 0, nowUs()));
+    if (this.#nextTick >= this.#endTick) return; // the end looks at what was told
+    this.#tell("rate", this.#timeline.mediaFrame(this.#nextTick)!, Math.max(this.#timeline.displayUs(this.#nextTick), nowUs()));
   }
 
   #seekNow(frame: number, now: number): void {
@@ -473,7 +492,6 @@ export class Player {
   #stall(frame: number, now: number): void {
     this.stalls++;
     this.frame = frame;
-    this.#nextFrame = frame;
     const last = Math.min(frame + Math.ceil(REFILL_S * this.info!.fps), this.info!.frames - 1);
     this.#awaited = { frames: [frame, last], untilUs: Infinity, flushes: 0, stalledUs: now };
     this.#events.changed();
@@ -495,20 +513,13 @@ export class Player {
   }
 
   #atEnd(): void {
-    const end = this.info!.frames;
-    const endUs = this.#frameDueUs(end);
+    const told = this.#timeline;
+    const going = told.place.loop && told.place.rate === this.rate && this.#source.keeps(0);
     if (!this.loop) this.pause();
-    else if (nowUs() - endUs <= JUMP_US && this.#loopTold && this.#source.keeps(0)) {
-      this.#anchor = [0, endUs];
-      this.#cadence.countedFrom -= end;
-      this.#nextFrame = 0;
-      this.#dueUs = this.#frameDueUs(this.#cadence.next(0, end));
+    else if (going && nowUs() - told.displayUs(this.#endTick) <= JUMP_US) {
+      this.#endTick = told.roundEnd(this.#endTick);
+      this.#dueUs = told.displayUs(this.#cadence.next(this.#nextTick, this.#endTick));
     } else this.seek(0);
-  }
-
-  #frameDueUs(frame: number): number {
-    const [anchored, atUs] = this.#anchor;
-    return atUs + Math.round(((frame - anchored) * 1e6) / (this.info!.fps * this.rate));
   }
 }
 

@@ -14,6 +14,7 @@ import { packInventory, unpackInventory } from "../wire/inventory.ts";
 import { PROTOCOL_VERSION, SUBPROTOCOL } from "../wire/limits.ts";
 import type { Control, Hello, Refusal, Welcome } from "../wire/messages.ts";
 import { ClientSession, DEFAULTS, RESUMING, type SessionEvent } from "../wire/session.ts";
+import { Timeline } from "../wire/timeline.ts";
 import { CODEBOOKS_BLOB } from "../wire/assembly.ts";
 import { DecodeQueue, type DataEvent, MAX_UNDECODED_BYTES } from "./decodeQueue.ts";
 import { Reconnect } from "./reconnect.ts";
@@ -77,6 +78,7 @@ export class LiveSource implements SceneSource {
   private restartsDue = 0; // jumps by which everything was forgotten, and of which the server has not heard
   private playState: KeepingState | undefined;
   private resumeAt: Control | undefined;
+  private resumeOf: KeepingState | undefined; // what the page had said by then
   private pose: PoseSample["pose"];
   private asked = { seq: -1, atUs: -Infinity };
   private timer: ReturnType<typeof setTimeout> | undefined;
@@ -166,6 +168,7 @@ export class LiveSource implements SceneSource {
     this.connection += 1;
     for (; this.restartsDue > 0; this.restartsDue--) this.listen({ type: "flushed" });
     this.resumeAt = this.stateOfPlay(now);
+    this.resumeOf = this.playState;
     const hello = this.hello(this.resumeAt?.frame ?? this.playState?.frame ?? this.options.startFrame ?? 0);
     if (this.scene) this.queue.add({ type: "restarted", inventory: unpackInventory(hello.inventory) });
     this.session.hello(hello, now);
@@ -201,13 +204,12 @@ export class LiveSource implements SceneSource {
       return controlOf({ ...state, action: "pause", atUs: now }, kept(state.frame));
     }
     const { fps, frames } = this.scene.manifest;
-    const stepUs = 1e6 / (fps * (state.rate ?? 1));
-    const passed = Math.max(Math.ceil((now + RESUME_DELAY_US - state.atUs) / stepUs), 0);
-    const whole = state.frame + passed;
-    const frame = state.loop ? whole % frames : Math.min(whole, frames - 1);
-    const going = { ...state, action: "play" as const, frame, atUs: state.atUs + Math.round(passed * stepUs) };
+    const timeline = new Timeline(fps, frames).controlled({ ...state, action: "play" });
+    const soon = Math.max(timeline.firstTick(now + RESUME_DELAY_US), 0);
+    const tick = timeline.mediaFrame(soon) === null ? timeline.roundEnd(0) - 1 : soon;
+    const going = { ...state, action: "play" as const, frame: timeline.mediaFrame(tick)!, atUs: timeline.displayUs(tick) };
     this.playState = going;
-    return controlOf(going, kept(frame));
+    return controlOf(going, kept(going.frame));
   }
 
   private lost(reason: string): void {
@@ -304,6 +306,7 @@ export class LiveSource implements SceneSource {
     if (this.welcome && !sameBytes(this.welcome.info, welcome.info)) {
       return this.fail("scene", "the server streams another scene now; reload the page");
     }
+    if (this.playState !== this.resumeOf) this.resumeAt = this.stateOfPlay(nowUs());
     const returned = this.reconnect.away;
     this.reconnect.restored();
     this.welcome = welcome;

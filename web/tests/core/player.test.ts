@@ -96,6 +96,33 @@ test("a live play goes on without what is late", async () => {
   assert.equal(page.player.stalls, 0);
 });
 
+test("a clip that is held goes round without a word, and at the speed that was wished at the last moment", async () => {
+  const page = new Page(true);
+  page.player.setLoop(true);
+  page.whole(...upTo(FRAMES));
+  await page.until("the last frame", () => page.player.shown?.frame === FRAMES - 1);
+  const told = page.source.told.length;
+  await page.until("the next round", () => page.player.shown?.frame === 5);
+  assert.equal(page.source.told.length, told);
+  await page.until("its last frame", () => page.player.shown?.frame === FRAMES - 1);
+  page.player.setRate(2);
+  await page.until("the round after", () => page.player.shown?.frame === 5);
+  assert.equal(page.source.told.at(-1)!.rate, 2);
+});
+
+test("a play that a server took over goes on where it stood", async () => {
+  const page = new Page(false);
+  page.whole(0);
+  await page.until("a frame", () => page.player.shown?.frame === 5);
+  const { frame, atUs } = page.source.told.findLast(({ action }) => action === "play")!;
+  assert.equal(frame, 0);
+  const seen = page.seen.length;
+  page.player.handle({ type: "restarted", connection: 2, resumeAt: { action: "play", frame: 30, atUs: atUs + 300_000 } });
+  await page.until("the end", () => page.player.shown?.frame === FRAMES - 1);
+  const next = page.seen.slice(seen).find((at) => at > 5)!;
+  assert.ok(next < 30, `frames before that are shown when they are due, and not ${next}`);
+});
+
 test("pausing and seeking while data is waited for", async () => {
   const page = new Page(true);
   page.whole(...upTo(10));

@@ -19,7 +19,8 @@ from cags_client.settings import ClientSettings
 from cags_common.geometry import Pose
 from cags_common.passes import PassPlan
 from cags_protocol import events as ev
-from cags_protocol.wire.messages import Control, FrameEnd, TileLayers
+from cags_protocol.timeline import Timeline
+from cags_protocol.wire.messages import Control, FrameEnd, TileLayers, Welcome
 from support.live_page import StillWalk
 
 FRAMES, FPS, DELAY_US = 30, 30.0, 250_000
@@ -80,6 +81,13 @@ class FakePipeline:
         self.jumps += 1
 
 
+def shown(frame: int) -> PresentedFrame:
+    """An empty picture of ``frame``."""
+    blank = np.zeros((2, 2, 3), np.float32)
+    pictures, plan = StagedPictures(blank, blank, blank), PassPlan(frozenset())
+    return PresentedFrame(frame, None, pictures, None, None, 0.0, False, {}, plan)  # type: ignore[arg-type]
+
+
 class Stage:
     """A player with its first frame decoded, and a clock of the test's own."""
 
@@ -94,7 +102,7 @@ class Stage:
         self.player = InteractivePlayer(self.session, at_once, self.poses, now_us=0)  # type: ignore[arg-type]
         self.player.info = SimpleNamespace(fps=FPS, frames=FRAMES, gof_starts=(0,), motion=moves or None)  # type: ignore[assignment]
         self.player.pipeline = self.pipeline  # type: ignore[assignment]
-        self.player._end_frame = FRAMES
+        self.player._timeline = Timeline(FPS, FRAMES)
         self.player._codebooks = b""
         self.end(0)
 
@@ -108,21 +116,8 @@ class Stage:
         action = self.player.next_action(self.now_us)
         if not isinstance(action, Present):
             return None
-        blank = np.zeros((2, 2, 3), np.float32)
-        pictures = StagedPictures(blank, blank, blank)
-        shown = PresentedFrame(
-            action.frame,
-            None,
-            pictures,
-            None,
-            None,
-            0.0,
-            False,
-            {},
-            PassPlan(frozenset()),  # type: ignore[arg-type]
-        )
         self.now_us += self.draw_us
-        self.player.done(action, shown, self.now_us)
+        self.player.done(action, shown(action.frame), self.now_us)
         if action.share:
             self.between.append(action.frame + action.share)
             return None
@@ -237,13 +232,52 @@ def test_what_is_held_loops_without_a_break_and_without_a_word(stage: Stage) -> 
     assert stage.session.controls[-1].loop
     assert stage.session.controls[-1].keeps
     drawn = stage.run(DELAY_US + 2.5 * FRAMES * FRAME_US)
-    assert drawn[: 2 * FRAMES] == [*range(1, FRAMES), *range(FRAMES), 0]
+    assert drawn[: 2 * FRAMES] == [*range(FRAMES), *range(FRAMES)]
     assert len(stage.session.controls) == said
     assert stage.pipeline.resets == []
     stage.player.set_loop(False, stage.now_us)
     assert not stage.session.controls[-1].loop
     stage.run(FRAMES * FRAME_US)
     assert not stage.player.playing
+
+
+def test_a_speed_that_was_wished_at_the_last_frame_of_a_round_holds_in_the_next(stage: Stage) -> None:
+    stage.pipeline.kept = True
+    stage.player.set_rate(1.0, stage.now_us)
+    while stage.turn() != FRAMES - 2:
+        stage.now_us += 5_000
+    stage.now_us += round(FRAME_US)
+    action = stage.player.next_action(stage.now_us)
+    assert isinstance(action, Present)
+    stage.player.set_rate(0.5, stage.now_us)  # while the last frame is drawn: there is none to tell it of
+    assert stage.session.controls[-1].rate == 1.0
+    stage.player.done(action, shown(action.frame), stage.now_us)
+    stage.run(DELAY_US + 5 * FRAME_US)
+    assert stage.session.controls[-1].rate == stage.player._timeline.rate == 0.5
+
+
+def test_what_is_wished_while_a_connection_is_opened_is_told_once_it_is_there(stage: Stage) -> None:
+    stage.run(DELAY_US + 5 * FRAME_US)
+    player, now_us = stage.player, stage.now_us
+    player._resume_at, player._asked_by = player._state_of_play(now_us), player._timeline
+    player.pause(now_us)
+    player._on_welcome(Welcome("s-1", FPS, FRAMES), now_us + 1000)
+    assert [control.action for control in stage.session.controls[-2:]] == ["pause", "pause"]
+    assert not player._timeline.playing
+
+
+def test_a_play_that_was_taken_over_goes_on_where_it_stood(stage: Stage) -> None:
+    stage.run(DELAY_US + 5.5 * FRAME_US)
+    player, now_us = stage.player, stage.now_us
+    due_us = player._timeline.display_us(player._next_tick)
+    player._resume_at, player._asked_by = player._state_of_play(now_us), player._timeline
+    assert player._resume_at is not None
+    ahead = player._resume_at.frame - player.frame
+    assert ahead > 5, "a server needs time"
+    player._on_welcome(Welcome("s-1", FPS, FRAMES), now_us + 1000)
+    assert player._next_tick == 1 - ahead
+    assert abs(player._timeline.display_us(player._next_tick) - due_us) <= 1
+    assert stage.run(3 * FRAME_US) == [6, 7, 8]
 
 
 def test_rounds_that_were_slept_through_are_not_made_up_for(stage: Stage) -> None:

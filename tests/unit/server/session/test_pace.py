@@ -1,11 +1,11 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import Control
 from cags_server.session.clock import ClientClock
 from cags_server.session.pace import MARGIN_US, MAX_CAUTION_US, Pace
 from cags_server.session.schedule import LONGEST_LEAD_US, Schedule
-from cags_server.session.timeline import Timeline
 from cags_server.settings import ServerSettings
 
 

@@ -1,35 +1,14 @@
-"""Timeline, clock, inventory."""
+"""Clock, inventory."""
 
 import pytest
 
-from cags_protocol.wire.messages import Control, TileLayers
+from cags_protocol.wire.messages import TileLayers
 from cags_server.session.clock import ClientClock
-from cags_server.session.timeline import Timeline
 from cags_server.visibility.inventory import ClientInventory
 
 
 def layers(first: int, end: int, tile: int = 2, frame: int = 1) -> TileLayers:
     return TileLayers(frame, tile, first, end, (1,) * (end - first), (0,) * (end - first))
-
-
-def test_frames_follow_the_rate() -> None:
-    timeline = Timeline(30.0, 100).controlled(Control("play", 10, 1_000_000, 2.0))
-    assert timeline.playing
-    assert timeline.display_us(3) == 1_050_000
-    assert timeline.media_frame(3) == 13
-    assert timeline.media_frame(90) is None
-
-
-def test_a_loop_starts_again_after_the_last_frame() -> None:
-    timeline = Timeline(30.0, 10).controlled(Control("play", 8, 0, loop=True))
-    assert [timeline.media_frame(t) for t in range(4)] == [8, 9, 0, 1]
-
-
-def test_a_seek_beyond_the_end_goes_to_the_last_frame_and_keeps_playing() -> None:
-    playing = Timeline(30.0, 10).controlled(Control("play", 0, 0))
-    sought = playing.controlled(Control("seek", 99, 5))
-    assert (sought.frame, sought.playing) == (9, True)
-    assert not sought.controlled(Control("pause", 9, 6)).playing
 
 
 def test_the_clock_offset_is_the_least_delayed_message_of_the_last_ten_seconds() -> None:

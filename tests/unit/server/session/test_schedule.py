@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import Control
 from cags_server.session.clock import ClientClock
 from cags_server.session.schedule import JUMP_US, LONGEST_LEAD_US, Schedule
-from cags_server.session.timeline import Timeline
 from cags_server.settings import ServerSettings
 
 FPS, FRAMES, AT_US = 50.0, 100, 1_000_000
