@@ -147,3 +147,29 @@ def judged(lines: Sequence[JsonObject]) -> list[JsonObject]:
         worst = max(ratios)
         out.append(check("age of frames at p99 with 2 % loss over without", "<= 2", worst, worst <= 2))
     return out
+
+
+def cross_table(lines: Sequence[JsonObject]) -> str:
+    """Markdown: a row a case. Shares in percent of the link's rate, times in ms."""
+    head = (
+        "| beside | our TCP | loss | each of ours (the lesser) | the other | queue, median / p95 "
+        "| age, median / p99 | p99 over that without loss |"
+    )
+    rows = [head, "|" + "---|" * 8]
+    for line in lines:
+        low, high = line.get("age_p99_ratio_interval", (None, None))
+        known = low is not None and high is not None
+        ratio = f"{line['age_p99_ratio']:.2f} [{low:.2f}, {high:.2f}]" if known else ""
+        other = "" if line["rival"] == ALONE else f"{line['share_rival']:.0%}"
+        cells = [
+            line["rival"],
+            line["carrier"],
+            f"{line['loss']:.0%}",
+            f"{line['share']:.0%} ({line['share_least']:.0%})",
+            other,
+            f"{line['queue_ms']:.0f} / {line['queue_p95_ms']:.0f}",
+            f"{line['age_ms']:.0f} / {line['age_p99_ms']:.0f}",
+            ratio,
+        ]
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows) + "\n"

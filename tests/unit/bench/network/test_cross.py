@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import random
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ import pytest
 from cags_bench.network.checks import checks
 from cags_bench.network.cross.bottleneck import Bottleneck, Rival, Station
 from cags_bench.network.cross.congestion import CUBIC_ALPHA, RULES, Ack, Bbr, Cubic
-from cags_bench.network.cross.experiment import Case, ages, cross_lines, fairness
+from cags_bench.network.cross.experiment import Case, ages, cross_lines, cross_table, fairness
 from cags_bench.network.cross.tcp import Flow, Segment
 from cags_bench.network.load import Arrivals
 from cags_shaper.link import SEGMENT_BYTES, Link, LinkSettings
@@ -241,3 +243,9 @@ def test_checks_judge_the_worst() -> None:
     assert [entry["ok"] for entry in checks(good)] == [True] * 4
     bad = [{**line, "share_least": 0.1, "share_rival": 0.1, "fairness": 0.8, "age_p99_ratio": 2.1} for line in good]
     assert [entry["ok"] for entry in checks(bad)] == [False] * 4
+
+
+def test_the_page_s_table_is_that_of_the_committed_lines() -> None:
+    docs = Path(__file__).parents[4] / "docs"
+    lines = [json.loads(line) for line in (docs / "cross.jsonl").read_text(encoding="utf-8").splitlines()]
+    assert cross_table([line for line in lines if "case" in line]) in (docs / "network.md").read_text(encoding="utf-8")
