@@ -1,8 +1,7 @@
 /** How many of the media frames are displayed: all, or as many as this machine can draw; see `cags_client.cadence`. */
 
-import { EVERY_FRAME, nextDisplayed } from "../wire/cadence.ts";
+import { EVERY_FRAME, LEAST_PERMILLE, nextDisplayed } from "../wire/cadence.ts";
 
-const LEAST_PERMILLE = 250;
 const WINDOW_US = 1_000_000;
 const LEAST_DRAWN = 4;
 const SLOW = 0.85;

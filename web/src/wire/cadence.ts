@@ -1,5 +1,6 @@
 /** Which media frames a client displays that cannot draw them all, as `cags_protocol.cadence`. */
 export const EVERY_FRAME = 1000;
+export const LEAST_PERMILLE = 250;
 
 /** The first frame that is displayed from `number` on. */
 export function nextDisplayed(number: number, permille: number): number {

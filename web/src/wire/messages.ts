@@ -1,4 +1,5 @@
 /** The messages of the wire protocol, as `cags_protocol.wire.messages`; fields have the names that they travel by. */
+import { EVERY_FRAME, LEAST_PERMILLE } from "./cadence.ts";
 import type { Chroma, Intrinsics, Pose, ReferenceKind, ReferencesWanted } from "../seam.ts";
 import { choice, flag, integer, intrinsics, type Kind, listOf, pose, real, record, text, wide } from "./fields.ts";
 import * as limits from "./limits.ts";
@@ -197,8 +198,6 @@ const RANGE = record<SeqRange>({ first: SEQ, last: SEQ }, (range) => {
 const BLOB_BYTES = integer(limits.MAX_BLOB_BYTES);
 const MESSAGE_BYTES = integer(limits.MAX_MESSAGE_BYTES);
 
-export const EVERY_FRAME = 1000;
-export const LEAST_PERMILLE = 250;
 
 export const SPECS: { readonly [T in Tag]: Spec } = {
   hello: {

@@ -4,13 +4,14 @@
  * The owner passes `nowUs`, writes what {@link ClientSession.dataToSend} returns, and calls
  * {@link ClientSession.handleTimer} when {@link ClientSession.nextTimerUs} is reached.
  */
+import { EVERY_FRAME } from "./cadence.ts";
 import { ProtocolError } from "../bytes/errors.ts";
 import { Assembler, BlobAssembler, ReceivedPackets } from "./assembly.ts";
 import { DamagedError, decode, encode } from "./encoding.ts";
 import { printable } from "./fields.ts";
 import * as limits from "./limits.ts";
 import {
-  type Control, EVERY_FRAME, type Fragment, type FrameEnd, type HeldTile, type Hello, type Mark, type Message, type Notice,
+  type Control, type Fragment, type FrameEnd, type HeldTile, type Hello, type Mark, type Message, type Notice,
   type ReferenceFrame, type Refusal, type Tag, type TileLayers, type Welcome, type WireSample,
 } from "./messages.ts";
 
