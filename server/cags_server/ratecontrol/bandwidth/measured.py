@@ -9,8 +9,11 @@ A link that falls silent says something, too: while bytes are on their way, and 
 round trips take and jump about, it carries less than a packet in that time. Without that, the estimate of a link in an
 outage stays where it was, and what is sent by it waits in front of all that comes later.
 
-Nothing shows that a link has become faster but sending more: while no queue stands, the estimate handed out exceeds
-what was measured by a gain, doubled at the start of a session until a queue is first seen (as BBR's start-up does).
+Nothing shows that a link has become faster but sending more: while no queue stands, what may be sent exceeds what was
+measured, by a rate that is the same for all (bounded by shares of what was measured), and twofold at the start of a
+session until a queue is first seen (as BBR's start-up does). While one stands it is less, by a share. So sessions that
+share a link come to equal rates, since additive increase and multiplicative decrease do (Chiu and Jain 1989): with a
+share in both directions the first one kept 88 % of the link and the second 8 %.
 """
 
 from __future__ import annotations
@@ -26,7 +29,14 @@ INITIAL_BPS = 8e6
 
 MIN_BPS, MAX_BPS = 64e3, 10e9
 
-STARTUP_GAIN, PROBE_GAIN, LOADED_GAIN = 2.0, 1.15, 0.95
+STARTUP_GAIN, LOADED_GAIN = 2.0, 0.95
+
+PROBE_BPS, LEAST_PROBE, MOST_PROBE = 450e3, 0.03, 0.6
+"""What may be sent above the estimate while no queue stands, and the least and largest share of it."""
+
+QUIET_US, DOUBLES_US, MOST_GROWN = 600_000, 250_000, 0.4
+"""After so long without a queue the least share doubles again and again, up to so much: the link is far faster, or idle."""
+
 MIN_WINDOW_US = 120_000
 QUEUE_US = 15_000
 """A round trip longer than the shortest by this much has a queue in it, unless round trips jump about by as much.
@@ -48,6 +58,7 @@ class MeasuredEstimator:
         self._rate_bps = initial_bps
         self._startup = True
         self._loaded = False
+        self._queued_us = 0  # when a queue was last seen
         self._samples: deque[tuple[int, int, float]] = deque()  # (time, bytes, rate) of samples that show the link
         self._round_trips = RoundTrips()
         self._newest: AckSample | None = None
@@ -66,6 +77,8 @@ class MeasuredEstimator:
         if backed_up:  # the link was busy all that time, and may have been idle only before
             rate *= sample.rtt_us / queue_us
         self._loaded = shows_link = queued and (backed_up or not sample.app_limited)
+        if shows_link:
+            self._queued_us = sample.now_us
         if not shows_link and rate <= self._rate_bps:
             return
         self._startup = self._startup and not shows_link
@@ -82,8 +95,13 @@ class MeasuredEstimator:
 
     def allowance_bps(self, now_us: int) -> float:
         """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
-        gain = LOADED_GAIN if self._loaded else STARTUP_GAIN if self._startup else PROBE_GAIN
+        gain = LOADED_GAIN if self._loaded else STARTUP_GAIN if self._startup else self._probe_gain(now_us)
         return min(max(min(self._rate_bps, self._silence_bps(now_us)) * gain, MIN_BPS), MAX_BPS)
+
+    def _probe_gain(self, now_us: int) -> float:
+        doubled = min(max(now_us - self._queued_us - QUIET_US, 0) / DOUBLES_US, 8.0)
+        least = min(LEAST_PROBE * 2.0**doubled, MOST_GROWN)
+        return 1.0 + min(max(PROBE_BPS / max(self._rate_bps, MIN_BPS), least), MOST_PROBE)
 
     def _silence_bps(self, now_us: int) -> float:
         """The most that the link can carry if nothing has arrived since the newest acknowledgement."""

@@ -18,8 +18,8 @@ def mbps(estimator: MeasuredEstimator) -> float:
     return estimator.estimate_bps(0) / 1e6
 
 
-def allowance(estimator: MeasuredEstimator) -> float:
-    return estimator.allowance_bps(0) / 1e6
+def allowance(estimator: MeasuredEstimator, now_ms: int = 0) -> float:
+    return estimator.allowance_bps(now_ms * 1000) / 1e6
 
 
 def busy(estimator: MeasuredEstimator, rate: float, start_ms: int, ms: int) -> None:
@@ -59,7 +59,7 @@ def test_sending_what_the_estimate_allows_finds_a_faster_link_within_two_seconds
     idle(estimator, 1, 0, 5)
     busy(estimator, 5, 5, 500)
     for t in range(505, 2505, 50):
-        idle(estimator, min(50.0, allowance(estimator)), t, 50)
+        idle(estimator, min(50.0, allowance(estimator, t)), t, 50)
     assert mbps(estimator) > 40
 
 
@@ -117,3 +117,33 @@ def test_a_busy_machine_does_not_look_like_a_loaded_link() -> None:
         rate = max(allowance(estimator) * 0.6, 1.0)
         estimator.on_ack(AckSample(t * 1000, int(rate * 625), rtt_us, False, delivery_rate_bps=rate * 1e6))
     assert mbps(estimator) >= 0.8 * 20
+
+
+def share(estimators: list[MeasuredEstimator], link_mbps: float, seconds: int, rtt_us: int = RTT_US) -> list[float]:
+    """Sessions that send all that they may over one link with one queue; what each gets in the last second, Mbps."""
+    step_us, waiting, got = 10_000, [0.0] * len(estimators), [0.0] * len(estimators)
+    for now_us in range(0, seconds * 1_000_000, step_us):
+        waiting = [w + e.allowance_bps(now_us) * step_us / 8e6 for w, e in zip(waiting, estimators, strict=True)]
+        room, total = link_mbps * step_us / 8, sum(waiting)
+        through = [w * min(1.0, room / total) for w in waiting]
+        waiting = [w - t for w, t in zip(waiting, through, strict=True)]
+        delay_us = round(sum(waiting) * 8 / link_mbps)
+        for estimator, size in zip(estimators, through, strict=True):
+            rate = size * 8e6 / step_us
+            estimator.on_ack(AckSample(now_us, max(round(size), 1), rtt_us + delay_us, False, delivery_rate_bps=rate))
+        if now_us >= (seconds - 1) * 1_000_000:
+            got = [g + t * 8 / 1e6 for g, t in zip(got, through, strict=True)]
+    return got
+
+
+@pytest.mark.parametrize("link_mbps", [2.0, 10.0, 40.0])
+@pytest.mark.parametrize("sessions", [2, 4])
+def test_sessions_that_share_a_link_come_to_equal_rates(link_mbps: float, sessions: int) -> None:
+    first = MeasuredEstimator()
+    share([first], link_mbps, 3)  # it has the link when the others come
+    late = [MeasuredEstimator(0.05e6 * link_mbps) for _ in range(sessions - 1)]
+    for estimator in late:
+        share([estimator], 0.05 * link_mbps, 1)
+    got = share([first, *late], link_mbps, 30)
+    assert sum(got) > 0.85 * link_mbps
+    assert sum(got) ** 2 > 0.9 * sessions * sum(rate**2 for rate in got), got
