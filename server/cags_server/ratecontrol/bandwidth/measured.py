@@ -18,6 +18,7 @@ share in both directions the first one kept 88 % of the link and the second 8 %.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from cags_protocol.delivery.round_trips import RoundTrips
@@ -35,7 +36,7 @@ PROBE_BPS, LEAST_PROBE, MOST_PROBE = 450e3, 0.03, 0.6
 """What may be sent above the estimate while no queue stands, and the least and largest share of it."""
 
 QUIET_US, DOUBLES_US, MOST_GROWN = 600_000, 250_000, 0.4
-"""After so long without a queue the least share doubles again and again, up to so much: the link is far faster, or idle."""
+"""After so long without a queue the least share doubles every so often, up to so much: the link is faster, or idle."""
 
 MIN_WINDOW_US = 120_000
 QUEUE_US = 15_000
@@ -100,7 +101,7 @@ class MeasuredEstimator:
 
     def _probe_gain(self, now_us: int) -> float:
         doubled = min(max(now_us - self._queued_us - QUIET_US, 0) / DOUBLES_US, 8.0)
-        least = min(LEAST_PROBE * 2.0**doubled, MOST_GROWN)
+        least = min(LEAST_PROBE * math.exp2(doubled), MOST_GROWN)
         return 1.0 + min(max(PROBE_BPS / max(self._rate_bps, MIN_BPS), least), MOST_PROBE)
 
     def _silence_bps(self, now_us: int) -> float:
