@@ -136,6 +136,11 @@ def test_what_has_come_is_not_sent_again_after_a_timeout() -> None:
     assert flow.segments(10_000_000) == []
 
 
+@pytest.mark.parametrize("carrier", RULES)
+def test_two_sessions_share_a_link_evenly(carrier: str) -> None:
+    assert Case("none", carrier, 0.0, 1, 30_000_000).figures()["fairness"] > 0.8
+
+
 def ack(now_us: int, in_flight: float, *, rtt_us: int = 50_000, rate_bps: float = 1e6, began: bool = False) -> Ack:
     return Ack(now_us, SEGMENT_BYTES, rtt_us, round(in_flight * SEGMENT_BYTES), rate_bps, False, began)
 
