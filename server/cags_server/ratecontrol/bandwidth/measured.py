@@ -9,11 +9,11 @@ A link that falls silent says something, too: while bytes are on their way, and 
 round trips take and jump about, it carries less than a packet in that time. Without that, the estimate of a link in an
 outage stays where it was, and what is sent by it waits in front of all that comes later.
 
-Nothing shows that a link has become faster but sending more: while no queue stands, what may be sent exceeds what was
-measured, by a rate that is the same for all (bounded by shares of what was measured), and twofold at the start of a
-session until a queue is first seen (as BBR's start-up does). While one stands it is less, by a share. So sessions that
-share a link come to equal rates, since additive increase and multiplicative decrease do (Chiu and Jain 1989): with a
-share in both directions the first one kept 88 % of the link and the second 8 %.
+Only sending more shows that a link has become faster. Until a queue is first seen a session may send twice what was
+measured (as in BBR's start-up); later, while no queue stands, a fixed rate more, within bounds that are shares of what
+was measured; and while one stands, a share less. Additive increase and multiplicative decrease bring sessions that
+share a link to equal rates (Chiu and Jain 1989). With shares in both directions the first session kept 88 % of the link
+and the second 8 %.
 """
 
 from __future__ import annotations
@@ -33,10 +33,12 @@ MIN_BPS, MAX_BPS = 64e3, 10e9
 STARTUP_GAIN, LOADED_GAIN = 2.0, 0.95
 
 PROBE_BPS, LEAST_PROBE, MOST_PROBE = 450e3, 0.03, 0.6
-"""What may be sent above the estimate while no queue stands, and the least and largest share of it."""
+"""What may be sent above the estimate while no queue stands, and its bounds, shares of the estimate."""
 
 QUIET_US, DOUBLES_US, MOST_GROWN = 600_000, 250_000, 0.4
-"""After so long without a queue the least share doubles every so often, up to so much: the link is faster, or idle."""
+"""After ``QUIET_US`` without a queue the lower bound doubles every ``DOUBLES_US``, up to ``MOST_GROWN``: the link is
+much faster than the estimate, or idle.
+"""
 
 MIN_WINDOW_US = 120_000
 QUEUE_US = 15_000
@@ -100,8 +102,8 @@ class MeasuredEstimator:
         return min(max(min(self._rate_bps, self._silence_bps(now_us)) * gain, MIN_BPS), MAX_BPS)
 
     def _probe_gain(self, now_us: int) -> float:
-        doubled = min(max(now_us - self._queued_us - QUIET_US, 0) / DOUBLES_US, 8.0)
-        least = min(LEAST_PROBE * math.exp2(doubled), MOST_GROWN)
+        doublings = max(now_us - self._queued_us - QUIET_US, 0) / DOUBLES_US
+        least = LEAST_PROBE * math.exp2(min(doublings, math.log2(MOST_GROWN / LEAST_PROBE)))
         return 1.0 + min(max(PROBE_BPS / max(self._rate_bps, MIN_BPS), least), MOST_PROBE)
 
     def _silence_bps(self, now_us: int) -> float:
