@@ -181,6 +181,10 @@ def _check_view(outputs: _Outputs) -> None:
     for flag in ("save", "stages"):
         if getattr(outputs, flag):
             raise ConfigError(f"--{flag} does not go with --view, which has no end; leave one out")
+    from cags_client.output.page.assets import why_missing
+
+    if (reason := why_missing()) is not None:
+        raise ConfigError(reason)
 
 
 def _look(settings: ClientSettings, outputs: _Outputs, view: ViewSettings) -> None:

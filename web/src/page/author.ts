@@ -1,12 +1,15 @@
 /** The author's view: what a scene says of how to open it, what the address says instead, and saving it. */
 
-import { fartherThanAuthor, type ViewCamera } from "../player/camera.ts";
+import { fartherThanAuthor, type Place as ScenePlace, type ViewCamera } from "../player/camera.ts";
 import { minus, plus } from "../player/vectors.ts";
-import type { AuthorView, SceneInfo } from "../seam.ts";
+import type { AuthorView } from "../seam.ts";
 import type { Place } from "./place.ts";
 
+/** What must be known of a scene to open it. */
+export type Opened = ScenePlace & { readonly name: string };
+
 /** `scene` as the address wants it opened; a pose of the address is of a moment, and no first view. */
-export function openedAs(scene: SceneInfo, { target, background }: Place): SceneInfo {
+export function openedAs<T extends Opened>(scene: T, { target, background }: Place): T {
   const wanted = { ...(target ? { target } : {}), ...(background ? { background } : {}) };
   return { ...scene, view: { ...scene.view, ...wanted } };
 }
@@ -18,7 +21,7 @@ export function coloursOf(background = "#000000"): [number, number, number] {
 }
 
 /** What `cags-encode --view` takes: the view as it stands now, in a picture of these tangents of half its angles. */
-export function savedView(scene: SceneInfo, camera: ViewCamera, tanX: number, tanY: number): string {
+export function savedView(scene: Opened, camera: ViewCamera, tanX: number, tanY: number): string {
   const { rotation } = camera.pose;
   const { target, radius } = camera.around;
   const { background } = scene.view;

@@ -1,9 +1,9 @@
 /** The controls along the bottom, and their keys. */
 
 import { MODES, type Mode } from "../player/camera.ts";
-import type { Player } from "../player/player.ts";
 import { keep, kept, the } from "./dom.ts";
 import { setIcon } from "./icons.ts";
+import type { Playing } from "./show.ts";
 
 /** Controls go after so long without a hand on them, while the clip plays. */
 const IDLE_MS = 3500;
@@ -74,7 +74,7 @@ export class Bar {
   }
 
   /** Show the state of play. */
-  update(player: Player): void {
+  update(player: Playing): void {
     const { info, playing } = player;
     if (!info) return;
     this.#bar.toggleAttribute("data-still", info.frames === 1);
@@ -91,7 +91,7 @@ export class Bar {
   }
 
   /** Whether a key was one of the bar's. */
-  key(event: KeyboardEvent, player: Player | null): boolean {
+  key(event: KeyboardEvent, player: Playing | null): boolean {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
     const wishes: Record<string, () => void> = {
       Space: () => this.#wishes.toggle(),

@@ -6,6 +6,12 @@ export function the<T extends HTMLElement>(id: string): T {
   return found as T;
 }
 
+/** Do so whenever its user has changed an element. */
+export function onChange<T extends HTMLElement>(id: string, apply: (element: T) => void): void {
+  const element = the<T>(id);
+  element.addEventListener("change", () => apply(element));
+}
+
 /** A setting that the browser keeps; undefined where it keeps none. */
 export function kept(name: string): string | undefined {
   try {

@@ -6,7 +6,8 @@ import { detailOf, STALE_US } from "./light.ts";
 
 const REFRESH_MS = 250;
 
-type Figure = readonly [name: string, text: string | undefined];
+/** A figure without a text stays as it was, faded. */
+export type Figure = readonly [name: string, text: string | undefined];
 
 export class Inspector {
   readonly #list: HTMLElement;
@@ -20,16 +21,16 @@ export class Inspector {
   }
 
   /** Show the figures of now, a few times a second. */
-  update(player: Player, device: string): void {
+  update(pictures: number, figures: (rate: number) => readonly Figure[]): void {
     const now = performance.now();
     if (now - this.#shownMs < REFRESH_MS) return;
     this.#shownMs = now;
-    const [at, pictures] = this.#pictures;
+    const [at, before] = this.#pictures;
     if (now - at > 1000) {
-      this.#rate = ((player.pictures - pictures) * 1000) / (now - at);
-      this.#pictures = [now, player.pictures];
+      this.#rate = ((pictures - before) * 1000) / (now - at);
+      this.#pictures = [now, pictures];
     }
-    for (const [name, text] of figuresOf(player, device, this.#rate)) this.#put(name, text);
+    for (const [name, text] of figures(this.#rate)) this.#put(name, text);
   }
 
   #put(name: string, text: string | undefined): void {
@@ -46,7 +47,8 @@ export class Inspector {
   }
 }
 
-function figuresOf(player: Player, device: string, rate: number): Figure[] {
+/** Of what this page draws itself, on `device`. */
+export function drawnFigures(player: Player, device: string, rate: number): Figure[] {
   const fresh = <T>(atUs: number | undefined, value: T): T | undefined =>
     atUs !== undefined && nowUs() - atUs < STALE_US ? value : undefined;
   const { status, shown, info } = player;
@@ -73,7 +75,7 @@ function figuresOf(player: Player, device: string, rate: number): Figure[] {
   ];
 }
 
-function milliseconds(ms: number): string {
+export function milliseconds(ms: number): string {
   return ms < 1000 ? `${ms.toFixed(0)} ms` : `${(ms / 1000).toFixed(1)} s`;
 }
 

@@ -12,7 +12,8 @@ export interface Verdict {
 
 /** Figures older than this say nothing. */
 export const STALE_US = 3_000_000;
-const SHORT_OF_DETAIL = 0.6;
+/** Less than this share of the detail is told. */
+export const SHORT_OF_DETAIL = 0.6;
 
 export function verdictOf(player: Player): Verdict {
   const { status, shown, info } = player;

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,10 @@ class SceneInfo:
     lods: int
     """Number of levels of detail, the base layer included."""
     near: float = 0.2
+    bounds: tuple[Vec3, Vec3] = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+    """Smallest and largest corner of all positions."""
+    view: Mapping[str, Any] = field(default_factory=dict)
+    """How the author wants the scene to be opened, as :meth:`cags_common.bundle.view.AuthorView.table` gives it."""
 
 
 @dataclass(frozen=True, eq=False)

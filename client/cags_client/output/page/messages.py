@@ -1,8 +1,10 @@
 """What page and server say to each other.
 
 The page sends JSON texts, parsed here into dataclasses and refused when anything is off. The server sends JSON texts
-(``scene``, ``state``, ``shaper``, ``error``) and, for each shown frame, one binary message: the length of the header
-(4 bytes, big-endian), the header in JSON, then the pictures and grids one after another, their sizes in the header.
+(``scene``: what there is and what may be chosen; ``state``; ``error``) and, for each shown frame, one binary message:
+the length of the header (4 bytes, big-endian), the header in JSON, then the pictures and grids one after another, their
+sizes in the header. ``tests/vectors/page`` has one of each, which both sides are held to; the page's side is
+``web/src/client/messages.ts``.
 """
 
 from __future__ import annotations
@@ -22,10 +24,13 @@ MAX_TEXT_BYTES = 8192
 MAX_NUMBER = 2**53
 OVERLAYS = ("occlusion", "confidence", "detail", "tiles", "reference", "score")
 MAX_PANES = 2
-ACTIONS = ("play", "pause", "seek", "rate", "loop", "release")
+FLAGS = ("playing", "loop", "held")
+"""What is on or off: ``held`` is told off to follow the recorded walk again."""
+NUMBERS = ("frame", "rate", "cap_mbps", "delay_ms")
+"""What is a number: ``frame`` is gone to; None lifts the cap."""
 NAMED = ("restorer", "exactness", "resolution")
-"""Settings whose value is a name; that of the others is a number."""
-NAMES = (*NAMED, "cap_mbps", "delay_ms")
+"""What is chosen by name."""
+MAX_TOKEN = 256
 _WORLD = 1e7
 
 
@@ -35,13 +40,15 @@ class PageHello:
 
     h264: bool
     raw: bool = False
+    token: str = ""
+    """Of a client that asks for one."""
 
 
 @dataclass(frozen=True, slots=True)
 class PagePose:
-    """The viewer's camera; ``number`` counts up."""
+    """Where the viewer's camera was at ``at_us``, whole microseconds of the page's own clock."""
 
-    number: int
+    at_us: int
     pose: Pose
 
 
@@ -54,19 +61,11 @@ class PageLook:
 
 
 @dataclass(frozen=True, slots=True)
-class PageAction:
-    """A turn of the transport bar: ``play``, ``pause``, ``seek`` to a frame, ``rate``, ``loop`` (0, 1), ``release``."""
-
-    action: str
-    value: float
-
-
-@dataclass(frozen=True, slots=True)
-class PageSetting:
-    """A change of the panel: the name of a tier, or a number; None lifts a cap."""
+class PageSet:
+    """Something is to be otherwise: one of :data:`FLAGS`, :data:`NUMBERS` or :data:`NAMED`."""
 
     name: str
-    value: str | float | None
+    value: bool | float | str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,7 @@ class PageShown:
     key: bool
 
 
-PageMessage = PageHello | PagePose | PageLook | PageAction | PageSetting | PageShown
+PageMessage = PageHello | PagePose | PageLook | PageSet | PageShown
 
 
 def parse(text: str) -> PageMessage:
@@ -96,13 +95,16 @@ def parse(text: str) -> PageMessage:
 
 
 def _hello(fields: dict[str, Any]) -> PageHello:
-    return PageHello(_flag(fields, "h264"), "raw" in fields and _flag(fields, "raw"))
+    token = fields.get("token", "")
+    if not isinstance(token, str) or len(token) > MAX_TOKEN:
+        raise ProtocolError(f"page message: token must be a text of at most {MAX_TOKEN} characters")
+    return PageHello(_flag(fields, "h264"), "raw" in fields and _flag(fields, "raw"), token)
 
 
 def _pose(fields: dict[str, Any]) -> PagePose:
     p, q = _numbers(fields, "position", 3), _numbers(fields, "rotation", 4)
     try:
-        return PagePose(_whole(fields, "number"), Pose((p[0], p[1], p[2]), (q[0], q[1], q[2], q[3])))
+        return PagePose(_whole(fields, "at_us"), Pose((p[0], p[1], p[2]), (q[0], q[1], q[2], q[3])))
     except ValueError as error:
         raise ProtocolError(f"page pose: {error}") from error
 
@@ -114,19 +116,16 @@ def _look(fields: dict[str, Any]) -> PageLook:
     return PageLook(pictures, frozenset(_names(fields, "overlays", OVERLAYS, len(OVERLAYS))))
 
 
-def _action(fields: dict[str, Any]) -> PageAction:
-    action = _choice(fields, "action", ACTIONS)
-    return PageAction(action, _number(fields, "value") if "value" in fields else 0.0)
-
-
-def _setting(fields: dict[str, Any]) -> PageSetting:
-    name = _choice(fields, "name", NAMES)
+def _set(fields: dict[str, Any]) -> PageSet:
+    name = _choice(fields, "name", (*FLAGS, *NUMBERS, *NAMED))
     value = fields.get("value")
+    if name in FLAGS:
+        return PageSet(name, _flag({name: value}, name))
     if name in NAMED:
         if not isinstance(value, str):
             raise ProtocolError(f"page message: {name} = {value!r} must be a name")
-        return PageSetting(name, value)
-    return PageSetting(name, None if value is None else _number(fields, "value"))
+        return PageSet(name, value)
+    return PageSet(name, None if value is None and name == "cap_mbps" else _real(name, value))
 
 
 def _shown(fields: dict[str, Any]) -> PageShown:
@@ -137,8 +136,7 @@ _PARSERS: dict[str, Callable[[dict[str, Any]], PageMessage]] = {
     "hello": _hello,
     "pose": _pose,
     "look": _look,
-    "action": _action,
-    "setting": _setting,
+    "set": _set,
     "shown": _shown,
 }
 

@@ -70,7 +70,7 @@ class Page:
             self.kind = H264
             self._streams.clear()
 
-    def compose(self, gallery: Gallery, detail: SplatDetail | None, pose_number: int | None) -> bytes:
+    def compose(self, gallery: Gallery, detail: SplatDetail | None, pose_at_us: int | None) -> bytes:
         """The binary message for one displayed frame: pictures, grids, lines and figures."""
         if "score" in self.look.overlays:
             gallery.truth()
@@ -79,7 +79,7 @@ class Page:
         self.sent += 1
         header = {
             "number": self.sent,
-            "pose": pose_number,
+            "pose_at_us": pose_at_us,
             "pictures": pictures,
             "overlays": self._overlays(gallery, detail, payloads),
             "missing": [name for name in self.look.pictures if name not in {p["name"] for p in pictures}],

@@ -9,7 +9,7 @@ from cags_client.playback.viewpoint import PoseSource
 from cags_common.geometry import Pose
 
 REMEMBERED_POSES = 512
-"""Poses whose number can still be told from a picture: at 60 a second more than eight seconds."""
+"""Poses whose time can still be told from a picture: at 60 a second more than eight seconds."""
 
 
 class LivePoses:
@@ -18,7 +18,7 @@ class LivePoses:
     def __init__(self, walk: PoseSource) -> None:
         self._walk = walk
         self._held: Pose | None = None
-        self._numbers: OrderedDict[Pose, int] = OrderedDict()
+        self._times: OrderedDict[Pose, int] = OrderedDict()
         self._lock = threading.Lock()
 
     def pose_at(self, t_us: int) -> Pose:
@@ -27,24 +27,24 @@ class LivePoses:
             held = self._held
         return held if held is not None else self._walk.pose_at(t_us)
 
-    def hold(self, pose: Pose, number: int) -> None:
-        """Put the camera at ``pose``; ``number`` is the page's own count, told back with the picture that shows it."""
+    def hold(self, pose: Pose, at_us: int) -> None:
+        """Put the camera at ``pose``; ``at_us``, of the page's own clock, is told back with the picture that shows it."""
         with self._lock:
             self._held = pose
-            self._numbers[pose] = number
-            self._numbers.move_to_end(pose)
-            if len(self._numbers) > REMEMBERED_POSES:
-                self._numbers.popitem(last=False)
+            self._times[pose] = at_us
+            self._times.move_to_end(pose)
+            if len(self._times) > REMEMBERED_POSES:
+                self._times.popitem(last=False)
 
     def release(self) -> None:
         """Follow the walk again."""
         with self._lock:
             self._held = None
 
-    def number_of(self, pose: Pose) -> int | None:
-        """The page's number of a pose that was held lately."""
+    def time_of(self, pose: Pose) -> int | None:
+        """When, by the page's clock, it was at a pose that was held lately."""
         with self._lock:
-            return self._numbers.get(pose)
+            return self._times.get(pose)
 
     @property
     def held(self) -> bool:

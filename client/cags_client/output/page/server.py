@@ -3,32 +3,36 @@
 The client's display path only leaves the newest frame in a mailbox (:meth:`LiveView.show`). A pump in the event loop
 picks it up, has one worker thread code it for every page that keeps up, and sends. So a slow page costs pictures on
 that page and never time in the client.
+
+There is one camera and one play. The page that has been open longest steers them; the others watch, and are told so.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hmac
 import json
 import logging
 from collections.abc import Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from importlib.resources import files
 from typing import Any
 
 from aiohttp import WSMsgType, web
 
+from cags_client.output.page.assets import add_assets
 from cags_client.output.page.controls import Controls, SceneInfo, ShownFrame
 from cags_client.output.page.guard import guard, on_this_machine, same_origin
 from cags_client.output.page.messages import (
     MAX_TEXT_BYTES,
-    PageAction,
+    NAMED,
+    OVERLAYS,
     PageHello,
     PageLook,
     PageMessage,
     PagePose,
-    PageSetting,
+    PageSet,
     PageShown,
     parse,
 )
@@ -52,12 +56,12 @@ MAX_PAGES = 8
 REACHED_AT = {"localhost": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 - only compared
 """Where a browser on this machine finds a page that is served on more than one address."""
 
+WRONG_TOKEN = 4401
+"""The WebSocket's close code for a page without the right token."""
+
 STATE_PERIOD_S = 0.25
 SLOW_PAGE_S = 5.0
 """How long a page may take nothing: meanwhile the others get no pictures."""
-
-SCRIPTS = "js"
-TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 
 
 class LiveView:
@@ -78,6 +82,8 @@ class LiveView:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="cags-view")
         self._shaper = ShaperControl(settings.shaper_control) if settings.shaper_control else None
+        self._link: dict[str, Any] | None = None
+        """The newest answer of the shaper."""
         self._tasks: list[asyncio.Task[None]] = []
         self._runner: web.AppRunner | None = None
 
@@ -88,9 +94,7 @@ class LiveView:
         self._loop = asyncio.get_running_loop()
         app = web.Application(middlewares=[guard(named(self.settings.view_allow_host))])
         app.router.add_get("/live", self._live)
-        app.router.add_get("/", self._asset)
-        app.router.add_get("/{name}", self._asset)
-        app.router.add_get("/" + SCRIPTS + "/{script}", self._asset)
+        add_assets(app)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
         await self._runner.setup()
         host, port = self.settings.view_host, self.settings.view_port
@@ -140,16 +144,6 @@ class LiveView:
 
     # ----------------------------------------------------------------------------------------------------------- HTTP
 
-    async def _asset(self, request: web.Request) -> web.Response:
-        script = request.match_info.get("script")
-        name = script or request.match_info.get("name") or "index.html"
-        root = files("cags_client.output.page") / "static" / (SCRIPTS if script else "")
-        known = {entry.name for entry in root.iterdir() if entry.is_file()}
-        if name not in known:
-            raise web.HTTPNotFound(text=f"there is no {name} here\n")
-        kind = TYPES.get(name.rpartition(".")[2], "application/octet-stream")
-        return web.Response(body=(root / name).read_bytes(), content_type=kind, charset="utf-8")
-
     async def _live(self, request: web.Request) -> web.WebSocketResponse:
         if not same_origin(request):
             raise web.HTTPForbidden(text="this WebSocket serves its own page only\n")
@@ -188,86 +182,68 @@ class LiveView:
         if page is None:
             raise ProtocolError("page message before hello")
         match message:
-            case PagePose(number, pose):
-                self.poses.hold(pose, number)
+            case PagePose(at_us, pose):
+                if self._steers(socket):
+                    self.poses.hold(pose, at_us)
             case PageShown(number, key):
                 page.shown(number, key)
                 self._wake.set()
             case PageLook():
                 page.look = message
                 self._wake.set()
-            case PageAction():
-                self._act(message)
-                await self._broadcast(self._state())
-            case PageSetting():
-                await self._change(message)
-                await self._broadcast(self._state())
+            case PageSet():
+                if not self._steers(socket):
+                    raise ConfigError("another page steers this client; this one watches")
+                await self._set(message)
+                await self._tell_state()
+
+    def _steers(self, socket: web.WebSocketResponse) -> bool:
+        """Whether the camera and the play are this page's: of all that are open, it came first."""
+        return next(iter(self._pages), None) is socket
 
     async def _welcome(self, socket: web.WebSocketResponse, hello: PageHello) -> None:
         assert self._scene is not None
         assert self._controls is not None
+        if not hmac.compare_digest(hello.token.encode(), self.settings.view_token.encode()):
+            await socket.close(code=WRONG_TOKEN, message=b"wrong token" if hello.token else b"token needed")
+            return
         peer = socket.get_extra_info("peername", ("",))
         kind = kind_of(hello, self.settings, local=on_this_machine(peer[0]))
         self._pages[socket] = Page(kind, self.settings, self._scene)
-        pictures = [name for name in PICTURES if self._controls.has_truth or name not in NEED_TRUTH]
-        scene = {
-            "type": "scene",
-            **asdict(self._scene),
-            "pictures": pictures,
-            "restorers": list(self._controls.restorers),
-            "shaper": self._shaper is not None,
-        }
-        await socket.send_str(json.dumps(scene))
-        await socket.send_str(json.dumps(self._state()))
+        await socket.send_str(json.dumps(scene_text(self._scene, self._controls, shaper=self._shaper is not None)))
+        await socket.send_str(json.dumps(self._state(socket)))
         self._wake.set()
 
-    def _act(self, wish: PageAction) -> None:
-        controls = self._controls
+    async def _set(self, wish: PageSet) -> None:
+        controls, value = self._controls, wish.value
         assert controls is not None
         assert self._scene is not None
-        match wish.action:
-            case "play":
-                controls.play()
-            case "pause":
-                controls.pause()
-            case "seek":
-                controls.seek(max(0, min(int(wish.value), self._scene.frames - 1)))
+        match wish.name:
+            case "playing":
+                controls.play() if value else controls.pause()
+            case "frame":
+                controls.seek(int(max(0, min(float(value or 0), self._scene.frames - 1))))
             case "rate":
-                controls.set_rate(min(max(wish.value, 0.1), 4.0))
+                controls.set_rate(min(max(float(value or 0), 0.1), 4.0))
             case "loop":
-                controls.set_loop(bool(wish.value))
-            case "release":
-                self.poses.release()
+                controls.set_loop(bool(value))
+            case "held":
+                if not value:
+                    self.poses.release()
+            case "restorer":
+                controls.set_restorer(_one_of(wish, controls.restorers))
+            case "exactness":
+                controls.set_exactness(_one_of(wish, EXACTNESSES))
+            case "resolution":
+                controls.set_resolution(_one_of(wish, RESOLUTIONS))
+            case _:
+                if self._shaper is None:
+                    raise ConfigError(f"{wish.name} needs a shaper: start the client with --shaper-control HOST:PORT")
+                self._link = await self._shaper.ask(**{wish.name: None if value is None else float(value)})
 
-    async def _change(self, wish: PageSetting) -> None:
-        controls = self._controls
-        assert controls is not None
-        if wish.name == "restorer":
-            controls.set_restorer(_one_of(wish, controls.restorers))
-        elif wish.name == "exactness":
-            controls.set_exactness(_one_of(wish, EXACTNESSES))
-        elif wish.name == "resolution":
-            controls.set_resolution(_one_of(wish, RESOLUTIONS))
-        elif self._shaper is None:
-            raise ConfigError(f"{wish.name} needs a shaper: start the client with --shaper-control HOST:PORT")
-        else:
-            value = None if wish.value is None else float(wish.value)
-            await self._shaper.ask(**{wish.name: value})
-
-    def _state(self) -> dict[str, Any]:
-        controls = self._controls
-        assert controls is not None
-        return {
-            "type": "state",
-            "playing": controls.playing,
-            "loop": controls.loop,
-            "rate": controls.rate,
-            "restorer": controls.restorer,
-            "exactness": controls.exactness,
-            "resolution": controls.resolution,
-            "held": self.poses.held,
-            "away": controls.away,
-        }
+    def _state(self, socket: web.WebSocketResponse) -> dict[str, Any]:
+        assert self._controls is not None
+        return state_text(self._controls, held=self.poses.held, steers=self._steers(socket), shaper=self._link)
 
     # ---------------------------------------------------------------------------------------------------------- frames
 
@@ -302,7 +278,8 @@ class LiveView:
 
     def _compose(self, page: Page, gallery: Gallery, controls: Controls) -> bytes:
         detail = controls.detail() if page.needs_detail() else None
-        return page.compose(gallery, detail, self.poses.number_of(gallery.shown.camera.pose))
+        steers = next(iter(self._pages.values()), None) is page  # the time is of that page's clock
+        return page.compose(gallery, detail, self.poses.time_of(gallery.shown.camera.pose) if steers else None)
 
     async def _tell(self) -> None:
         """Keep the pages told of the state, and of the shaper where there is one."""
@@ -310,13 +287,16 @@ class LiveView:
             await asyncio.sleep(STATE_PERIOD_S)
             if not self._pages or self._controls is None:
                 continue
-            await self._broadcast(self._state())
             if self._shaper is not None:
                 try:
-                    answer = await self._shaper.ask()
+                    self._link = await self._shaper.ask()
                 except NetworkError as error:
-                    answer = {"error": str(error)}
-                await self._broadcast({"type": "shaper", **answer})
+                    self._link = {"error": str(error)}
+            await self._tell_state()
+
+    async def _tell_state(self) -> None:
+        for socket in list(self._pages):
+            await self._sent(socket, socket.send_str(json.dumps(self._state(socket))))
 
     async def _broadcast(self, message: dict[str, Any]) -> None:
         text = json.dumps(message)
@@ -341,7 +321,34 @@ class LiveView:
         LOG.error("the page's server has stopped: %s", error, exc_info=error)
 
 
-def _one_of(wish: PageSetting, choices: Sequence[str]) -> str:
+def scene_text(scene: SceneInfo, controls: Controls, *, shaper: bool) -> dict[str, Any]:
+    """What a page is told first: the scene, and what may be looked at and chosen here."""
+    return {
+        "type": "scene",
+        **asdict(scene),
+        "pictures": [name for name in PICTURES if controls.has_truth or name not in NEED_TRUTH],
+        "overlays": [name for name in OVERLAYS if controls.has_truth or name != "score"],
+        "settings": dict(zip(NAMED, (list(controls.restorers), [*EXACTNESSES], [*RESOLUTIONS]), strict=True)),
+        "shaper": shaper,
+    }
+
+
+def state_text(controls: Controls, *, held: bool, steers: bool, shaper: dict[str, Any] | None) -> dict[str, Any]:
+    """How things stand; ``steers``: whether they are the page's to change; ``shaper``: its answer, where there is one."""
+    return {
+        "type": "state",
+        "playing": controls.playing,
+        "loop": controls.loop,
+        "rate": controls.rate,
+        "held": held,
+        "steers": steers,
+        "away": controls.away,
+        "settings": {name: getattr(controls, name) for name in NAMED},
+        "shaper": shaper,
+    }
+
+
+def _one_of(wish: PageSet, choices: Sequence[str]) -> str:
     """The name that the page wishes. Raises :class:`ConfigError` for one that there is not."""
     if wish.value not in choices:
         raise ConfigError(f"{wish.name} = {wish.value!r} must be one of {', '.join(choices)}")

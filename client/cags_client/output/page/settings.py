@@ -19,6 +19,7 @@ class ViewSettings:
     )
     view_port: int = setting(8080, "TCP port of the live page; 0 picks a free one", low=0, high=65535)
     view_allow_host: str = setting("", "further host names that the page may be opened under, separated by commas")
+    view_token: str = setting("", "token that the page asks for before it shows anything")
     view_raw: bool = setting(
         True, "hand pictures to a page on this machine as they are: less work than coding them, 20 MB a second"
     )

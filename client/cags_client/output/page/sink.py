@@ -110,6 +110,8 @@ def scene_info(manifest: Manifest) -> SceneInfo:
         focus_radius=manifest.focus_radius,
         lods=manifest.lods,
         near=manifest.near,
+        bounds=manifest.bounds,
+        view={} if manifest.view is None else manifest.view.table(),
     )
 
 

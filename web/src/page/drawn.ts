@@ -1,0 +1,232 @@
+/** A scene that this page draws itself: splats from its own server or a published folder, on the graphics processor. */
+
+import { readManifest, sceneInfo } from "../decode/manifest.ts";
+import { UnsupportedError } from "../gpu/device.ts";
+import type { Exactness } from "../gpu/layout.ts";
+import { Renderer } from "../gpu/renderer.ts";
+import { Player } from "../player/player.ts";
+import type { Chroma, Intrinsics, Pose, SceneInfo, SceneSource, SourceError } from "../seam.ts";
+import { connectWorker } from "../source/remote.ts";
+import { finestChroma } from "../video/decoder.ts";
+import { coloursOf, openedAs, titleOf } from "./author.ts";
+import { onChange, the } from "./dom.ts";
+import * as embed from "./embed.ts";
+import { drawnFigures, type Figure } from "./inspector.ts";
+import { type Verdict, verdictOf } from "./light.ts";
+import { beside, sceneOf } from "./place.ts";
+import type { Host, Show } from "./show.ts";
+import { anglesOf, intrinsicsOf, pixelsOf } from "./view.ts";
+
+/** The server is asked again after a while when it was not there at all. */
+const RETRY_MS = 2000;
+/** The server learns a window's new shape when it has settled. */
+const SETTLED_MS = 700;
+/** Shapes that differ by more than this factor begin a new session. */
+const OTHER_SHAPE = 1.3;
+/** Of a published scene that has yet to say how fast it is. */
+const DEFAULT_FPS = 30;
+/** The view until a published scene says where it is. */
+const NOWHERE: Pose = { position: [0, 0, 0], rotation: [1, 0, 0, 0] };
+
+/** Where the scene lies that this page was published with; undefined: it comes from the page's own server. */
+const PUBLISHED = document.querySelector<HTMLMetaElement>('meta[name="cags-source"]')?.content;
+
+/** The server has no scene of the name in the address. */
+class MissingError extends Error {}
+
+export class DrawnShow implements Show {
+  player: Player | null = null;
+  renderer: Renderer | null = null;
+  readonly #host: Host;
+  #rendering: Promise<Renderer> | undefined;
+  #source: SceneSource | undefined; // started, and of no scene yet
+  #attempts = 0;
+  #retry = 0;
+  #settled = 0;
+  #chroma: Chroma | undefined;
+  #background: readonly [number, number, number] = [0, 0, 0];
+
+  constructor(host: Host) {
+    this.#host = host;
+    addEventListener("resize", () => this.#resized());
+    onChange<HTMLInputElement>("correct", (box) => this.player && (this.player.correct = box.checked));
+    onChange<HTMLInputElement>("adapt", (box) => this.player && (this.player.adaptResolution = box.checked));
+    onChange<HTMLSelectElement>("exactness", (list) => this.player && (this.player.exactness = list.value as Exactness));
+  }
+
+  /** The scene is fetched while the worker loads and the device is made. */
+  async begin(): Promise<void> {
+    clearTimeout(this.#retry);
+    this.#leave();
+    this.#host.messages.say("Connecting");
+    const attempt = ++this.#attempts;
+    const rendering = (this.#rendering ??= this.#render());
+    this.#source ??= connectWorker(new Worker(new URL("worker.js", import.meta.url), { type: "module" }));
+    try {
+      const [scene, chroma] = await Promise.all([PUBLISHED ? undefined : this.#bundle(), finestChroma()]);
+      if (attempt !== this.#attempts || (!PUBLISHED && !scene)) return;
+      this.#chroma = chroma;
+      await Promise.race([rendering, undefined]); // throws where it is known that nothing can be drawn
+      this.#host.angles = anglesOf(...this.#pixels());
+      if (scene) this.#stand(scene);
+      this.#join(scene, rendering);
+      await rendering;
+    } catch (error) {
+      if (attempt !== this.#attempts) return;
+      this.#leave();
+      this.#cannot(error);
+    }
+  }
+
+  get trouble(): Show["trouble"] {
+    if (this.player?.status?.link !== "away") return null;
+    return ["The server is not there", "The picture stands on what has come; it goes on by itself."];
+  }
+
+  get verdict(): Verdict {
+    return this.player ? verdictOf(this.player) : { state: "wait", text: "connecting" };
+  }
+
+  figures(rate: number): readonly Figure[] {
+    return this.player ? drawnFigures(this.player, this.renderer?.gpu.name ?? "", rate) : [];
+  }
+
+  present(): void {
+    this.renderer?.present();
+  }
+
+  get #intrinsics(): Intrinsics {
+    return intrinsicsOf(...this.#pixels(), this.#host.angles);
+  }
+
+  #pixels(): [number, number] {
+    return pixelsOf(innerWidth, innerHeight, devicePixelRatio, this.#host.place.size);
+  }
+
+  #leave(): void {
+    this.player?.close();
+    this.player = null;
+  }
+
+  /** The renderer, once there is a device; another attempt makes another where there was none. */
+  #render(): Promise<Renderer> {
+    const made = Renderer.make(this.#host.canvas, (reason) => this.#lostDevice(reason)).then((renderer) => {
+      renderer.background = this.#background;
+      return (this.renderer = renderer);
+    });
+    made.catch(() => (this.#rendering = undefined));
+    return made;
+  }
+
+  async #bundle(): Promise<SceneInfo | undefined> {
+    const { messages, place } = this.#host;
+    const scene = sceneOf(location.search);
+    const headers = place.token ? { Authorization: `Bearer ${place.token}` } : undefined;
+    let answer: Response;
+    try {
+      answer = await fetch(beside("bundle"), headers ? { headers } : {});
+    } catch {
+      messages.say("The server is not there", "This page looks for it and goes on by itself.");
+      this.#retry = window.setTimeout(() => void this.begin(), RETRY_MS);
+      return undefined;
+    }
+    if (answer.status === 401) {
+      messages.askToken(place.token !== undefined);
+      return undefined;
+    }
+    if (answer.status === 404 && scene !== undefined) throw new MissingError(`There is no scene '${scene}' here.`);
+    if (answer.status === 404) throw new Error(((await answer.json()) as { error: string }).error);
+    if (!answer.ok) throw new Error(`the server answers ${answer.status} ${answer.statusText}`);
+    return sceneInfo(readManifest(new Uint8Array(await answer.arrayBuffer())), false);
+  }
+
+  /** A published scene says what it is when it comes; until then the view is nowhere in particular. */
+  #join(scene: SceneInfo | undefined, rendering: Promise<Renderer>): void {
+    const { place, messages } = this.#host;
+    const source = this.#source!;
+    this.#source = undefined;
+    const startFrame = Math.floor((place.seconds ?? 0) * (scene?.fps ?? DEFAULT_FPS) + 1e-6);
+    const view = (): { pose: Pose; intrinsics: Intrinsics } => ({ pose: this.#host.camera?.pose ?? NOWHERE, intrinsics: this.#intrinsics });
+    const player = new Player(source, rendering, view, this.#options(startFrame), {
+      changed: () => undefined,
+      info: (info) => {
+        if (PUBLISHED) this.#stand(info);
+        this.#host.ready();
+      },
+      failed: (error) => this.#onFailure(player, error),
+      notice: (message) => messages.toast(message),
+    });
+    this.player = player;
+    source.connect(
+      PUBLISHED ? new URL(PUBLISHED, location.href).href : beside("stream").href.replace(/^http/, "ws"),
+      {
+        ...view(),
+        startFrame,
+        reconnectS: Infinity,
+        references: this.#chroma ? "any" : "none",
+        ...(this.#chroma ? { chroma: this.#chroma } : {}),
+        ...(place.token ? { token: place.token } : {}),
+      },
+      (event) => player.handle(event),
+    );
+    messages.say("Loading", scene ? titleOf(scene) : "");
+  }
+
+  #stand(scene: SceneInfo): void {
+    this.#background = coloursOf(openedAs(scene, this.#host.place).view.background);
+    if (this.renderer) this.renderer.background = this.#background;
+    this.#host.stand(scene);
+  }
+
+  #options(startFrame: number): ConstructorParameters<typeof Player>[3] {
+    const { place } = this.#host;
+    return {
+      startFrame,
+      playing: place.playing ?? true,
+      loop: place.loop ?? the<HTMLInputElement>("loop").checked,
+      adaptResolution: the<HTMLInputElement>("adapt").checked && !place.size,
+      exactness: the<HTMLSelectElement>("exactness").value as Exactness,
+      correct: the<HTMLInputElement>("correct").checked,
+    };
+  }
+
+  #onFailure(player: Player, { code, message, fatal }: SourceError): void {
+    if (player !== this.player) return;
+    const { messages, place } = this.#host;
+    if (fatal && code !== "token") return this.#host.failed("The play has ended", message);
+    embed.tell("error", { message });
+    if (fatal) messages.askToken(place.token !== undefined);
+    else messages.toast(message);
+  }
+
+  #cannot(error: unknown): void {
+    const message = error instanceof Error ? error.message : String(error);
+    if (error instanceof UnsupportedError) this.#host.failed("This browser cannot show the scene", message, "none");
+    else if (error instanceof MissingError) this.#host.failed("The scene is not there", message, "scenes");
+    else this.#host.failed("The scene cannot be shown", message);
+  }
+
+  #lostDevice(reason: string): void {
+    const { messages, canvas } = this.#host;
+    this.renderer = null;
+    this.#rendering = undefined;
+    messages.toast(`The graphics processor was lost (${reason}); starting again`);
+    this.#host.keepPlace();
+    canvas.replaceWith(canvas.cloneNode()); // a canvas stays with the device that it was given
+    location.reload();
+  }
+
+  /** A window of another shape begins a new session where the play stands. */
+  #resized(): void {
+    clearTimeout(this.#settled);
+    this.#settled = window.setTimeout(() => {
+      const wanted = anglesOf(innerWidth, innerHeight);
+      const { angles, place, camera } = this.#host;
+      const other = (wanted.tanX * angles.tanY) / (wanted.tanY * angles.tanX);
+      if (!this.player?.shown || !camera || place.size || Math.max(other, 1 / other) < OTHER_SHAPE) return;
+      const { seconds, playing } = this.player;
+      this.#host.place = { ...place, seconds, playing, pose: camera.pose, mode: camera.mode };
+      void this.begin();
+    }, SETTLED_MS);
+  }
+}
