@@ -1,4 +1,4 @@
-"""The page with a client behind it: its messages are those that the client reads and writes, its camera is one of many."""
+"""The page with a client behind it: its messages are those of the client, its camera is its own where it steers."""
 
 from __future__ import annotations
 

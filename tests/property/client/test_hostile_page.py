@@ -14,11 +14,12 @@ from support.mutation import mutate
 TEXTS = [
     json.dumps(fields).encode()
     for fields in (
-        {"type": "hello", "h264": True, "raw": False},
-        {"type": "pose", "number": 7, "position": [0.5, -1.25, 3], "rotation": [0, 0.6, 0, 0.8]},
+        {"type": "hello", "h264": True, "raw": False, "token": "sesame"},
+        {"type": "pose", "at_us": 7, "position": [0.5, -1.25, 3], "rotation": [0, 0.6, 0, 0.8]},
         {"type": "look", "pictures": ["restored"], "overlays": ["tiles", "score"]},
-        {"type": "action", "action": "seek", "value": 12},
-        {"type": "setting", "name": "cap_mbps", "value": 4.5},
+        {"type": "set", "name": "playing", "value": True},
+        {"type": "set", "name": "frame", "value": 12},
+        {"type": "set", "name": "cap_mbps", "value": 4.5},
         {"type": "shown", "number": 4, "key": False},
     )
 ]

@@ -15,7 +15,10 @@ FILE = Path(__file__).with_name("messages.json")
 OF_THE_PAGE: list[tuple[str, dict[str, Any]]] = [
     ("hello", {"type": "hello", "h264": True, "raw": False}),
     ("hello with a token", {"type": "hello", "h264": True, "raw": True, "token": "sesame"}),
-    ("pose", {"type": "pose", "at_us": 1_700_000_000_123_456, "position": [1, 2, 3], "rotation": [0.5, 0.5, -0.5, 0.5]}),
+    (
+        "pose",
+        {"type": "pose", "at_us": 1_700_000_000_123_456, "position": [1, 2, 3], "rotation": [0.6, 0, -0.8, 0]},
+    ),
     ("look", {"type": "look", "pictures": ["restored", "truth"], "overlays": ["tiles", "score"]}),
     ("pause", {"type": "set", "name": "playing", "value": False}),
     ("seek", {"type": "set", "name": "frame", "value": 12}),

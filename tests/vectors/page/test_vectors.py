@@ -1,4 +1,4 @@
-"""What a page and its client say to each other is what both were held to; the page's side is ``tests/web/test_client.py``."""
+"""What a page and its client say to each other is recorded; the page's side is held to it by ``tests/web``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .make import FILE, OF_THE_PAGE, said
 READ: dict[str, PageMessage] = {
     "hello": PageHello(True, False),
     "hello with a token": PageHello(True, True, "sesame"),
-    "pose": PagePose(1_700_000_000_123_456, Pose((1.0, 2.0, 3.0), (0.5, 0.5, -0.5, 0.5))),
+    "pose": PagePose(1_700_000_000_123_456, Pose((1.0, 2.0, 3.0), (0.6, 0.0, -0.8, 0.0))),
     "look": PageLook(("restored", "truth"), frozenset({"tiles", "score"})),
     "pause": PageSet("playing", False),
     "seek": PageSet("frame", 12.0),

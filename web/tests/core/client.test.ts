@@ -22,7 +22,7 @@ test("the page says what the client reads", () => {
   const said: Record<string, string> = {
     hello: to.hello({ h264: true, raw: false }),
     "hello with a token": to.hello({ h264: true, raw: true }, "sesame"),
-    pose: to.moved(AT_US, { position: [1, 2, 3], rotation: [0.5, 0.5, -0.5, 0.5] }),
+    pose: to.moved(AT_US, { position: [1, 2, 3], rotation: [0.6, 0, -0.8, 0] }),
     look: to.look({ pictures: ["restored", "truth"], overlays: ["tiles", "score"] }),
     pause: to.set("playing", false),
     seek: to.set("frame", 12),

@@ -28,7 +28,7 @@ class LivePoses:
         return held if held is not None else self._walk.pose_at(t_us)
 
     def hold(self, pose: Pose, at_us: int) -> None:
-        """Put the camera at ``pose``; ``at_us``, of the page's own clock, is told back with the picture that shows it."""
+        """Put the camera at ``pose``; ``at_us``, of the page's clock, is told back with the picture that shows it."""
         with self._lock:
             self._held = pose
             self._times[pose] = at_us

@@ -334,7 +334,7 @@ def scene_text(scene: SceneInfo, controls: Controls, *, shaper: bool) -> dict[st
 
 
 def state_text(controls: Controls, *, held: bool, steers: bool, shaper: dict[str, Any] | None) -> dict[str, Any]:
-    """How things stand; ``steers``: whether they are the page's to change; ``shaper``: its answer, where there is one."""
+    """How things stand; ``steers``: whether they are the page's to change; ``shaper``: its answer, if there is one."""
     return {
         "type": "state",
         "playing": controls.playing,

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 
 from cags_client.output.page import messages
 from cags_client.output.page.messages import (
-    PageAction,
     PageHello,
     PageLook,
     PagePose,
-    PageSetting,
+    PageSet,
     PageShown,
     pack,
     parse,
@@ -30,15 +29,16 @@ def said(**fields: object) -> str:
 def test_every_message_is_parsed() -> None:
     assert parse(said(type="hello", h264=True)) == PageHello(True)
     assert parse(said(type="hello", h264=True, raw=True)) == PageHello(True, True)
-    pose = parse(said(type="pose", number=3, position=[1, 2, 3], rotation=[-1, 0, 0, 0]))
+    assert parse(said(type="hello", h264=True, token="sesame")) == PageHello(True, False, "sesame")
+    pose = parse(said(type="pose", at_us=3, position=[1, 2, 3], rotation=[-1, 0, 0, 0]))
     assert isinstance(pose, PagePose)
-    assert (pose.number, pose.pose.position, pose.pose.rotation[0]) == (3, (1.0, 2.0, 3.0), 1.0)
+    assert (pose.at_us, pose.pose.position, pose.pose.rotation[0]) == (3, (1.0, 2.0, 3.0), 1.0)
     look = parse(said(type="look", pictures=["truth", "truth"], overlays=["detail"]))
     assert look == PageLook(("truth",), frozenset({"detail"}))
-    assert parse(said(type="action", action="seek", value=12)) == PageAction("seek", 12.0)
-    assert parse(said(type="action", action="play")) == PageAction("play", 0.0)
-    assert parse(said(type="setting", name="cap_mbps", value=None)) == PageSetting("cap_mbps", None)
-    assert parse(said(type="setting", name="restorer", value="none")) == PageSetting("restorer", "none")
+    assert parse(said(type="set", name="frame", value=12)) == PageSet("frame", 12.0)
+    assert parse(said(type="set", name="playing", value=True)) == PageSet("playing", True)
+    assert parse(said(type="set", name="cap_mbps", value=None)) == PageSet("cap_mbps", None)
+    assert parse(said(type="set", name="restorer", value="none")) == PageSet("restorer", "none")
     assert parse(said(type="shown", number=9, key=False)) == PageShown(9, False)
 
 
@@ -52,18 +52,22 @@ def test_every_message_is_parsed() -> None:
         (said(type=["hello"]), "type"),
         (said(type="hello", h264=1), "h264"),
         (said(type="hello", h264=True, raw="yes"), "raw"),
-        (said(type="pose", number=1, position=[0, 0], rotation=[1, 0, 0, 0]), "position"),
-        (said(type="pose", number=1, position=[0, 0, 1e300], rotation=[1, 0, 0, 0]), "position"),
-        (said(type="pose", number=1, position=[0, 0, 0], rotation=[0, 0, 0, 0]), "quaternion"),
-        (said(type="pose", number=-1, position=[0, 0, 0], rotation=[1, 0, 0, 0]), "number"),
-        ('{"type":"pose","number":1,"position":[0,0,NaN],"rotation":[1,0,0,0]}', "position"),
+        (said(type="pose", at_us=1, position=[0, 0], rotation=[1, 0, 0, 0]), "position"),
+        (said(type="pose", at_us=1, position=[0, 0, 1e300], rotation=[1, 0, 0, 0]), "position"),
+        (said(type="pose", at_us=1, position=[0, 0, 0], rotation=[0, 0, 0, 0]), "quaternion"),
+        (said(type="pose", at_us=-1, position=[0, 0, 0], rotation=[1, 0, 0, 0]), "at_us"),
+        ('{"type":"pose","at_us":1,"position":[0,0,NaN],"rotation":[1,0,0,0]}', "position"),
         (said(type="look", pictures=[], overlays=[]), "pictures"),
         (said(type="look", pictures=["restored"] * 3, overlays=[]), "pictures"),
         (said(type="look", pictures=["secret"], overlays=[]), "secret"),
-        (said(type="action", action="explode"), "explode"),
-        (said(type="action", action="seek", value="x"), "value"),
-        (said(type="setting", name="restorer", value=3), "restorer"),
-        (said(type="setting", name="delay_ms", value=True), "value"),
+        (said(type="set", name="explode", value=1), "explode"),
+        (said(type="set", name="frame", value="x"), "frame"),
+        (said(type="set", name="playing", value=1), "playing"),
+        (said(type="set", name="restorer", value=3), "restorer"),
+        (said(type="set", name="delay_ms", value=True), "delay_ms"),
+        (said(type="set", name="delay_ms", value=None), "delay_ms"),
+        (said(type="hello", h264=True, token=5), "token"),
+        (said(type="hello", h264=True, token="x" * 257), "token"),
         (said(type="hello", h264=True, filler="x" * messages.MAX_TEXT_BYTES), "longer"),
     ],
 )
@@ -82,18 +86,19 @@ def test_no_text_brings_the_parser_down(text: str) -> None:
 
 @given(
     st.fixed_dictionaries(
-        {"type": st.sampled_from(["hello", "pose", "look", "action", "setting", "shown"])},
+        {"type": st.sampled_from(["hello", "pose", "look", "set", "shown"])},
         optional={
             name: st.none() | st.booleans() | st.floats() | st.text(max_size=9) | st.lists(st.floats(), max_size=5)
             for name in (
                 "h264",
                 "raw",
+                "token",
+                "at_us",
                 "number",
                 "position",
                 "rotation",
                 "pictures",
                 "overlays",
-                "action",
                 "name",
                 "value",
             )

@@ -23,7 +23,7 @@ def test_a_picture_tells_which_pose_it_shows_for_a_while() -> None:
     poses = LivePoses(StillWalk())
     for number in range(REMEMBERED_POSES + 10):
         poses.hold(Pose((float(number), 0, 0), (1, 0, 0, 0)), number)
-    assert poses.number_of(Pose((20.0, 0, 0), (1, 0, 0, 0))) == 20
-    assert poses.number_of(Pose((3.0, 0, 0), (1, 0, 0, 0))) is None
+    assert poses.time_of(Pose((20.0, 0, 0), (1, 0, 0, 0))) == 20
+    assert poses.time_of(Pose((3.0, 0, 0), (1, 0, 0, 0))) is None
     poses.hold(Pose((20.0, 0, 0), (1, 0, 0, 0)), 9999)
-    assert poses.number_of(Pose((20.0, 0, 0), (1, 0, 0, 0))) == 9999
+    assert poses.time_of(Pose((20.0, 0, 0), (1, 0, 0, 0))) == 9999

@@ -6,13 +6,17 @@ import asyncio
 import json
 import struct
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
 
+import cags_web
 from cags_client.output.page import LiveView, ViewSettings
+from cags_client.output.page.assets import MARK, NOT_BUILT
 from cags_client.output.page.open_page import SLOW_WRITE_S, SLOW_WRITES
+from cags_client.output.page.server import WRONG_TOKEN
 from cags_client.output.page.shaper_control import ShaperControl
 from cags_client.output.page.video import RAW
 from cags_common.errors import ConfigError, NetworkError
@@ -42,11 +46,14 @@ class Visitor:
         await self.socket.send_str(json.dumps(fields))
 
     async def told(self, kind: str) -> dict[str, Any]:
-        """The next text of a kind."""
+        """The next text of a kind; pictures before it are acknowledged."""
         while True:
             message = await self.socket.receive(timeout=10)
             assert message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), message
-            if message.type is aiohttp.WSMsgType.TEXT and json.loads(message.data)["type"] == kind:
+            if message.type is aiohttp.WSMsgType.BINARY:
+                (length,) = struct.unpack_from(">I", message.data)
+                await self.say(type="shown", number=json.loads(message.data[4 : 4 + length])["number"], key=False)
+            elif json.loads(message.data)["type"] == kind:
                 return dict(json.loads(message.data))
 
     async def frame(self, *, acknowledge: bool = True) -> dict[str, Any]:
@@ -75,6 +82,11 @@ async def test_a_visitor_is_told_the_scene_and_sees_frames(show: BallShow, clien
     visitor = await visit(client, show)
     scene = await visitor.told("scene")
     assert (scene["name"], scene["frames"], scene["shaper"]) == ("bobbing balls", FRAMES, False)
+    assert scene["settings"] == {
+        "restorer": ["correct", "none"],
+        "exactness": ["fast", "balanced", "exact"],
+        "resolution": ["full", "half", "auto"],
+    }
     assert "truth" in scene["pictures"]
     first = await visitor.frame()
     assert [p["name"] for p in first["pictures"]] == ["restored"]
@@ -153,12 +165,12 @@ async def test_a_page_that_does_not_draw_is_not_sent_more(show: BallShow, client
 async def test_the_pose_of_the_page_is_the_pose_of_the_picture(show: BallShow, client: aiohttp.ClientSession) -> None:
     visitor = await visit(client, show)
     await visitor.frame()
-    await visitor.say(type="pose", number=5, position=[0, 0, -6], rotation=[1, 0, 0, 0])
-    while (header := await visitor.frame())["pose"] != 5:
+    await visitor.say(type="pose", at_us=5, position=[0, 0, -6], rotation=[1, 0, 0, 0])
+    while (header := await visitor.frame())["pose_at_us"] != 5:
         pass
     assert header["camera"]["position"] == [0, 0, -6]
     assert show.view.poses.pose_at(0) == Pose((0, 0, -6), (1, 0, 0, 0))
-    await visitor.say(type="action", action="release")
+    await visitor.say(type="set", name="held", value=False)
     while (await visitor.told("state"))["held"]:  # states told before the release may still be on their way
         pass
 
@@ -166,25 +178,63 @@ async def test_the_pose_of_the_page_is_the_pose_of_the_picture(show: BallShow, c
 async def test_transport_and_settings_reach_the_client(show: BallShow, client: aiohttp.ClientSession) -> None:
     visitor = await visit(client, show)
     await visitor.told("state")
-    await visitor.say(type="action", action="pause")
-    await visitor.say(type="action", action="seek", value=900)
-    await visitor.say(type="action", action="rate", value=0.5)
-    await visitor.say(type="action", action="loop", value=0)
-    await visitor.say(type="setting", name="restorer", value="none")
-    await visitor.say(type="setting", name="resolution", value="half")
-    await visitor.say(type="setting", name="exactness", value="exact")
-    while (state := await visitor.told("state"))["exactness"] != "exact":
+    await visitor.say(type="set", name="playing", value=False)
+    await visitor.say(type="set", name="frame", value=900)
+    await visitor.say(type="set", name="rate", value=0.5)
+    await visitor.say(type="set", name="loop", value=False)
+    await visitor.say(type="set", name="restorer", value="none")
+    await visitor.say(type="set", name="resolution", value="half")
+    await visitor.say(type="set", name="exactness", value="exact")
+    while (state := await visitor.told("state"))["settings"]["exactness"] != "exact":
         pass
-    assert state == {**state, "playing": False, "loop": False, "rate": 0.5, "restorer": "none", "resolution": "half"}
+    assert state == {**state, "playing": False, "loop": False, "rate": 0.5}
+    assert state["settings"] == {"restorer": "none", "resolution": "half", "exactness": "exact"}
     assert show.controls.frame == FRAMES - 1
+    await visitor.say(type="set", name="playing", value=True)
+    while not (await visitor.told("state"))["playing"]:
+        pass
+
+
+async def test_the_first_page_steers_and_the_next_one_after_it(show: BallShow, client: aiohttp.ClientSession) -> None:
+    first, second = await visit(client, show), await visit(client, show)
+    assert (await first.told("state"))["steers"]
+    assert not (await second.told("state"))["steers"]
+    await second.say(type="pose", at_us=1, position=[0, 0, -9], rotation=[1, 0, 0, 0])
+    await second.say(type="set", name="playing", value=False)
+    assert "another page steers" in (await second.told("error"))["text"]
+    assert show.controls.playing
+    assert not show.view.poses.held
+    await first.say(type="pose", at_us=7, position=[0, 0, -6], rotation=[1, 0, 0, 0])
+    while (await first.frame())["pose_at_us"] != 7:
+        pass
+    while (watched := await second.frame())["camera"]["position"] != [0, 0, -6]:
+        pass
+    assert watched["pose_at_us"] is None, "the time is of another page's clock"
+    await first.socket.close()
+    while not (await second.told("state"))["steers"]:
+        pass
+    await second.say(type="pose", at_us=3, position=[0, 0, -9], rotation=[1, 0, 0, 0])
+    while (await second.frame())["pose_at_us"] != 3:
+        pass
+
+
+async def test_a_page_without_the_token_is_shown_nothing(client: aiohttp.ClientSession) -> None:
+    async with BallShow(ViewSettings(view_port=0, view_token="sesame")) as show:
+        for token, reason in ((None, "token needed"), ("wrong", "wrong token"), ("sésame", "wrong token")):
+            visitor = await visit(client, show, **({} if token is None else {"token": token}))
+            message = await visitor.socket.receive(timeout=10)
+            assert (message.type, message.data, message.extra) == (aiohttp.WSMsgType.CLOSE, WRONG_TOKEN, reason)
+            assert show.view.pages == 0
+        welcome = await visit(client, show, token="sesame")
+        assert (await welcome.told("scene"))["frames"] == FRAMES
 
 
 async def test_wishes_that_cannot_be_met_are_answered(show: BallShow, client: aiohttp.ClientSession) -> None:
     visitor = await visit(client, show)
     for name in ("restorer", "exactness", "resolution"):
-        await visitor.say(type="setting", name=name, value="magic")
+        await visitor.say(type="set", name=name, value="magic")
         assert f"{name} = 'magic' must be one of" in (await visitor.told("error"))["text"]
-    await visitor.say(type="setting", name="delay_ms", value=10)
+    await visitor.say(type="set", name="delay_ms", value=10)
     assert "--shaper-control" in (await visitor.told("error"))["text"]
 
 
@@ -196,20 +246,47 @@ async def test_nonsense_closes_the_line_with_a_reason(show: BallShow, client: ai
     assert message.data == 1008
     assert "JSON" in (message.extra or "")
     early = await client.ws_connect(show.view.url + "live")
-    await early.send_str(json.dumps({"type": "action", "action": "play"}))
+    await early.send_str(json.dumps({"type": "set", "name": "playing", "value": True}))
     assert "hello" in ((await early.receive(timeout=10)).extra or "")
 
 
-@pytest.mark.parametrize("path", ["", "index.html", "style.css", "favicon.svg", "js/main.js", "js/camera.js"])
-async def test_assets_are_served_with_strict_headers(show: BallShow, client: aiohttp.ClientSession, path: str) -> None:
+@pytest.fixture
+def built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A page as if it were built, of one line a file."""
+    for name in cags_web.FILES:
+        (tmp_path / name).write_text(f"<head></head>{name}")
+    monkeypatch.setattr(cags_web, "page_folder", lambda: tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("path", ["", "index.html", "page.css", "icon.svg", "page.js"])
+@pytest.mark.usefixtures("built")
+async def test_the_viewers_page_is_served_with_strict_headers(
+    show: BallShow, client: aiohttp.ClientSession, path: str
+) -> None:
     async with client.get(show.view.url + path) as response:
         assert response.status == 200
         assert "default-src 'none'" in response.headers["Content-Security-Policy"]
         assert response.headers["X-Content-Type-Options"] == "nosniff"
-        assert "http://" not in (await response.text()).replace("http://www.w3.org/2000/svg", "")
+        name = path or "index.html"
+        assert f"{response.content_type}; charset=utf-8".startswith(cags_web.FILES[name].partition(";")[0])
+        mark = f"\n    {MARK}" if name == "index.html" else ""
+        assert await response.text() == f"<head>{mark}</head>{name}"
 
 
-@pytest.mark.parametrize("path", ["none.js", "js/none.js", "js/..%2Findex.html", "..%2F..%2Flive.py", "js"])
+async def test_where_the_page_is_not_built_it_says_how(
+    show: BallShow, client: aiohttp.ClientSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cags_web, "page_folder", lambda: None)
+    async with client.get(show.view.url) as response:
+        assert (response.status, await response.text()) == (503, f"{NOT_BUILT}\n")
+    assert cags_web.HOW_TO_BUILD in NOT_BUILT
+
+
+@pytest.mark.parametrize(
+    "path", ["none.js", "worker.js", "js/none.js", "page.js/..%2Fpage.css", "..%2F..%2Fx.py", "gallery.html"]
+)
+@pytest.mark.usefixtures("built")
 async def test_nothing_else_is_served(show: BallShow, client: aiohttp.ClientSession, path: str) -> None:
     async with client.get(show.view.url + path) as response:
         assert response.status == 404
@@ -258,9 +335,11 @@ async def test_the_shaper_is_asked_over_its_control_port(client: aiohttp.ClientS
     async with BallShow(ViewSettings(view_port=0, shaper_control=f"127.0.0.1:{port}")) as show:
         visitor = await visit(client, show)
         assert (await visitor.told("scene"))["shaper"]
-        assert (await visitor.told("shaper"))["capacity_mbps"] == 9.0
-        await visitor.say(type="setting", name="cap_mbps", value=4)
-        await visitor.say(type="setting", name="delay_ms", value=7)
+        while (link := (await visitor.told("state"))["shaper"]) is None:
+            pass
+        assert link["capacity_mbps"] == 9.0
+        await visitor.say(type="set", name="cap_mbps", value=4)
+        await visitor.say(type="set", name="delay_ms", value=7)
         assert "seven" in (await visitor.told("error"))["text"]
         assert {"cap_mbps": 4.0} in asked
     server.close()
