@@ -22,7 +22,7 @@ OPENED = "document.getElementById('inspect').click()"
 
 READ_OUT = """
 const done = arguments[0], canvas = document.getElementById("picture");
-window.cags.renderer.present();
+window.cags.show.renderer.present();
 canvas.toBlob((blob) => {
   const copy = new Image();
   copy.onload = () => done();

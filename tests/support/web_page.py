@@ -40,7 +40,7 @@ QUIET = ("recommendation",)
 SHOWN = """
 const [wanted, done] = arguments;
 (async () => {
-  const { player, renderer } = window.cags;
+  const { player, show: { renderer } } = window.cags;
   player.rest(true);  // no further picture, so that this one is what is told
   while (player.drawing) await new Promise((resolve) => setTimeout(resolve, 20));
   const shown = player.shown, { update } = shown;
@@ -68,12 +68,17 @@ const [wanted, done] = arguments;
 """
 
 
-def require_page() -> None:
-    """Skip where the page is not built, or its driver is not here."""
+def require_built() -> None:
+    """Skip where the page is not built."""
     if cags_web.page_folder() is None:
         pytest.skip(f"the viewer is not built; {cags_web.HOW_TO_BUILD}")
     if not up_to_date():
         pytest.fail(f"the viewer is older than its sources; {cags_web.HOW_TO_BUILD}", pytrace=False)
+
+
+def require_page() -> None:
+    """Skip where the page is not built, or the driver that it draws with is not here."""
+    require_built()
     if not ICD.exists():
         pytest.skip(f"no SwiftShader: {ICD} comes with Chromium (apt-get install chromium chromium-driver)")
 

@@ -37,7 +37,7 @@ setInterval(() => {
       shown.push(row);
       if (!share && now - kept >= EVERY) {
         kept = now;
-        window.cags.renderer.pixels().then(({ rgba }) => {
+        window.cags.show.renderer.pixels().then(({ rgba }) => {
           let text = "";
           for (const byte of rgba) text += String.fromCharCode(byte);
           row.pixels = btoa(text);

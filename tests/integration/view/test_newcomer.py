@@ -13,7 +13,9 @@ import pytest
 from cags_encoder.formats import write_splats
 from support.browser import chromium, keep_screenshot, require_browser
 from support.capture import three_balls
+from support.client_page import choose, measured
 from support.live_stack import live_stack
+from support.web_page import require_built
 
 pytestmark = pytest.mark.slow
 
@@ -35,32 +37,31 @@ def pixels(running: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 def wait(running: Any, condition: Callable[[dict[str, Any]], bool], what: str) -> None:
     deadline = time.monotonic() + DEADLINE_S
-    while not condition(dict(running.execute_script("return structuredClone(window.cags ?? {frames: 0})"))):
+    while not condition(measured(running)):
         assert time.monotonic() < deadline, what
         time.sleep(0.2)
 
 
 def test_a_splat_file_becomes_a_scene_in_the_browser(tmp_path: Path) -> None:
     require_browser()
+    require_built()
     capture = tmp_path / "balls.splat"
     write_splats(capture, three_balls())
     scene = f"motion:{capture}:frames=12"
     with live_stack(scene, tmp_path, width=320, height=240) as url, chromium(tmp_path / "profile") as running:
         running.get(url)
-        wait(running, lambda page: page["frames"] > 40, "no pictures")
-        running.find_element("id", "picture").send_keys(" r")  # pause, and look at the whole scene
+        wait(running, lambda page: page["pictures"] > 40, "no pictures")
+        running.find_element("id", "picture").send_keys(" h")  # pause, and look at the whole scene
         wait(running, lambda page: (page["stats"].get("lod_mean") or 0) > 0, "no detail arrives")
-        wait(running, lambda page: page["pose"] is not None, "the camera does not follow")
+        wait(running, lambda page: page["poseAtUs"] is not None, "the camera does not follow")
         time.sleep(2.0)
         shown = pixels(running)
         keep_screenshot(running, "newcomer")
-        tag = running.find_element("id", "tag-a")
-        wait(
-            running, lambda _: "all detail is here" in tag.text, "the page does not say that nothing is left to restore"
-        )
-        before = running.execute_script("return window.cags.frames")
-        running.find_element("css selector", "#picture-a option[value=truth]").click()
-        wait(running, lambda page: page["frames"] > before and page["picture"]["name"] == "truth", "no truth")
+        running.find_element("id", "inspect").click()
+        figures = running.find_element("id", "figures")
+        wait(running, lambda _: "100 %" in figures.text, "the page does not say that all detail is here")
+        choose(running, "#picture-a", "truth")
+        wait(running, lambda page: page["name"] == "truth", "no truth")
         time.sleep(0.5)
         truth = pixels(running)
     for channel, name in enumerate(("red", "green", "blue")):

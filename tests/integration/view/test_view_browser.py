@@ -1,4 +1,4 @@
-"""The live page in a real browser: moving pictures, a hand on the camera, the transport bar, and no complaint."""
+"""The page with a client behind it, in a browser without WebGPU: pictures, a hand on the camera, the bar, the panel."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cags_client.output.page import ViewSettings
 from support.browser import chromium, keep_screenshot, require_browser
-from support.live_page import BallShow
+from support.client_page import choose, click, drag
+from support.live_page import BallShow, StillWalk
+from support.web_page import require_built
 
 pytestmark = pytest.mark.slow
 
@@ -24,16 +28,15 @@ return Array.from(c.getImageData(0, 0, 64, 48).data).filter((_, i) => i % 4 < 3)
 """
 
 
-@pytest.fixture(scope="module")
-def show() -> Iterator[BallShow]:
+@contextmanager
+def in_a_thread(settings: ViewSettings | None = None) -> Iterator[BallShow]:
     """The balls on a page, served from a thread of their own."""
-    require_browser()
     ready = threading.Event()
     box: list[tuple[BallShow, Callable[[], object]]] = []
 
     async def run() -> None:
         over, loop = asyncio.Event(), asyncio.get_running_loop()
-        async with BallShow() as running:
+        async with BallShow(settings) as running:
             box.append((running, lambda: loop.call_soon_threadsafe(over.set)))
             ready.set()
             await over.wait()
@@ -42,19 +45,45 @@ def show() -> Iterator[BallShow]:
     thread.start()
     assert ready.wait(20)
     running, end = box[0]
-    yield running
-    end()
-    thread.join()
+    try:
+        yield running
+    finally:
+        end()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def show() -> Iterator[BallShow]:
+    require_browser()
+    require_built()
+    with in_a_thread() as running:
+        yield running
 
 
 @pytest.fixture
 def page(show: BallShow, tmp_path: Path) -> Iterator[Any]:
-    show.controls.play()
-    with chromium(tmp_path) as running:
-        running.get(show.view.url + "?h264")
-        wait(running, lambda: measured(running)["frames"] > 3)
+    with at_rest(show), chromium(tmp_path) as running:
+        visit(running, show, "?h264")
         yield running
         assert complaints(running) == []
+
+
+@contextmanager
+def at_rest(show: BallShow) -> Iterator[None]:
+    """Nobody has hold of the camera, and the balls play."""
+    show.view.poses.release()
+    show.controls.play()
+    show.controls.set_loop(True)
+    show.controls.set_rate(1.0)
+    yield
+    ends = time.monotonic() + 10
+    while show.view.pages and time.monotonic() < ends:
+        time.sleep(0.05)  # else the next page would watch this one
+
+
+def visit(running: Any, show: BallShow, address: str = "") -> None:
+    running.get(show.view.url + address)
+    wait(running, lambda: asked(running, "player.pictures") > 3)
 
 
 def wait(running: Any, condition: Callable[[], bool], seconds: float = WAIT_S) -> None:
@@ -63,8 +92,13 @@ def wait(running: Any, condition: Callable[[], bool], seconds: float = WAIT_S) -
     WebDriverWait(running, seconds, poll_frequency=0.1).until(lambda _: condition())
 
 
-def measured(running: Any) -> dict[str, Any]:
-    return dict(running.execute_script("return structuredClone(window.cags ?? {frames: 0})"))
+def asked(running: Any, expression: str) -> Any:
+    """An expression over the page's ``player``."""
+    return running.execute_script(f"const {{ player, camera }} = window.cags; return {expression}")
+
+
+def codec(running: Any) -> str:
+    return str(asked(running, "player.shown.pictures[0].codec"))
 
 
 def complaints(running: Any) -> list[str]:
@@ -75,134 +109,190 @@ def difference(a: list[int], b: list[int]) -> float:
     return sum(abs(x - y) for x, y in zip(a, b, strict=True)) / len(a)
 
 
-def drag(running: Any, steps: int = 12) -> None:
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.by import By
-
-    actions = ActionChains(running, duration=30).click_and_hold(running.find_element(By.ID, "picture"))
-    for _ in range(steps):
-        actions.move_by_offset(9, 2)
-    actions.release().perform()
-
-
-def click(running: Any, selector: str) -> None:
-    from selenium.webdriver.common.by import By
-
-    running.find_element(By.CSS_SELECTOR, selector).click()
-
-
 def press(running: Any, keys: str) -> None:
     from selenium.webdriver.common.action_chains import ActionChains
 
     ActionChains(running).send_keys(keys).perform()
 
 
-def test_pictures_move_by_h264_and_stand_still_when_paused(page: Any, show: BallShow) -> None:
-    assert measured(page)["codec"].startswith("avc1.")
+def words(running: Any) -> str:
+    """What is said over the picture; nothing where nothing is."""
+    message = running.find_element("id", "message")
+    return str(message.text) if message.is_displayed() else ""
+
+
+def light(running: Any) -> str:
+    return str(running.execute_script("return document.getElementById('light-text').textContent"))
+
+
+def paused(running: Any, show: BallShow) -> list[int]:
+    """Pause, and wait until the video has settled on the still picture; what is seen then."""
+    press(running, " ")
+    wait(running, lambda: not show.controls.playing and asked(running, "player.shown.frame") == show.controls.frame)
+    before = asked(running, "player.pictures")
+    wait(running, lambda: asked(running, "player.pictures") > before + 5)
+    return list(running.execute_script(CENTRE))
+
+
+def test_pictures_come_without_webgpu_move_by_h264_and_stand_still_when_paused(page: Any, show: BallShow) -> None:
+    assert codec(page).startswith("avc1.")
+    assert page.execute_script("return navigator.gpu?.requestAdapter() ?? null") is None
+    page.get_log("browser")  # having asked is itself a complaint
+    assert words(page) == ""
     first = page.execute_script(CENTRE)
     wait(page, lambda: difference(first, page.execute_script(CENTRE)) > 1)
-    click(page, "#play")
-    wait(page, lambda: not show.controls.playing)
-    wait(page, lambda: measured(page)["frame"] == show.controls.frame)
-    still = page.execute_script(CENTRE)
-    before = measured(page)["frames"]
-    wait(page, lambda: measured(page)["frames"] > before + 5)
+    still = paused(page, show)
+    before = asked(page, "player.pictures")
+    wait(page, lambda: asked(page, "player.pictures") > before + 5)
     assert difference(still, page.execute_script(CENTRE)) < 1
-    press(page, " ")
+    click(page, "#play")
     wait(page, lambda: show.controls.playing)
 
 
-def test_dragging_turns_the_picture_and_is_timed(page: Any, show: BallShow) -> None:
-    press(page, " ")
-    wait(page, lambda: not show.controls.playing and measured(page)["frame"] == show.controls.frame)
-    before = page.execute_script(CENTRE)
-    drag(page)
-    wait(page, lambda: measured(page)["photonMs"] and measured(page)["pose"] is not None)
-    assert show.view.poses.held
-    assert difference(before, page.execute_script(CENTRE)) > 1
-    click(page, "#rig input[value=walk]")
-    wait(page, lambda: not show.view.poses.held)
-
-
-def test_keys_fly_step_and_compare(page: Any, show: BallShow) -> None:
-    click(page, "#picture")
-    press(page, "wwdd")
-    wait(page, lambda: show.view.poses.held)
+def test_seek_step_loop_and_speed_reach_the_client(page: Any, show: BallShow) -> None:
+    paused(page, show)
+    choose(page, "#time", "12")
+    wait(page, lambda: show.controls.frame == 12 == asked(page, "player.shown.frame"))
     press(page, ".")
-    wait(page, lambda: not show.controls.playing)
-    press(page, "c")
-    wait(page, lambda: page.execute_script("return !document.getElementById('wipe').hidden"))
-    press(page, "t")
-    wait(page, lambda: not show.view.poses.held)
-    press(page, "?")
-    wait(page, lambda: page.execute_script("return document.getElementById('help').open"))
+    wait(page, lambda: show.controls.frame == 13 == asked(page, "player.shown.frame"))
+    press(page, ",")
+    wait(page, lambda: show.controls.frame == 12)
+    assert page.find_element("id", "clock").text.startswith("0:00.4")
+    click(page, "#loop")
+    choose(page, "#rate", "0.5")
+    wait(page, lambda: not show.controls.loop and show.controls.rate == 0.5)
+    show.controls.set_loop(True)  # by another hand: the page shows it
+    wait(page, lambda: page.execute_script("return document.getElementById('loop').checked"))
 
 
-def test_a_choice_that_was_come_to_by_keyboard_is_made_by_arrows(page: Any, show: BallShow) -> None:
-    chosen = "return document.querySelector('[name=rig]:checked').value"
-    page.execute_script("document.getElementById('seek').focus()")
-    press(page, "\ue004")
-    assert page.execute_script("return document.activeElement.value") == "walk"
-    press(page, "\ue014")
-    wait(page, lambda: page.execute_script(chosen) == "orbit" and show.view.poses.held)
-    press(page, "\ue014")
-    wait(page, lambda: page.execute_script(chosen) == "fly")
-    press(page, "t")
+def test_a_hand_on_the_picture_moves_the_clients_camera_and_is_timed(page: Any, show: BallShow) -> None:
+    before = paused(page, show)
+    followed = asked(page, "camera.pose.position")
+    assert followed == pytest.approx(show.view.poses.pose_at(0).position, abs=1e-5)
+    assert not show.view.poses.held
+    drag(page, 9, 2)
+    wait(page, lambda: asked(page, "player.photonMs.length") > 0)
+    assert show.view.poses.held
+    wait(page, lambda: asked(page, "camera.pose.position") == pytest.approx(show.view.poses.pose_at(0).position))
+    assert difference(before, page.execute_script(CENTRE)) > 1
+    assert 0 < max(asked(page, "player.photonMs")) < 10_000
+    click(page, "#follow")
     wait(page, lambda: not show.view.poses.held)
+    wait(page, lambda: asked(page, "camera.pose.position") == pytest.approx(followed, abs=1e-5))
+
+
+def test_keys_move_the_camera_and_the_pose_reaches_the_player_with_its_own_time(page: Any, show: BallShow) -> None:
+    began_us = page.execute_script("return (performance.timeOrigin + performance.now()) * 1000")
+    click(page, "#picture")
+    press(page, "wwd")
+    wait(page, lambda: show.view.poses.held)
+    wait(page, lambda: asked(page, "player.shown.pose_at_us") is not None)
+    at_us = asked(page, "player.shown.pose_at_us")
+    assert began_us < at_us <= page.execute_script("return (performance.timeOrigin + performance.now()) * 1000")
+    held = show.view.poses.pose_at(0)
+    assert show.view.poses.time_of(held) == at_us
+    assert held.position != StillWalk().pose_at(0).position
+    press(page, "h")
+    wait(page, lambda: show.view.poses.pose_at(0).position != held.position)
 
 
 def test_two_pictures_overlays_and_figures(page: Any, show: BallShow) -> None:
-    click(page, "#mode label:nth-child(2)")
+    click(page, "#inspect")
+    choose(page, "#picture-b", "distorted")
     for name in ("occlusion", "tiles", "reference", "score"):
-        click(page, f"#overlays input[value={name}]")
-    wait(page, lambda: "restored" in page.find_element("id", "plots").text)
-    wait(page, lambda: difference(page.execute_script(CENTRE), [0] * 64 * 48 * 3) > 1)
-    keep_screenshot(page, "wipe-dark")
-    click(page, "#mode label:nth-child(3)")
-    click(page, "#theme")
-    wait(page, lambda: page.execute_script("return document.documentElement.dataset.theme") == "light")
-    before = measured(page)["frames"]
-    wait(page, lambda: measured(page)["frames"] > before + 3)
-    keep_screenshot(page, "side-by-side-light")
-    page.find_element("css selector", "#restorer option[value=none]").click()
+        click(page, f"#overlay-{name}")
+    wait(page, lambda: asked(page, "player.shown.pictures.length") == 2)
+    wait(page, lambda: "restored" in page.execute_script("return document.getElementById('plots').textContent"))
+    wait(page, lambda: "dB" in page.find_element("id", "figures").text)
+    keep_screenshot(page, "wipe")
+    left = paused(page, show)
+    choose(page, "#wipe", "0")
+    wait(page, lambda: difference(left, page.execute_script(CENTRE)) > 0.2)
+    choose(page, "#set-restorer", "none")
     wait(page, lambda: show.controls.restorer == "none")
+    choose(page, "#set-restorer", "correct")
 
 
 @pytest.mark.parametrize("name", ["occlusion", "confidence", "detail", "tiles", "reference"])
 def test_an_overlay_is_drawn_over_the_picture_and_goes_again(page: Any, show: BallShow, name: str) -> None:
-    press(page, " ")
-    wait(page, lambda: not show.controls.playing and measured(page)["frame"] == show.controls.frame)
-    before = measured(page)["frames"]
-    wait(page, lambda: measured(page)["frames"] > before + 5)  # by then the video has settled on the still picture
-    bare = page.execute_script(CENTRE)
-    click(page, f"#overlays input[value={name}]")
+    bare = paused(page, show)
+    click(page, f"#overlay-{name}")
     wait(page, lambda: difference(bare, page.execute_script(CENTRE)) > 0.2)
     drawn = difference(bare, page.execute_script(CENTRE))
     keep_screenshot(page, f"overlay-{name}")
-    click(page, f"#overlays input[value={name}]")
+    click(page, f"#overlay-{name}")
     wait(page, lambda: difference(bare, page.execute_script(CENTRE)) < drawn / 2)
 
 
-def test_the_resolution_is_chosen_by_keyboard_and_what_auto_chose_is_told(page: Any, show: BallShow) -> None:
-    page.execute_script("document.getElementById('exactness').focus()")
-    press(page, "\ue004")
-    assert page.execute_script("return document.activeElement.id") == "resolution"
-    press(page, "\ue015")
-    wait(page, lambda: show.controls.resolution == "half")
-    assert page.find_element("id", "pixels").text == ""
-    press(page, "\ue015")
-    wait(page, lambda: page.find_element("id", "pixels").text == "chose full")
-    press(page, "\ue013\ue013")
-    wait(page, lambda: show.controls.resolution == "full" and page.find_element("id", "pixels").text == "")
-
-
-def test_a_choice_of_what_is_done_and_a_lost_server_are_told(page: Any, show: BallShow) -> None:
-    page.find_element("css selector", "#restorer option[value=none]").click()
-    wait(page, lambda: show.controls.restorer == "none")
+def test_what_auto_chose_and_a_lost_server_are_told(page: Any, show: BallShow) -> None:
+    click(page, "#inspect")
+    choose(page, "#set-resolution", "auto")
+    wait(page, lambda: "full, chosen" in page.find_element("id", "figures").text)
+    choose(page, "#set-resolution", "full")
+    wait(page, lambda: show.controls.resolution == "full")
     show.controls.away = True
-    wait(page, lambda: page.find_element("id", "link-state").text == "server lost")
+    wait(page, lambda: "server is not there" in words(page) and light(page) == "server: not reached")
     show.controls.away = False
-    wait(page, lambda: page.find_element("id", "link-state").text == "live")
+    wait(page, lambda: words(page) == "" and "not reached" not in light(page))
+
+
+def test_a_second_page_watches_the_first_one_and_says_so(page: Any, show: BallShow, tmp_path: Path) -> None:
+    with chromium(tmp_path / "second") as other:
+        visit(other, show)
+        watching = other.find_element("id", "watching")
+        assert watching.is_displayed()
+        assert not page.find_element("id", "watching").is_displayed()
+        drag(other, 9, 2)
+        press(other, " ")
+        wait(other, lambda: "another page steers" in other.find_element("id", "toast").text)
+        assert show.controls.playing
+        assert not show.view.poses.held
+        drag(page, 9, 2)
+        wait(page, lambda: show.view.poses.held)
+        steered = asked(page, "camera.pose.position")
+        wait(other, lambda: asked(other, "camera.pose.position") == pytest.approx(steered, abs=1e-4))
+        page.get("about:blank")
+        wait(other, lambda: not watching.is_displayed())
+        press(other, " ")
+        wait(other, lambda: not show.controls.playing)
+        page.back()  # browsers keep a page that was left, and its connection is to be made anew
+        wait(
+            page,
+            lambda: asked(page, "player?.pictures ?? 0") > 3 and page.find_element("id", "watching").is_displayed(),
+        )
+        assert complaints(other) == []
+
+
+def test_a_client_that_ends_is_said_to_be_gone_and_found_again(tmp_path: Path) -> None:
+    require_browser()
+    require_built()
+    with chromium(tmp_path) as running:
+        with in_a_thread() as first:
+            visit(running, first)
+            port = int(first.view.url.rstrip("/").rpartition(":")[2])
+        wait(running, lambda: "client is not there" in words(running) and light(running) == "client: not reached")
+        assert difference(running.execute_script(CENTRE), [0] * 64 * 48 * 3) > 1, "the picture stands"
+        seen = asked(running, "player.pictures")
+        with in_a_thread(ViewSettings(view_port=port)):
+            wait(running, lambda: asked(running, "player.pictures") > seen + 3)
+            wait(running, lambda: words(running) == "")
+        refused = [line for line in complaints(running) if "ERR_CONNECTION_REFUSED" not in line]
+        assert refused == [], "nothing but that nobody answered meanwhile"
+
+
+def test_a_token_is_asked_for_and_a_wrong_one_is_said_to_be(tmp_path: Path) -> None:
+    require_browser()
+    require_built()
+    with chromium(tmp_path) as running, in_a_thread(ViewSettings(view_port=0, view_token="sesame")) as show:
+        running.get(show.view.url)
+        wait(running, lambda: "asks for a token" in words(running))
+        running.find_element("id", "token-text").send_keys("wrong\n")
+        wait(running, lambda: "does not open" in words(running))
+        field = running.find_element("id", "token-text")
+        field.clear()
+        field.send_keys("sesame\n")
+        wait(running, lambda: asked(running, "player.pictures") > 3)
+        assert complaints(running) == []
 
 
 def test_a_page_that_nobody_sees_is_not_drawn_for(page: Any, show: BallShow) -> None:
@@ -225,63 +315,55 @@ def test_a_page_that_nobody_sees_is_not_drawn_for(page: Any, show: BallShow) -> 
     wait(page, lambda: state.sent > sent)
 
 
+def test_the_address_says_where_to_begin(show: BallShow, tmp_path: Path) -> None:
+    with at_rest(show), chromium(tmp_path) as running:
+        visit(running, show, "#t=0.5&pose=0,0,-6,0,0,0,1&paused&once&camera=fly")
+        wait(running, lambda: asked(running, "player.shown.frame") == 15 and not show.controls.playing)
+        wait(running, lambda: show.view.poses.pose_at(0).position == pytest.approx((0, 0, -6), abs=1e-6))
+        assert (show.controls.loop, asked(running, "camera.mode")) == (False, "fly")
+        running.execute_script("navigator.clipboard.writeText = async (text) => { window.copied = text; }")
+        press(running, "l")
+        wait(running, lambda: running.execute_script("return window.copied ?? ''").endswith("camera=fly"))
+        assert "#t=0.5&pose=0,0,-6,0,0,0,1&" in running.execute_script("return window.copied")
+        assert complaints(running) == []
+
+
 def test_a_page_on_this_machine_shows_the_colours_that_h264_gives(show: BallShow, tmp_path: Path) -> None:
     pictures = []
-    show.controls.pause()
-    with chromium(tmp_path) as running:
-        for asked, codec in (("", "i420"), ("?h264", "avc1.")):
-            running.get(show.view.url + asked)
-            wait(running, lambda: measured(running)["frames"] > 8)
-            assert measured(running)["codec"].startswith(codec)
+    with at_rest(show), chromium(tmp_path) as running:
+        show.controls.pause()
+        for address, wanted in (("", "i420"), ("?h264", "avc1.")):
+            visit(running, show, address)
+            wait(running, lambda: asked(running, "player.pictures") > 8)
+            assert codec(running).startswith(wanted)
             pictures.append(running.execute_script(CENTRE))
         assert difference(*pictures) < 1.5
         assert complaints(running) == []
 
 
 def test_a_browser_without_webcodecs_gets_jpeg(show: BallShow, tmp_path: Path) -> None:
-    with chromium(tmp_path) as running:
-        running.get(show.view.url + "?jpeg")
-        wait(running, lambda: measured(running)["frames"] > 3)
-        assert measured(running)["codec"] == "jpeg"
+    with at_rest(show), chromium(tmp_path) as running:
+        visit(running, show, "?jpeg")
+        assert codec(running) == "jpeg"
         assert complaints(running) == []
 
 
 def test_a_phone_sees_the_picture_without_scrolling_sideways(show: BallShow, tmp_path: Path) -> None:
-    show.controls.play()
-    with chromium(tmp_path, width=390, height=844, phone=True) as running:
-        running.get(show.view.url)
-        wait(running, lambda: measured(running)["frames"] > 3)
+    with at_rest(show), chromium(tmp_path, width=390, height=844, phone=True) as running:
+        visit(running, show)
         assert running.execute_script("return document.documentElement.scrollWidth <= innerWidth")
-        box = running.execute_script("return document.getElementById('picture').getBoundingClientRect().toJSON()")
-        assert box["width"] == pytest.approx(390, abs=1)
-        assert box["bottom"] < 844
+        click(running, "#inspect")
+        inside = "const t = document.getElementById('inspector'); return t.scrollWidth <= t.clientWidth"
+        assert running.execute_script(inside)
         keep_screenshot(running, "phone-dark")
         assert complaints(running) == []
 
 
-def test_a_phone_on_its_side_has_picture_and_settings_beside_each_other(show: BallShow, tmp_path: Path) -> None:
-    show.controls.play()
-    with chromium(tmp_path, width=844, height=390, phone=True) as running:
-        running.get(show.view.url)
-        wait(running, lambda: measured(running)["frames"] > 3)
-        script = "return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()"
-        picture, transport, panel = (running.execute_script(script, s) for s in ("#picture", ".transport", "#panel"))
-        assert picture["height"] > 240
-        assert picture["bottom"] <= transport["top"] + 1
-        assert transport["bottom"] <= 390
-        assert transport["right"] <= panel["left"] + 1
-        assert (panel["right"], panel["bottom"]) == (844, 390)
-        inside = "const t = document.querySelector('.transport'); return t.scrollWidth <= t.clientWidth"
-        assert running.execute_script(inside)
-        running.execute_script("document.getElementById('delay').scrollIntoView()")
-        assert running.execute_script(script, "#picture") == picture
-        keep_screenshot(running, "phone-landscape-dark")
-        assert complaints(running) == []
-
-
 def test_controls_have_names_and_are_reached_by_tab(page: Any) -> None:
+    click(page, "#inspect")
     unnamed = page.execute_script(
-        """return [...document.querySelectorAll('button, input, select, [role=slider], canvas')].filter((node) =>
+        """return [...document.querySelectorAll('button, input, select, canvas')].filter((node) =>
+             node.checkVisibility() &&
              !(node.getAttribute("aria-label") || node.labels?.length || node.textContent.trim()))
              .map((node) => node.outerHTML.slice(0, 80))"""
     )
@@ -290,4 +372,4 @@ def test_controls_have_names_and_are_reached_by_tab(page: Any) -> None:
     for _ in range(40):
         press(page, "\ue004")
         reached.add(page.execute_script("return document.activeElement.id"))
-    assert {"picture", "play", "loop", "seek", "theme", "picture-a", "restorer"} <= reached
+    assert {"picture", "play", "time", "inspect", "picture-a", "set-restorer", "loop"} <= reached

@@ -18,7 +18,9 @@ from cags_bench.demo.run import NATIVE, link_trace, threads_each
 from cags_bench.demo.settings import DemoSettings
 from cags_bench.jsonl import check, dump, summary
 from support.browser import ARTEFACTS, chromium, keep_screenshot, require_browser
+from support.client_page import click, measured
 from support.live_stack import live_stack
+from support.web_page import require_built
 
 SCENE = NATIVE.scene
 """The demo's: the link is the demo's too, slow enough that every frame is restored."""
@@ -27,10 +29,6 @@ WIDTH, HEIGHT = 800, 600
 WATCHED_S = 10.0
 DRAGS = 4
 SCORED_S = 4.0
-
-
-def measured(running: Any) -> dict[str, Any]:
-    return dict(running.execute_script("return structuredClone(window.cags ?? {frames: 0, photonMs: []})"))
 
 
 def drag(running: Any) -> None:
@@ -46,6 +44,7 @@ def drag(running: Any) -> None:
 @pytest.mark.nightly
 def test_frames_a_second_and_drag_to_photon_are_recorded(tmp_path: Path) -> None:
     require_browser()
+    require_built()
     profile = tmp_path / "profile"
     link, threads = link_trace(DemoSettings()), threads_each(DemoSettings())
     more = ("--exactness", "fast", "--restore", "correct", "--threads", threads)
@@ -62,18 +61,19 @@ def test_frames_a_second_and_drag_to_photon_are_recorded(tmp_path: Path) -> None
     with stack as url, chromium(profile) as running:
         running.get(url)
         deadline = time.monotonic() + 60
-        while measured(running)["frames"] < 30:
+        while measured(running)["pictures"] < 30:
             assert time.monotonic() < deadline, "no pictures"
             time.sleep(0.2)
-        first, started = measured(running)["frames"], time.monotonic()
+        first, started = measured(running)["pictures"], time.monotonic()
         time.sleep(WATCHED_S)
-        fps = (measured(running)["frames"] - first) / (time.monotonic() - started)
+        fps = (measured(running)["pictures"] - first) / (time.monotonic() - started)
         for _ in range(DRAGS):
             drag(running)
             time.sleep(0.3)
         found = measured(running)
+        click(running, "#inspect")
         for _ in ("on", "off"):  # a stretch of PSNR in the plots, without its cost in the picture's figures
-            running.find_element("css selector", "#overlays input[value=score]").click()
+            click(running, "#overlay-score")
             time.sleep(SCORED_S)
         keep_screenshot(running, "live-page")
     photon = sorted(found["photonMs"])

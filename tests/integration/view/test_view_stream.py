@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from support.browser import chromium, keep_screenshot, require_browser
+from support.client_page import choose, click, drag, measured
 from support.live_stack import live_stack
+from support.web_page import require_built
 
 pytestmark = pytest.mark.slow
 
@@ -23,6 +25,7 @@ RECOGNISABLE_DB = 18.0
 def page_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Server, shaper and client with a page, on a ``.splat`` capture set in motion."""
     require_browser()
+    require_built()
     from cags_encoder.formats import write_splats
     from cags_encoder.scenes import open_scene
 
@@ -37,7 +40,7 @@ def page_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def page(page_url: str, tmp_path: Path) -> Iterator[Any]:
     with chromium(tmp_path) as running:
         running.get(page_url)
-        wait(running, lambda: measured(running)["frames"] > 2)
+        wait(running, lambda: measured(running)["pictures"] > 2)
         yield running
         assert [e["message"] for e in running.get_log("browser") if e["level"] in ("SEVERE", "WARNING")] == []
 
@@ -48,59 +51,43 @@ def wait(running: Any, condition: Callable[[], bool]) -> None:
     WebDriverWait(running, WAIT_S, poll_frequency=0.1).until(lambda _: condition())
 
 
-def measured(running: Any) -> dict[str, Any]:
-    return dict(running.execute_script("return structuredClone(window.cags ?? {frames: 0})"))
-
-
 def score(running: Any) -> float:
-    return float(running.execute_script("return window.cags.stats?.psnr_restored_db ?? 0"))
-
-
-def drag(running: Any) -> None:
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.by import By
-
-    actions = ActionChains(running, duration=30).click_and_hold(running.find_element(By.ID, "picture"))
-    for _ in range(20):
-        actions.move_by_offset(5, 1)
-    actions.release().perform()
+    return float(measured(running)["stats"].get("psnr_restored_db") or 0)
 
 
 def test_the_scene_is_recognised_in_the_page_and_answers_the_hand(page: Any) -> None:
-    page.find_element("css selector", "#overlays input[value=score]").click()
+    click(page, "#overlay-score")
     wait(page, lambda: score(page) > RECOGNISABLE_DB)
     keep_screenshot(page, "newcomer")
-    page.find_element("css selector", "#overlays input[value=score]").click()
+    click(page, "#overlay-score")
 
-    drag(page)
+    drag(page, 5, 1, steps=20)
     wait(page, lambda: len(measured(page)["photonMs"]) >= 3)
-    page.find_element("id", "play").click()
-    wait(page, lambda: page.execute_script("return document.getElementById('play').dataset.playing") == "false")
+    click(page, "#play")
+    wait(page, lambda: not measured(page)["playing"])
     time.sleep(0.5)
     held = measured(page)["frame"]
-    drag(page)
+    drag(page, 5, 1, steps=20)
     time.sleep(0.5)
     assert measured(page)["frame"] == held
-    page.execute_script(
-        "const seek = document.getElementById('seek'); seek.value = 12; seek.dispatchEvent(new Event('change'))"
-    )
+    choose(page, "#time", "12")
     wait(page, lambda: measured(page)["frame"] == 12)
     keep_screenshot(page, "newcomer-paused")
 
 
 def test_overlays_and_comparison_work_on_a_real_stream(page: Any) -> None:
-    page.find_element("css selector", "#mode label:nth-child(2)").click()
+    click(page, "#inspect")
+    choose(page, "#picture-b", "distorted")
     for name in ("detail", "tiles", "reference", "occlusion", "confidence"):
-        page.find_element("css selector", f"#overlays input[value={name}]").click()
-    before = measured(page)["frames"]
-    wait(page, lambda: measured(page)["frames"] > before + 5)
+        click(page, f"#overlay-{name}")
+    before = measured(page)["pictures"]
+    wait(page, lambda: measured(page)["pictures"] > before + 5)
     keep_screenshot(page, "newcomer-overlays")
-    assert page.find_element("id", "trouble").text == ""
+    assert not page.find_element("id", "toast").is_displayed()
 
 
 def test_cap_and_delay_reach_the_shaper(page: Any) -> None:
-    page.execute_script(
-        "const delay = document.getElementById('delay'); delay.value = 60; delay.dispatchEvent(new Event('change'));"
-        "const cap = document.getElementById('cap'); cap.value = 40; cap.dispatchEvent(new Event('change'))"
-    )
-    wait(page, lambda: float(page.execute_script("return window.cags.stats?.capacity_mbps ?? 99")) < 10)
+    choose(page, "#delay", "60")
+    choose(page, "#cap", "40")
+    wait(page, lambda: (measured(page)["shaper"] or {}).get("capacity_mbps", 99) < 10)
+    assert measured(page)["shaper"]["delay_ms"] == 60

@@ -24,7 +24,7 @@ VIEW = {
 SMALL = ("--reference-width", "64", "--reference-height", "48")
 CORNER = """
 const done = arguments[0], canvas = document.getElementById("picture");
-window.cags.renderer.present();
+window.cags.show.renderer.present();
 canvas.toBlob(async (blob) => {
   const bitmap = await createImageBitmap(blob);
   const copy = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");

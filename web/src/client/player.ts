@@ -24,6 +24,8 @@ export interface ClientView {
   pose(): Pose;
   /** Put the page's camera where the picture was taken. */
   follow(camera: FrameHead["camera"]): void;
+  /** Say goodbye to the client. */
+  leave(): void;
 }
 
 export class ClientPlayer implements Playing {
@@ -131,6 +133,7 @@ export class ClientPlayer implements Playing {
   rest(): void {}
 
   close(): void {
+    this.#view.leave();
     if (this.#waiting) letGo(this.#waiting);
     this.#waiting = null;
   }

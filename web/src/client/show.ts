@@ -43,6 +43,7 @@ export class ClientShow implements Show {
       show: (frame) => this.#show(frame),
       pose: () => host.camera?.pose ?? NOWHERE,
       follow: (camera) => this.#follow(camera),
+      leave: () => this.#line?.close(),
     });
     this.#pictures = new Pictures((frame) => this.player.came(frame), (number) => this.player.lost(number));
     this.#panel = new Panel(this.player, {
@@ -61,7 +62,6 @@ export class ClientShow implements Show {
 
   async begin(): Promise<void> {
     const attempt = ++this.#attempts;
-    this.#line?.close();
     this.player.forget();
     this.#host.messages.say("Connecting");
     const shows = await formats(location.search);

@@ -211,6 +211,7 @@ class Viewer implements Host {
       void this.show.begin();
     });
     addEventListener("pagehide", () => this.player?.close());
+    window.addEventListener("pageshow", ({ persisted }) => persisted && void this.show.begin()); // back from where browsers keep pages
     the("save-view").addEventListener("click", () => this.#saveView());
     onChange<HTMLInputElement>("loop", (box) => this.player?.setLoop(box.checked));
     onChange<HTMLSelectElement>("rate", (list) => this.player?.setRate(Number(list.value)));

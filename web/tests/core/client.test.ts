@@ -61,6 +61,7 @@ class Watcher {
     show: () => undefined,
     pose: () => this.camera,
     follow: ({ position, rotation }) => (this.camera = { position, rotation }),
+    leave: () => this.said.push({ type: "left" }),
   });
 
   constructor(steers: boolean) {
