@@ -40,6 +40,9 @@ def page_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def page(page_url: str, tmp_path: Path) -> Iterator[Any]:
     with chromium(tmp_path) as running:
         running.get(page_url)
+        wait(running, lambda: measured(running)["pictures"] > 0)
+        if not measured(running)["playing"]:  # the play is the client's, and as the page before left it
+            click(running, "#play")
         wait(running, lambda: measured(running)["pictures"] > 2)
         yield running
         assert [e["message"] for e in running.get_log("browser") if e["level"] in ("SEVERE", "WARNING")] == []

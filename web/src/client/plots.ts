@@ -6,8 +6,11 @@ const SPAN_MS = 20_000;
 const SAMPLE_MS = 100;
 /** Of all of them, one after another: laying one out costs about as much as decoding a picture. */
 const REDRAW_MS = 1050;
-/** Colours of lines, told from either ground of the page: `test_look.py` measures them. */
+/** Colours of lines, told from either ground of the page: `tests/web/page/test_look.py` measures them. */
 export const LINES = ["#3987e5", "#c26a00", "#1a9850", "#b8589c", "#7d74d1", "#d0453a", "#0d96a6", "#8c7a2b"];
+
+/** Height of the highest value, which stands above the lines. */
+const LABEL_PX = 10;
 
 /** Name, unit, and lines: a label and its figure; no lines: the stages of a frame, one upon another. */
 const PLOTS: readonly (readonly [string, string, readonly (readonly [string, string])[]])[] = [
@@ -109,7 +112,11 @@ export class Plots {
     const [low, high] = rangeOf(heights, plot.lines[0]?.[1].startsWith("psnr") ?? false);
     context.lineWidth = 1.6 * devicePixelRatio;
     context.lineJoin = "round";
-    for (const one of series) this.#line(context, one, (t) => width * (1 - (now - t) / SPAN_MS), (v) => height - 2 - ((v - low) / (high - low)) * (height - 4));
+    for (const one of series) this.#line(context, one, (t) => width * (1 - (now - t) / SPAN_MS), (v) => height - 2 - ((v - low) / (high - low)) * (height - LABEL_PX * devicePixelRatio));
+    if (!heights.length) return;
+    context.fillStyle = getComputedStyle(canvas).color;
+    context.font = `${LABEL_PX * devicePixelRatio}px system-ui, sans-serif`;
+    context.fillText(brief(high), 0, (LABEL_PX - 2) * devicePixelRatio);
   }
 
   #line(context: CanvasRenderingContext2D, { colour, height }: Series, x: (atMs: number) => number, y: (value: number) => number): void {

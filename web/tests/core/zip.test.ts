@@ -1,4 +1,4 @@
-/** Frames that are dropped together travel as an archive, which Python reads (`tests/web/test_zip.py`). */
+/** Frames that are dropped together travel as an archive, which Python reads (`tests/web/page/test_zip.py`). */
 
 import { writeFileSync } from "node:fs";
 import { join } from "node:path";

@@ -1,7 +1,8 @@
 """The live page: a small web server beside the client that shows what the client shows, and lets people take part.
 
-The page needs no build step and no outside host. Pictures travel as H.264 for WebCodecs, or as JPEG where the browser
-has none. :class:`LiveView` is a pose source and takes frames through :class:`ViewSink`; see
+The page is the viewer's (``web/``, found by ``cags_web``), told that a client stands behind it. Pictures travel as they
+are, as H.264 for WebCodecs, or as JPEG where the browser has none. :class:`LiveView` is a pose source and takes frames
+through :class:`ViewSink`; see
 ``docs/how-to/live-page.md``.
 """
 

@@ -41,6 +41,11 @@ class LivePoses:
         with self._lock:
             self._held = None
 
+    def forget_times(self) -> None:
+        """Another page steers from now on: the times told were of a clock that is not its own."""
+        with self._lock:
+            self._times.clear()
+
     def time_of(self, pose: Pose) -> int | None:
         """When, by the page's clock, it was at a pose that was held lately."""
         with self._lock:

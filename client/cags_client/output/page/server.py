@@ -157,7 +157,7 @@ class LiveView:
             await self._attached.wait()
             await self._serve(socket)
         finally:
-            self._pages.pop(socket, None)
+            self._forget(socket)
             self._links.pop(socket, None)
         return socket
 
@@ -200,6 +200,12 @@ class LiveView:
     def _steers(self, socket: web.WebSocketResponse) -> bool:
         """Whether the camera and the play are this page's: of all that are open, it came first."""
         return next(iter(self._pages), None) is socket
+
+    def _forget(self, socket: web.WebSocketResponse) -> None:
+        """The page is gone. Where it steered, the next one does, with a clock of its own."""
+        if self._steers(socket):
+            self.poses.forget_times()
+        self._pages.pop(socket, None)
 
     async def _welcome(self, socket: web.WebSocketResponse, hello: PageHello) -> None:
         assert self._scene is not None
@@ -310,12 +316,12 @@ class LiveView:
                 await sending
         except TimeoutError:
             LOG.warning("a page took nothing for %g s and was let go", SLOW_PAGE_S)
-            self._pages.pop(socket, None)
+            self._forget(socket)
             transport = self._links.get(socket)
             if transport is not None:
                 transport.abort()
         except (ConnectionError, RuntimeError):  # RuntimeError: it is closing
-            self._pages.pop(socket, None)
+            self._forget(socket)
 
     def _failed(self, error: BaseException) -> None:
         LOG.error("the page's server has stopped: %s", error, exc_info=error)

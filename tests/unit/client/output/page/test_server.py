@@ -213,6 +213,7 @@ async def test_the_first_page_steers_and_the_next_one_after_it(show: BallShow, c
     await first.socket.close()
     while not (await second.told("state"))["steers"]:
         pass
+    assert (await second.frame())["pose_at_us"] is None, "the time is of the clock of a page that is gone"
     await second.say(type="pose", at_us=3, position=[0, 0, -9], rotation=[1, 0, 0, 0])
     while (await second.frame())["pose_at_us"] != 3:
         pass

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from support.node import run_tests
 
-VECTORS = Path(__file__).parents[1] / "vectors" / "page" / "messages.json"
+VECTORS = Path(__file__).parents[2] / "vectors" / "page" / "messages.json"
 
 
 def test_messages_and_play(tmp_path: Path) -> None:
