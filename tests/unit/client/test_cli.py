@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cags_web
 from cags_client import cli
 from cags_client.output.truth import BundleTruth
 from cags_client.settings import ClientSettings
@@ -46,6 +47,15 @@ def test_what_is_misspelt_is_told_without_a_server(
 def test_what_is_right_goes_on_to_the_server(capsys: pytest.CaptureFixture[str], restore: str) -> None:
     assert cli.main([*NOWHERE, "--restore", restore]) == 1
     assert "no server answers" in capsys.readouterr().err
+
+
+def test_without_a_built_page_view_says_how_to_build_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cags_web, "page_folder", lambda: None)
+    assert cli.main(["--url", "ws://127.0.0.1:9/stream", "--view"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f"build it: {cags_web.HOW_TO_BUILD}")
 
 
 def test_a_truth_of_another_length_is_told_before_the_play(tmp_path: Path) -> None:
