@@ -83,12 +83,15 @@ class _Motion:
         return max((first for first in self.chunks if first <= time), default=None)
 
     def tile_at(self, start: int, time: float, rows: I32, steps: Steps) -> MovingTile:
-        """The splats of ``rows`` at ``time``; made anew only where something else than the time has changed."""
+        """The splats of ``rows`` that are not shown as they are at ``time``: all of them, but where the same chunk is
+        shown. Made anew only where something else than the time has changed.
+        """
         chunk, tile = self.chunks[start], self._tile
         if tile is None or tile.chunk is not chunk or tile.rows is not rows or tile.steps is not steps:
             tile = self._tile = MovingTile(chunk, time - start, rows, steps)
         tile.time = time - start
-        return tile
+        again = self.shown is not None and self.shown[0] == start and not self.dirty
+        return tile.in_motion() if again else tile
 
     def settled(self, start: int, time: float) -> bool:
         """Whether the chunk from ``start`` is shown as it is at ``time`` already."""
@@ -254,7 +257,8 @@ class SplatBuffer:
         taken = {column: self._takes(frame, column, ids) for column, (ids, _) in values.items()}
         ids_of = {column: values[column][0][takes] for column, takes in taken.items()}
         out = self._shown(_union(list(ids_of.values())))
-        moving = np.array([i for i in np.unique(self.owner[out]) if self._touch(self.slots[i])], np.intp)
+        evaluated = self._shown(_union([ids for column, ids in ids_of.items() if column in self._still]))
+        moving = np.array([i for i in np.unique(self.owner[evaluated]) if self._touch(self.slots[i])], np.intp)
         for column, ids in ids_of.items():
             self._updated[column][ids] = frame
             target, new = getattr(self.splats, column), values[column][1][taken[column]]

@@ -38,7 +38,8 @@ class Motion {
     return this.shown[1] === time || Math.min(this.shown[1], time) >= this.chunks.get(start)!.end;
   }
 
-  /** The tile at `time`; made anew only where something else than the time has changed. */
+  /** The splats of a tile that are not shown as they are at `time`: all of them, but where the same chunk is shown. Made anew
+   * only where something else than the time has changed. */
   tileAt(kernels: Kernels, start: number, time: number, held: StoredLooks): MovingTile {
     const { chunk } = this.chunks.get(start)!;
     const { tile } = this;
@@ -47,7 +48,7 @@ class Motion {
       this.tile = new MovingTile(kernels, chunk, held.rows!, held.steps!);
     }
     this.tile!.time = time - start;
-    return this.tile!;
+    return !this.dirty && this.shown?.[0] === start ? this.tile!.inMotion() : this.tile!;
   }
 
   dispose(): void {
@@ -261,7 +262,8 @@ export class SplatBuffer {
     });
     const out = new Set<number>();
     for (const { ids } of taken) for (const id of ids) if (this.owners![id]! >= 0) out.add(id);
-    const owners = new Set([...out].map((row) => this.owners![row]!));
+    const evaluated = taken.flatMap(({ column, ids }) => (isMoving(column) ? ids : []));
+    const owners = new Set(evaluated.map((row) => this.owners![row]!).filter((owner) => owner >= 0));
     const moving = new Set([...owners].filter((index) => this.touch(this.slots[index]!)));
     for (const { column, chosen, ids, all } of taken) this.takeColumn(frame, column, ids, chosen, all, moving);
     return Int32Array.from(out).sort();
