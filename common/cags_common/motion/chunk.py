@@ -100,15 +100,17 @@ class Chunk:
         """Splats [m], rising, that may be elsewhere at another time of the span: their samples or those of their blocks
         differ, they fade, or their lives end within it. All others keep the same bits. None: most of them.
         """
-        of_tree = [_varies(part, self.splats) for part in (self.moves, self.turns) if part is not None]
-        found = np.logical_or.reduce([np.zeros(self.splats, bool), *of_tree])
-        if self.blocks is not None:
-            moving = [_varies(part, part.shape[1]) for part in (self.blocks.shifts, self.blocks.turns)]
-            found |= (moving[0] | moving[1])[np.arange(self.splats) // self.blocks.size]
+        found = np.zeros(self.splats, bool)
         if self.fades is not None:
             found |= np.isfinite(self.fades[:, 1])
         if self.lives is not None:
             found |= self.lives <= self.span
+        if self.blocks is not None:
+            moving = [_varies(part, part.shape[1]) for part in (self.blocks.shifts, self.blocks.turns)]
+            found |= (moving[0] | moving[1])[np.arange(self.splats) // self.blocks.size]
+        for part in (self.moves, self.turns):
+            if part is not None and found.sum() <= MOST_RESTLESS * self.splats:
+                found |= _varies(part, self.splats)
         return None if found.sum() > MOST_RESTLESS * self.splats else np.flatnonzero(found)
 
 

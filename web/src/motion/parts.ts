@@ -8,27 +8,30 @@ const MOST_RESTLESS = 0.875;
 /** Splats of a chunk, ascending, that may be elsewhere at another time of its span; undefined: most of them. */
 export function restless({ splats, span, moves, turns, blocks, fades, lives }: Chunk): Int32Array | undefined {
   const found = new Uint8Array(splats);
-  for (const samples of [moves, turns]) if (samples) varying(samples, span, splats).forEach((flag, i) => (found[i]! |= flag));
-  if (blocks) {
-    const count = Math.ceil(splats / blocks.size);
-    const [shifts, spins] = [varying(blocks.shifts, span, count), varying(blocks.turns, span, count)];
-    for (let i = 0; i < splats; i++) found[i]! |= shifts[Math.floor(i / blocks.size)]! | spins[Math.floor(i / blocks.size)]!;
-  }
   if (fades) for (let i = 0; i < splats; i++) if (Number.isFinite(fades[2 * i + 1]!)) found[i] = 1;
   if (lives) for (let i = 0; i < splats; i++) if (lives[i]! <= span) found[i] = 1;
-  const some = where(found);
-  return some.length > MOST_RESTLESS * splats ? undefined : some;
+  if (blocks) {
+    const moving = new Uint8Array(Math.ceil(splats / blocks.size));
+    for (const samples of [blocks.shifts, blocks.turns]) findVarying(samples, span, moving);
+    for (let i = 0; i < splats; i++) found[i]! |= moving[Math.floor(i / blocks.size)]!;
+  }
+  for (const samples of [moves, turns]) if (samples && !most(found)) findVarying(samples, span, found);
+  return most(found) ? undefined : where(found);
 }
 
-/** Whether `samples` [span + 1, count, parts] of each [count] are not all the same. */
-function varying(samples: Int32Array, span: number, count: number): Uint8Array {
+/** Set `found` [count] of those whose `samples` [span + 1, count, parts] are not all the same. */
+function findVarying(samples: Int32Array, span: number, found: Uint8Array): void {
   const each = samples.length / (span + 1);
-  const parts = each / count;
-  const out = new Uint8Array(count);
-  for (let at = each, k = 0; at < samples.length; at++, k = k + 1 === each ? 0 : k + 1) {
-    if (samples[at] !== samples[k]) out[Math.floor(k / parts)] = 1;
+  const parts = each / found.length;
+  for (let sample = 1; sample <= span; sample++) {
+    for (let k = 0, at = sample * each; k < each; k++, at++) if (samples[at] !== samples[k]) found[Math.floor(k / parts)] = 1;
   }
-  return out;
+}
+
+function most(found: Uint8Array): boolean {
+  let count = 0;
+  for (const flag of found) count += flag;
+  return count > MOST_RESTLESS * found.length;
 }
 
 /** Splats `of` a chunk, rising; blocks stay whole: `taken` are the splats that the new one speaks of. */
@@ -69,7 +72,8 @@ function pickOfSamples(samples: Int32Array, span: number, count: number, of: Int
 }
 
 function where(flags: Uint8Array): Int32Array {
-  const out: number[] = [];
-  flags.forEach((flag, i) => flag && out.push(i));
-  return Int32Array.from(out);
+  const out = new Int32Array(flags.length);
+  let count = 0;
+  for (let i = 0; i < flags.length; i++) if (flags[i]) out[count++] = i;
+  return out.slice(0, count);
 }

@@ -72,6 +72,7 @@ export class SplatBuffer {
   private owners: Int32Array | undefined;
   private sources!: Int32Array;
   private removedAt!: Int32Array;
+  private seen!: Uint8Array; // all zeros but within a call
   private updated!: Record<UpdateColumn, Int32Array>;
 
   /** `onReplaced` hears of each tile of which nothing is shown any more. */
@@ -147,6 +148,7 @@ export class SplatBuffer {
     this.still = Object.fromEntries(MOVING.map((name) => [name, room(name)])) as Record<Moving, number>;
     const unset = (): Int32Array => new Int32Array(this.capacity).fill(-1);
     [this.owners, this.sources, this.removedAt] = [unset(), unset(), unset()];
+    this.seen = new Uint8Array(this.capacity);
     this.updated = { log_scales: unset(), logit_opacities: unset(), sh0: unset(), sh_rest: unset() };
     for (const name of COLUMNS) blank(this.column(name), name);
     for (const name of MOVING) blank(this.stillColumn(name), name);
@@ -253,41 +255,54 @@ export class SplatBuffer {
 
   // ------------------------------------------------------------------------------------------------------------ updates
 
-  /** Take an update of media frame `frame`; the rows that changed. */
+  /** Take an update of media frame `frame`; the rows that changed, each once. */
   update(frame: number, values: UpdateValues): Int32Array {
     this.made();
+    const rows = new Int32Array([...values.values()].reduce((sum, { ids }) => sum + ids.length, 0));
+    let count = 0;
+    const evaluated = new Set<number>(); // tiles of looks of which motion is to show what has changed
     const taken = [...values].map(([column, { ids, values: all }]) => {
-      const chosen = [...ids.keys()].filter((i) => this.takes(frame, column, ids[i]!));
-      return { column, chosen, ids: chosen.map((i) => ids[i]!), all };
+      const chosen = this.chosen(frame, column, ids);
+      for (const i of chosen) {
+        const id = ids[i]!;
+        const owner = this.owners![id]!;
+        if (owner < 0) continue;
+        if (!this.seen[id]) rows[count++] = id;
+        this.seen[id] = 1;
+        if (isMoving(column)) evaluated.add(owner);
+      }
+      return { column, chosen, ids, all };
     });
-    const out = new Set<number>();
-    for (const { ids } of taken) for (const id of ids) if (this.owners![id]! >= 0) out.add(id);
-    const evaluated = taken.flatMap(({ column, ids }) => (isMoving(column) ? ids : []));
-    const owners = new Set(evaluated.map((row) => this.owners![row]!).filter((owner) => owner >= 0));
-    const moving = new Set([...owners].filter((index) => this.touch(this.slots[index]!)));
-    for (const { column, chosen, ids, all } of taken) this.takeColumn(frame, column, ids, chosen, all, moving);
-    return Int32Array.from(out).sort();
+    const moving = new Set([...evaluated].filter((index) => this.touch(this.slots[index]!)));
+    for (const { column, chosen, ids, all } of taken) this.takeColumn(frame, column, { ids, chosen, all }, moving);
+    for (let i = 0; i < count; i++) this.seen[rows[i]!] = 0;
+    return rows.subarray(0, count);
   }
 
   private takeColumn(
-    frame: number, column: UpdateColumn, ids: number[], chosen: number[], values: Float32Array, moving: ReadonlySet<number>,
+    frame: number, column: UpdateColumn, { ids, chosen, all }: { ids: Int32Array; chosen: Int32Array; all: Float32Array },
+    moving: ReadonlySet<number>,
   ): void {
-    const [target, width] = [this.column(column), this.width(column)];
+    const [target, width, updated, owners] = [this.column(column), this.width(column), this.updated[column], this.owners!];
     const still = isMoving(column) ? this.stillColumn(column) : undefined;
-    ids.forEach((id, k) => {
-      this.updated[column][id] = frame;
-      const owner = this.owners![id]!;
-      const here = !still || (owner >= 0 && !moving.has(owner));
-      for (let d = 0; d < width; d++) {
-        const value = values[chosen[k]! * width + d]!;
-        if (still) still[id * width + d] = value;
-        if (here) target[id * width + d] = value;
-      }
-    });
+    for (const i of chosen) {
+      const id = ids[i]!;
+      updated[id] = frame;
+      if (still) for (let d = 0; d < width; d++) still[id * width + d] = all[i * width + d]!;
+      if (still && (owners[id]! < 0 || moving.has(owners[id]!))) continue;
+      for (let d = 0; d < width; d++) target[id * width + d] = all[i * width + d]!;
+    }
   }
 
-  private takes(frame: number, column: UpdateColumn, id: number): boolean {
-    return this.updated[column][id]! <= frame && this.sources[id]! <= frame && this.removedAt[id]! <= frame;
+  /** Which of `ids` an update of `frame` still says anything new of. */
+  private chosen(frame: number, column: UpdateColumn, ids: Int32Array): Int32Array {
+    const [updated, out] = [this.updated[column], new Int32Array(ids.length)];
+    let count = 0;
+    for (let i = 0; i < ids.length; i++) {
+      const id = ids[i]!;
+      if (updated[id]! <= frame && this.sources[id]! <= frame && this.removedAt[id]! <= frame) out[count++] = i;
+    }
+    return out.subarray(0, count);
   }
 
   /** Whether the update of `frame` of columns' `idsOf` is the newest for any splat that is there or may come; with `shown`:
