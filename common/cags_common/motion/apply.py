@@ -96,7 +96,8 @@ def _part(tile: MovingTile, of: NDArray[np.intp]) -> MovingTile:
         taken = (kept[:, None] * blocks.size + np.arange(blocks.size)).ravel()
         taken = taken[taken < chunk.splats]
         blocks = replace(blocks, shifts=blocks.shifts.take(kept, axis=1), turns=blocks.turns.take(kept, axis=1))
-    lives, fades = (None if part is None else part[taken] for part in (chunk.lives, chunk.fades))
+    lives = None if chunk.lives is None else chunk.lives[taken]
+    fades = None if chunk.fades is None else chunk.fades[taken]
     moves, turns = (None if part is None else part.take(taken, axis=1) for part in (chunk.moves, chunk.turns))
     some = replace(chunk, splats=len(taken), lives=lives, fades=fades, blocks=blocks, moves=moves, turns=turns)
     rows = np.full(chunk.splats, -1, np.int32)

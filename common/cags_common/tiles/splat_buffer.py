@@ -16,7 +16,7 @@ Client, server and encoder use this class, so that each knows what another shows
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -256,9 +256,10 @@ class SplatBuffer:
         """Take an update of media frame ``frame``: column -> (ids [m], values [m, ...]); the rows that changed."""
         taken = {column: self._takes(frame, column, ids) for column, (ids, _) in values.items()}
         ids_of = {column: values[column][0][takes] for column, takes in taken.items()}
-        out = self._shown(_union(list(ids_of.values())))
-        evaluated = self._shown(_union([ids for column, ids in ids_of.items() if column in self._still]))
-        moving = np.array([i for i in np.unique(self.owner[evaluated]) if self._touch(self.slots[i])], np.intp)
+        out = self._shown(list(ids_of.values()))
+        evaluated = self._shown([ids for column, ids in ids_of.items() if column in self._still])
+        owners = np.flatnonzero(np.bincount(self.owner[evaluated]))
+        moving = np.array([i for i in owners if self._touch(self.slots[i])], np.intp)
         for column, ids in ids_of.items():
             self._updated[column][ids] = frame
             target, new = getattr(self.splats, column), values[column][1][taken[column]]
@@ -274,8 +275,11 @@ class SplatBuffer:
         newest = (self._updated[column][ids] <= frame) & (self._source[ids] <= frame)
         return newest & (self._removed_at[ids] <= frame)
 
-    def _shown(self, ids: Rows) -> Rows:
-        return ids[self.owner[ids] >= 0]
+    def _shown(self, parts: Sequence[Rows]) -> Rows:
+        """Those of ``parts`` that are there, rising and each once."""
+        listed = np.sort(np.concatenate([np.zeros(0, np.intp), *parts]))  # np.unique takes three times as long
+        once: Rows = listed[np.diff(listed, prepend=-1) > 0]
+        return once[self.owner[once] >= 0]
 
     def uses(self, frame: int, ids_of: Mapping[str, Rows], *, shown: bool = False) -> bool:
         """Whether the update of ``frame`` of columns' ``ids_of`` is the newest for any splat that is there or may come;
@@ -353,11 +357,6 @@ def _ends(chunk: Chunk) -> float:
         assert chunk.lives is not None
         return float(chunk.lives.max(initial=0))
     return float(chunk.span)
-
-
-def _union(parts: list[Rows]) -> Rows:
-    rows: Rows = np.unique(np.concatenate([np.zeros(0, np.intp), *parts]))
-    return rows
 
 
 def _blank(capacity: int, sh_degree: int) -> Splats:
