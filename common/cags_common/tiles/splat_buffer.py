@@ -75,7 +75,9 @@ class _Motion:
     shown: tuple[int, float] | None = None
     """First frame of the chunk that is shown, and the time; None: splats are as their looks say."""
     dirty: bool = True
-    """Whether looks, an update or motion came since :attr:`shown`."""
+    """Whether looks or motion came since :attr:`shown`."""
+    updated: bool = False
+    """Whether opacities of looks were updated since: those of what is in motion have to be evaluated again."""
     _tile: MovingTile | None = None
 
     def start(self, time: float) -> int | None:
@@ -95,7 +97,7 @@ class _Motion:
 
     def settled(self, start: int, time: float) -> bool:
         """Whether the chunk from ``start`` is shown as it is at ``time`` already."""
-        if self.dirty or self.shown is None or self.shown[0] != start:
+        if self.dirty or self.updated or self.shown is None or self.shown[0] != start:
             return False
         return self.shown[1] == time or min(self.shown[1], time) >= self.ends[start]
 
@@ -256,20 +258,19 @@ class SplatBuffer:
         """Take an update of media frame ``frame``: column -> (ids [m], values [m, ...]); the rows that changed."""
         taken = {column: self._takes(frame, column, ids) for column, (ids, _) in values.items()}
         ids_of = {column: values[column][0][takes] for column, takes in taken.items()}
-        out = self._shown(list(ids_of.values()))
-        evaluated = self._shown([ids for column, ids in ids_of.items() if column in self._still])
-        owners = np.flatnonzero(np.bincount(self.owner[evaluated]))
-        moving = np.array([i for i in owners if self._touch(self.slots[i])], np.intp)
         for column, ids in ids_of.items():
             self._updated[column][ids] = frame
             target, new = getattr(self.splats, column), values[column][1][taken[column]]
             if column in self._still:
                 self._still[column][ids] = new
-                here = (self.owner[ids] >= 0) & ~np.isin(self.owner[ids], moving)
-                target[ids[here]] = new[here]
+                owners = self.owner[ids]
+                target[ids[owners >= 0]] = new[owners >= 0]  # what is in motion is evaluated once more
+                for index in np.flatnonzero(np.bincount(owners[owners >= 0])):
+                    if motion := self._motions.get(self.slots[index].key):
+                        motion.updated = True
             else:
                 target[ids] = new
-        return out
+        return self._shown(list(ids_of.values()))
 
     def _takes(self, frame: int, column: str, ids: Rows) -> NDArray[np.bool_]:
         newest = (self._updated[column][ids] <= frame) & (self._source[ids] <= frame)
@@ -336,7 +337,7 @@ class SplatBuffer:
                 slot.rows = np.where(self.owner[slot.ids] == slot.index, slot.ids, -1).astype(np.int32)
             tiles.append(motion.tile_at(start, time, slot.rows, slot.steps))
             slot.ended = time >= motion.ends[start] and _ends_all(motion.chunks[start])
-            motion.shown, motion.dirty = (start, time), False
+            motion.shown, motion.dirty, motion.updated = (start, time), False, False
         if not tiles:
             return np.zeros(0, np.intp)
         listed = np.concatenate([tile.rows for tile in tiles])

@@ -21,8 +21,10 @@ class Motion {
   readonly chunks = new Map<number, { readonly chunk: Chunk; readonly end: number }>();
   /** First frame of the chunk that is shown, and the time; undefined: splats are as their looks say. */
   shown: readonly [number, number] | undefined;
-  /** Whether looks, an update or motion came since. */
+  /** Whether looks or motion came since. */
   dirty = true;
+  /** Whether opacities of looks were updated since: those of what is in motion have to be evaluated again. */
+  updated = false;
   private tile: MovingTile | undefined;
 
   /** First frame of the chunk to show at `time`. */
@@ -34,7 +36,7 @@ class Motion {
 
   /** Whether the chunk from `start` is shown as it is at `time` already. */
   settled(start: number, time: number): boolean {
-    if (this.dirty || !this.shown || this.shown[0] !== start) return false;
+    if (this.dirty || this.updated || !this.shown || this.shown[0] !== start) return false;
     return this.shown[1] === time || Math.min(this.shown[1], time) >= this.chunks.get(start)!.end;
   }
 
@@ -260,37 +262,38 @@ export class SplatBuffer {
     this.made();
     const rows = new Int32Array([...values.values()].reduce((sum, { ids }) => sum + ids.length, 0));
     let count = 0;
-    const evaluated = new Set<number>(); // tiles of looks of which motion is to show what has changed
-    const taken = [...values].map(([column, { ids, values: all }]) => {
+    for (const [column, { ids, values: all }] of values) {
       const chosen = this.chosen(frame, column, ids);
       for (const i of chosen) {
         const id = ids[i]!;
-        const owner = this.owners![id]!;
-        if (owner < 0) continue;
-        if (!this.seen[id]) rows[count++] = id;
+        if (this.owners![id]! >= 0 && !this.seen[id]) rows[count++] = id;
         this.seen[id] = 1;
-        if (isMoving(column)) evaluated.add(owner);
       }
-      return { column, chosen, ids, all };
-    });
-    const moving = new Set([...evaluated].filter((index) => this.touch(this.slots[index]!)));
-    for (const { column, chosen, ids, all } of taken) this.takeColumn(frame, column, { ids, chosen, all }, moving);
-    for (let i = 0; i < count; i++) this.seen[rows[i]!] = 0;
+      this.takeColumn(frame, column, { ids, chosen, all });
+    }
+    for (const { ids } of values.values()) for (const id of ids) this.seen[id] = 0;
     return rows.subarray(0, count);
   }
 
   private takeColumn(
     frame: number, column: UpdateColumn, { ids, chosen, all }: { ids: Int32Array; chosen: Int32Array; all: Float32Array },
-    moving: ReadonlySet<number>,
   ): void {
     const [target, width, updated, owners] = [this.column(column), this.width(column), this.updated[column], this.owners!];
     const still = isMoving(column) ? this.stillColumn(column) : undefined;
+    const touched = new Set<number>();
     for (const i of chosen) {
       const id = ids[i]!;
       updated[id] = frame;
-      if (still) for (let d = 0; d < width; d++) still[id * width + d] = all[i * width + d]!;
-      if (still && (owners[id]! < 0 || moving.has(owners[id]!))) continue;
-      for (let d = 0; d < width; d++) target[id * width + d] = all[i * width + d]!;
+      if (still) {
+        for (let d = 0; d < width; d++) still[id * width + d] = all[i * width + d]!;
+        if (owners[id]! < 0) continue;
+        touched.add(owners[id]!);
+      }
+      for (let d = 0; d < width; d++) target[id * width + d] = all[i * width + d]!; // what is in motion is evaluated once more
+    }
+    for (const index of touched) {
+      const motion = this.motions.get(this.slots[index]!.key);
+      if (motion) motion.updated = true;
     }
   }
 
@@ -367,7 +370,7 @@ export class SplatBuffer {
       const { chunk, end } = motion.chunks.get(start)!;
       slot.ended = time >= end && endsAll(chunk);
       motion.shown = [start, time];
-      motion.dirty = false;
+      motion.dirty = motion.updated = false;
     }
     if (!tiles.length) return [];
     const columns = this.made();

@@ -99,6 +99,16 @@ def test_a_splat_of_another_colour_moves_none_and_one_of_another_opacity_is_show
     assert opacities[0] == opacities[1] != opacities[2] == opacities[3]
 
 
+def test_a_splat_that_has_ended_does_not_come_back_by_another_opacity(store: TileStore) -> None:
+    send(store, 0, 0, looks([0, 1], 5))
+    send(store, 0, 1, motion((0, 0), 2, [0, 0], lives=[1, 2]))
+    send(store, 3, 0, update([0, 1], {"opacity": np.ones(2, bool)}, {"opacity": np.array([6, 6])}))
+    end_all(store)
+    opacities = [store.commit(frame)[0].splats.logit_opacities[:2].copy() for frame in range(LAST + 1)]
+    assert all(shown[0] == ABSENT_LOGIT for shown in opacities[1:])
+    assert opacities[0][1] == opacities[2][1] != opacities[3][1]
+
+
 def test_lives_end_without_a_message_and_a_newer_chunk_says_when(store: TileStore) -> None:
     send(store, 0, 0, looks([0, 1], 5))
     send(store, 0, 1, motion((0, 0), 2, [0, 0, 0, 0], lives=[2, 4]))
