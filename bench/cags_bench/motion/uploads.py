@@ -1,9 +1,9 @@
-"""What the frames of a clip hand to a renderer, counted: rows, bytes, and what they would be if the device moved splats.
+"""What the frames of a clip hand to a renderer, counted, and what that would be if the device evaluated motion.
 
 A row that only moved takes 36 bytes (its index, position, opacity and rotation), one that changed otherwise all of its
-columns. If the device evaluated motion itself, it would be given each chunk once: of every splat that is ever elsewhere
-its row, its place before motion, its units, and a 32-bit number for each part of each sample; those rows would then cost
-nothing a frame, and one that changed otherwise only its other columns.
+columns. A device that evaluated motion would be given each chunk once: of every splat that is ever elsewhere its row,
+its place before motion, its units, and a 32-bit number for each part of each sample. Such rows would then cost nothing
+a frame, and one that changed otherwise only its other columns.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from cags_common.store.gof_buffer import Committed
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 from cags_common.tiles.kinds import TileKind
+
+NO_IDS = np.zeros(0, np.int32)
 
 MOVED_BYTES, MOVING_COLUMNS_BYTES = 36, 32
 STATE_BYTES = 44
@@ -48,7 +50,7 @@ def frame_uploads(reader: BundleReader) -> JsonObject:
     for frame in range(manifest.frames):
         for error in store.add_all(_arrivals(reader, frame)) + store.flush():
             raise error
-        store.end(frame, reader.removed_ids(frame))
+        store.end(frame, reader.removed_ids(frame) if manifest.motion is None else NO_IDS)  # lives say when splats end
         begun = time.thread_time()
         shown, committed = store.commit(frame)
         seconds = time.thread_time() - begun

@@ -25,7 +25,7 @@ test("what the frames of a clip take, and what of them goes to the device", asyn
     frames.forEach(({ tiles }, frame) => {
       const arrivals = tiles.map((levels, tile) => arrivalOf(frame, tile, 0, levels.map(fromBase64)));
       assert.deepEqual(scene.add(arrivals), []);
-      scene.end(frame, new Uint8Array(0));
+      scene.end(frame, new Uint8Array(0)); // lives say when splats of clips with motion end
     });
     return scene;
   };
