@@ -61,20 +61,25 @@ class Competition:
         self._until_us = self._stood_us = 0
         self._competed_us = -AGAIN_US
 
-    def note(self, now_us: int, rtt_us: int, own_us: float) -> None:
-        """A packet's round trip was ``rtt_us``; connections of this kind add no more than ``own_us`` to it."""
+    def note(self, now_us: int, rtt_us: int, own_us: float, *, sure_us: float = 0.0) -> None:
+        """A packet's round trip was ``rtt_us``; connections of this kind add ``own_us`` to it at most as a rule.
+
+        Where they may add up to ``sure_us``, a shorter queue is tried out before it is competed with.
+        """
         self._path.note(now_us, rtt_us)
-        queue_us = rtt_us - self._path.shortest_us
-        lowest_us = self._lowest(now_us, queue_us)
+        lowest_us = self._lowest(now_us, rtt_us - self._path.shortest_us)
         if self._short_us is None or not own_us < lowest_us < LONGEST_US:
             self._give_way(now_us)
         elif self.stance is Stance.GIVE_WAY:
             known = now_us - self._competed_us < AGAIN_US
             if now_us - self._short_us >= (STANDING_AGAIN_US if known else STANDING_US):
-                self._compete(now_us)
+                if known or lowest_us > sure_us:
+                    self._compete(now_us)
+                else:
+                    self._try(now_us, rtt_us, lowest_us)
         elif now_us >= self._until_us:
             if self.stance is Stance.COMPETE:
-                self.stance, self._until_us, self._stood_us = Stance.TRY, now_us + rtt_us + TRIAL_US, lowest_us
+                self._try(now_us, rtt_us, lowest_us)
             elif lowest_us < SHRUNK * self._stood_us:
                 self._give_way(now_us)
                 self._competed_us = now_us - AGAIN_US
@@ -91,6 +96,9 @@ class Competition:
 
     def _give_way(self, now_us: int) -> None:
         self.stance, self._short_us = Stance.GIVE_WAY, now_us
+
+    def _try(self, now_us: int, rtt_us: int, lowest_us: int) -> None:
+        self.stance, self._until_us, self._stood_us = Stance.TRY, now_us + rtt_us + TRIAL_US, lowest_us
 
     def _compete(self, now_us: int) -> None:
         self.stance, self._until_us = Stance.COMPETE, now_us + COMPETING_US

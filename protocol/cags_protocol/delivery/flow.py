@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 
 from cags_common.errors import ProtocolError
 from cags_protocol.delivery.competition import Competition, Stance
@@ -31,6 +31,9 @@ MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
 
 OWN_QUEUES = 3.0
 """A queue is others' that is longer than the one of the credit window by this factor, which allows for probing."""
+
+SLOW_BPS = 500e3
+"""The least credit alone is a queue of a quarter of a second on a link as slow as this: no queue on it is others'."""
 
 PACING_GAIN = 1.5
 """Packets leave at most so many times as fast as the link is thought to be: credit that comes at once is spread out,
@@ -116,6 +119,12 @@ class FlowControl:
             return self._bytes_in(self._window_us + self.min_rtt_us + self._round_trips.jitter_us)
         return limits.PACKET_BYTES + self._bytes_in(self._window_us + self._rtt_us + self._round_trips.jitter_us)
 
+    def _own_queue_us(self) -> tuple[float, float]:
+        """The longest queue that connections of this kind make as a rule, and what the least credit may add to it."""
+        if self.rate_bps < SLOW_BPS:
+            return inf, 0.0
+        return OWN_QUEUES * self._window_us + self._round_trips.jitter_us, MIN_WINDOW_BYTES * 8e6 / self.rate_bps
+
     def _bytes_in(self, time_us: float) -> int:
         return max(MIN_WINDOW_BYTES, int(self.rate_bps * time_us / 8e6))
 
@@ -179,7 +188,8 @@ class FlowControl:
         arrived_us = max(newest.sent_us + rtt_us, self._delivered_us)
         rate = self._rate_sample(newest, arrived_us)
         self._rtt_us = rtt_us
-        self._competition.note(now_us, rtt_us, OWN_QUEUES * self._window_us + self._round_trips.jitter_us)
+        own_us, least_us = self._own_queue_us()
+        self._competition.note(now_us, rtt_us, own_us, sure_us=own_us + least_us)
         self._delivered_us, self._first_sent_us = arrived_us, newest.sent_us
         return AckResult(acked, self._take_lost(largest), rtt_us, rate, newest.app_limited, newest.window_limited)
 

@@ -27,13 +27,14 @@ SEEN_US = STANDING_US + LOWEST_US + STEP_US
 class Path:
     """Round trips over a link whose queue is set, and may answer to what the session does."""
 
-    def __init__(self):
+    def __init__(self, sure_us=0):
+        self.sure_us = sure_us
         self.competition, self.now_us, self.stances = Competition(), 0, []
         self.note(0)
 
     def note(self, queue_us):
         self.now_us += STEP_US
-        self.competition.note(self.now_us, TRIP_US + round(queue_us), OWN_US)
+        self.competition.note(self.now_us, TRIP_US + round(queue_us), OWN_US, sure_us=self.sure_us)
         self.stances.append(self.competition.stance)
         return self.competition.stance
 
@@ -114,3 +115,14 @@ def test_single_packets_that_wait_for_lost_ones_change_nothing():
         path.hold(900_000, 80_000)
         path.hold(200_000, 80_000)
     assert Stance.GIVE_WAY not in path.stances[before:]
+
+
+def test_a_queue_that_may_be_its_own_is_tried_out_first():
+    path = Path(sure_us=250_000)
+    stances = path.hold(200_000, SEEN_US + STEP_US)
+    assert stances[-1] is Stance.TRY and Stance.COMPETE not in stances
+    assert path.hold(90_000, TRIAL_US + TRIP_US + 250_000)[-1] is Stance.GIVE_WAY
+
+    path = Path(sure_us=250_000)
+    path.hold(200_000, SEEN_US + STEP_US)
+    assert path.hold(200_000, TRIAL_US + TRIP_US + 250_000)[-1] is Stance.COMPETE

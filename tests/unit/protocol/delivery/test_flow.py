@@ -54,6 +54,16 @@ def test_a_queue_that_others_hold_up_counts_as_the_links_own():
     assert control.min_rtt_us == 50_000
 
 
+def test_on_a_slow_link_the_queue_is_its_own():
+    """Two packets of credit take half a second of 250 kbit/s."""
+    control, now_us = flow(rate_bps=250e3, window_us=20_000), 0
+    for step in range(60):
+        seq = send(control, now_us, 8192)
+        now_us += 50_000 if step == 0 else 400_000
+        ack(control, [SeqRange(seq, seq)], now_us)
+        assert control.stance is Stance.GIVE_WAY
+
+
 def test_credit_never_falls_below_two_packets():
     assert flow(rate_bps=1.0).window_bytes == MIN_WINDOW_BYTES
 
