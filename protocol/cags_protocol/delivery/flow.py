@@ -32,8 +32,8 @@ MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
 OWN_QUEUES = 3.0
 """A queue is others' that is longer than the one of the credit window by this factor, which allows for probing."""
 
-SLOW_BPS = 500e3
-"""The least credit alone is a queue of a quarter of a second on a link as slow as this: no queue on it is others'."""
+SLOW_BPS = 300e3
+"""The least credit alone is a queue of 0.4 s on a link as slow as this: no queue on it is others'."""
 
 PACING_GAIN = 1.5
 """Packets leave at most so many times as fast as the link is thought to be: credit that comes at once is spread out,
