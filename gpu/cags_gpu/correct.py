@@ -27,7 +27,7 @@ from cags_common.raster.halving import enlarged
 from cags_gpu.device import Handle
 from cags_gpu.graph import Counts, Dispatch, buffer_bytes, build, encode
 from cags_gpu.layout import CHANGED, COMPARE, CORRECTION, ENLARGE
-from cags_gpu.scene import ResidentScene, Target
+from cags_gpu.scene import ResidentScene, Target, packed
 from cags_gpu.submission import Outputs, Recording, submitted
 
 if TYPE_CHECKING:
@@ -121,6 +121,11 @@ class Frame:
         thin = max(self.options.void_alpha, self.correction.settings.hole_alpha)
         return replace(self.options, depth=DepthKind.EXPECTED, contribution=False, void_alpha=thin)
 
+    @property
+    def compact(self) -> bool:
+        """Whether the client's own picture is kept in 16 bits a channel: nobody but a display sees it."""
+        return self.options.displayed and packed(self.options)
+
     def on_cpu(self, scene: GpuScene) -> Corrected:
         """The frame by the definition."""
         view = scene.render(self.camera, self.drawing)
@@ -146,7 +151,7 @@ class Frame:
         size = (16 if self.floats else 4) * whole.height_px * whole.width_px
 
         def record(recording: Recording) -> Outputs:
-            scene.record_into(recording, target, self.camera, self.drawing)
+            scene.record_into(recording, target, self.camera, self.drawing, compact=self.compact)
             self._finish(recording, scene, target)
             if self.display is None:
                 return [(target[self._output], size)]
@@ -249,7 +254,7 @@ class Frame:
         ref = self.correction and self.correction.reference.camera
         size = ref and (ref.width_px, ref.height_px)
         stride = counts.get("sampled_x", 0)
-        flags = {"floats": self._whole_floats, "confidence": self.confidence}
+        flags = {"compact": self.compact, "floats": self._whole_floats, "confidence": self.confidence}
         key = (graph, *flags.values(), size, stride, self._veto_cell == 1, scene.kept_version)
         return target.steps(
             scene.workspace.version,

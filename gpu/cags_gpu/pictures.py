@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cags_common.correction import Correction
 from cags_common.geometry import F32, Camera
@@ -86,26 +87,28 @@ class DevicePictures:
         """[h, w]; +inf where void, or thin where something was added. None where nothing needed it."""
         if self._frame.drawing.depth is DepthKind.NONE:
             return None
-        read = self._read("depth", 4)
+        read = self._read("depth", np.float32, 1)
         return self._anew.depth if read is None else read.reshape(self.size)
 
     @cached_property
     def _view(self) -> RenderedView:
-        read = self._read("picture", 16)
+        compact = self._frame.compact
+        read = self._read("picture", np.uint16 if compact else np.float32, 4)
         if read is None:
             return self._anew
-        rgba = read.reshape(*self.size, 4)
+        rgba = np.multiply(read.reshape(*self.size, 4), np.float32(1 / 65535 if compact else 1), dtype=np.float32)
         return RenderedView(np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3]), None, None)
 
     @cached_property
     def _anew(self) -> RenderedView:
         return self._scene.render(self._frame.camera, self._frame.drawing)
 
-    def _read(self, name: str, each: int) -> F32 | None:
-        """Values of a buffer of the frame; None where the device is gone."""
+    def _read(self, name: str, kind: type[np.generic], each: int) -> NDArray[Any] | None:
+        """``each`` values of a kind a pixel, of a buffer of the frame; None where the device is gone."""
         height, width = self.size
+        size = each * height * width * np.dtype(kind).itemsize
         try:
             with self._workspace.gpu.used():
-                return read_back(self._workspace, self._target[name], each * height * width).view(np.float32).copy()
+                return read_back(self._workspace, self._target[name], size).view(kind).copy()
         except DeviceLostError:
             return None

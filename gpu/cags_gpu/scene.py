@@ -233,10 +233,14 @@ class ResidentScene:
         self.record_into(recording, target, camera, options)
         return target
 
-    def record_into(self, recording: Recording, target: Target, camera: Camera, options: RenderOptions) -> None:
-        """As :meth:`record`, into buffers that are at hand."""
+    def record_into(
+        self, recording: Recording, target: Target, camera: Camera, options: RenderOptions, *, compact: bool = False
+    ) -> None:
+        """As :meth:`record`, into buffers that are at hand; the picture is ``compact`` for what only a display sees:
+        16 bits a channel, colours up to 1.
+        """
         self._prepare(recording, target, camera, options)
-        encode(recording.encoder, self.steps_of(target, options))
+        encode(recording.encoder, self.steps_of(target, options, compact=compact))
 
     def record_binning(self, recording: Recording, camera: Camera, options: RenderOptions) -> Target:
         """Record a frame without blending it: afterwards the workspace holds records, tiles and counts."""
@@ -247,7 +251,7 @@ class ResidentScene:
         return target
 
     def _prepare(self, recording: Recording, target: Target, camera: Camera, options: RenderOptions) -> None:
-        self.workspace.reserve(self.count, exact=not _packed(options))
+        self.workspace.reserve(self.count, exact=not packed(options))
         held = SH_REST_OF_DEGREE[options.max_sh_degree]
         counted = {"count": self.count, "sh_count": self.sh_count, "sh_used": min(self.sh_count, held)}
         view = view_bytes(camera, options, **counted, capacity=self.workspace.counts["capacity"])
@@ -256,10 +260,11 @@ class ResidentScene:
             encode(recording.encoder, self._steps(target, "hash", {}))
             recording.once_drawn.append(self._is_sorted)
 
-    def steps_of(self, target: Target, options: RenderOptions) -> list[Dispatch]:
+    def steps_of(self, target: Target, options: RenderOptions, *, compact: bool = False) -> list[Dispatch]:
         """The dispatches of a frame with these options."""
         flags = {
-            "packed": _packed(options),
+            "packed": packed(options),
+            "compact": compact,
             "slots": options.contribution,
             "contribution": options.contribution,
         }
@@ -308,6 +313,6 @@ class ResidentScene:
         return target[name] if name in target else self.workspace[name]
 
 
-def _packed(options: RenderOptions) -> bool:
+def packed(options: RenderOptions) -> bool:
     """Whether records of 32 bytes are exact enough."""
     return options.exactness is not Exactness.EXACT

@@ -50,10 +50,11 @@ class Design:
     digit_bits: int = 8  # of the radix sorts
     record_bytes: int = 32
     direct: bool = True  # entries name their splat; else a slot, which names it
+    compact: bool = True  # the picture in 16 bits a channel until it is shown, else floats
     joined: bool = True  # alignment and correction in one pass that stores a depth and a pixel; else four floats twice
 
 
-PROTOTYPE = Design(ellipse=False, digit_bits=4, record_bytes=48, direct=False, joined=False)
+PROTOTYPE = Design(ellipse=False, digit_bits=4, record_bytes=48, direct=False, compact=False, joined=False)
 
 STEPS: tuple[tuple[str, Design], ...] = (
     ("as prototyped", PROTOTYPE),
@@ -61,7 +62,8 @@ STEPS: tuple[tuple[str, Design], ...] = (
     ("digits of 8 bits", replace(PROTOTYPE, ellipse=True, digit_bits=8)),
     ("records of 32 bytes", replace(PROTOTYPE, ellipse=True, digit_bits=8, record_bytes=32)),
     ("entries name splats", replace(PROTOTYPE, ellipse=True, digit_bits=8, record_bytes=32, direct=True)),
-    ("alignment joined with correction", Design()),
+    ("alignment joined with correction", Design(compact=False)),
+    ("pictures of 16 bits", Design()),
 )
 """The improvements one after the other."""
 
@@ -72,6 +74,7 @@ def pass_bytes(counts: FrameCounts, design: Design | None = None) -> dict[str, i
     n, seen = counts.splats, counts.visible
     entries = counts.entries if design.ellipse else counts.box_entries
     harmonics = 12 * counts.harmonics * seen
+    picture = 8 if design.compact else 16
     stages = {
         # mean and logit, quaternion, scale of all; colours and records of what is seen; rank, key, tiles
         "project": (48 + 12) * n + (16 + design.record_bytes) * seen + harmonics,
@@ -79,9 +82,9 @@ def pass_bytes(counts: FrameCounts, design: Design | None = None) -> dict[str, i
         "bin": 16 * n + SECTOR_BYTES * seen + (8 if design.direct else 12) * entries,
         "sort entries": _sort_bytes(entries, counts.tiles.bit_length(), design.digit_bits),
         "ranges": 4 * entries + 8 * counts.tiles,
-        "blend": ((4 if design.direct else 8) + design.record_bytes) * entries + 20 * counts.pixels,
+        "blend": ((4 if design.direct else 8) + design.record_bytes) * entries + (4 + picture) * counts.pixels,
     }
-    return stages | _correction_bytes(counts, joined=design.joined)
+    return stages | _correction_bytes(counts, picture, joined=design.joined)
 
 
 def _sort_bytes(count: int, bits: int, digit_bits: int) -> int:
@@ -90,7 +93,7 @@ def _sort_bytes(count: int, bits: int, digit_bits: int) -> int:
     return -(-bits // digit_bits) * (20 * count + histogram)
 
 
-def _correction_bytes(counts: FrameCounts, *, joined: bool) -> dict[str, int]:
+def _correction_bytes(counts: FrameCounts, picture: int, *, joined: bool) -> dict[str, int]:
     sampled = counts.pixels // counts.stride**2
     reference = (12 + 16) * counts.reference_pixels
     if joined:  # depth in, filled depth and place out; then picture, place, depth in, 8-bit colours out; place
@@ -98,7 +101,7 @@ def _correction_bytes(counts: FrameCounts, *, joined: bool) -> dict[str, int]:
             "expand": reference,
             "fill": 4 * counts.pixels,
             "place": 16 * counts.pixels + 8 * sampled,
-            "add": 32 * counts.pixels,
+            "add": (16 + picture) * counts.pixels,
             "surround": 8 * counts.pixels,
         }
     # alignment stores (x, y, z, inside), then aligned colours and confidence; correction reads those and the picture
@@ -107,7 +110,7 @@ def _correction_bytes(counts: FrameCounts, *, joined: bool) -> dict[str, int]:
         "fill": 20 * counts.pixels,
         "place": 20 * counts.pixels + 16 * sampled,
         "resolve": 36 * counts.pixels,
-        "add": 48 * counts.pixels,
+        "add": (32 + picture) * counts.pixels,
     }
 
 

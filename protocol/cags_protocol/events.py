@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol.cadence import EVERY_FRAME
+from cags_protocol.delivery.competition import Stance
 from cags_protocol.wire.messages import (
     Control,
     FrameEnd,
@@ -59,6 +60,8 @@ class AckSample:
     """Shortest of the last ten seconds: the path's delay without queueing."""
     received_us: int = 0
     """When the newest packet arrived, by the client's clock."""
+    stance: Stance = Stance.GIVE_WAY
+    """What the connection does about a queue."""
 
 
 # ------------------------------------------------------------------------------------------------- server's events

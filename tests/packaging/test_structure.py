@@ -28,7 +28,6 @@ TESTED_ELSEWHERE = {
     "cags_research/codecs/encoding": "tests/unit/research/codecs/test_codecs.py",
     "cags_research/restore/networks/runtimes": "tests/unit/research/restore/networks",
     "cags_research/training/pairs": "tests/unit/research/training",
-    "cags_bench/motion": "tests/unit/bench/test_cli.py",
     "cags_bench/predict": "tests/unit/bench/test_cli.py",
     "cags_bench/reproduce/experiments": "tests/unit/bench/reproduce/test_reproduce.py",
 }

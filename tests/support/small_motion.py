@@ -134,6 +134,10 @@ def _random_motion(rng: np.random.Generator, of: tuple[int, int], count: int) ->
     span = int(rng.integers(1, 5))
     moves = np.cumsum(rng.normal(size=(span + 1, count, 3)) * 20, axis=0)
     turns = np.cumsum(rng.normal(size=(span + 1, count, 4)) * 5, axis=0) if rng.random() < 0.5 else None
+    stands = np.flatnonzero(rng.random(count) < rng.choice([0.0, 0.6]))
+    for part in (moves, turns):
+        if part is not None:
+            part[:, stands] = part[0, stands] * rng.integers(0, 2)
     lives = rng.integers(0, span + 2, count).astype(np.uint8) if rng.random() < 0.4 else None
     fades = None
     if rng.random() < 0.3:
@@ -142,5 +146,7 @@ def _random_motion(rng: np.random.Generator, of: tuple[int, int], count: int) ->
     if rng.random() < 0.3:
         shape = (span + 1, -(-count // 2), 3)
         blocks = Blocks(2, 0.01, *(rng.integers(-400, 400, shape).astype(np.int32) for _ in range(2)))
+        for rigid in (blocks.shifts, blocks.turns):
+            rigid[:, stands // 2] = rigid[0, stands // 2]
     payloads = encode(of, moves, turns, starts=bool(rng.random() < 0.5), lives=lives, fades=fades, blocks=blocks)
     return TilePayloads(count, None, BOX, payloads, TileKind.MOTION, of, span)

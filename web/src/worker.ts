@@ -42,8 +42,7 @@ function tell(answer: Answer): void {
 
 async function connect(request: Extract<Request, { ask: "connect" }>): Promise<void> {
   try {
-    const decoders = await loading;
-    source = /^wss?:/.test(request.url) ? new LiveSource(decoders) : new StaticSource(decoders);
+    source = /^wss?:/.test(request.url) ? new LiveSource(await loading) : new StaticSource(loading);
     source.connect(request.url, request.options, (event) => tell({ tell: "event", event }));
   } catch (error) {
     const message = error instanceof Error ? error.message : String(error);

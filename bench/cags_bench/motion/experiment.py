@@ -15,6 +15,7 @@ import numpy as np
 from cags_bench.jsonl import JsonObject, check, provenance, summary
 from cags_bench.motion.film import write_film
 from cags_bench.motion.settings import DISGUISE, MotionSettings
+from cags_bench.motion.uploads import frame_uploads
 from cags_common import raster
 from cags_common.bundle import BundlePlayer, BundleReader
 from cags_common.metrics import covered_mask, psnr
@@ -62,6 +63,7 @@ def _encoded(scene: str, way: str, settings: MotionSettings) -> JsonObject:
                 "groups": len(reader.manifest.gof_starts),
                 "encode_s": round(seconds, 2),
                 **frame_bytes(reader),
+                **frame_uploads(reader),
                 **_quality(reader, source, settings),
                 **provenance(),
             }
@@ -159,6 +161,7 @@ def _checks(lines: list[JsonObject], times: JsonObject) -> list[JsonObject]:
     for pair in pairs:
         out += _pair_checks(pair)
     for (scene, way), line in by.items():
+        out += _upload_checks(scene, line) if way == TRACKS else []
         ordered = by.get((scene.replace(f",{DISGUISE}", "").replace(f":{DISGUISE}", ""), TRACKS))
         if way == TRACKS and scene.endswith(DISGUISE) and ordered is not None:
             more = line["top_bytes_a_frame"] / max(ordered["top_bytes_a_frame"], 1) - 1
@@ -168,6 +171,17 @@ def _checks(lines: list[JsonObject], times: JsonObject) -> list[JsonObject]:
             out.append(check(f"{scene}: bytes a frame with the key frame", "<= 150,000", top, top <= 150_000))
             out.append(check(f"{scene}: base bytes a frame", "<= 60,000", base, base <= 60_000))
     return out
+
+
+def _upload_checks(scene: str, line: JsonObject) -> list[JsonObject]:
+    """Every row that differs is told of, and few that do not."""
+    untold = line["rows_that_differ_and_are_not_told_of"]
+    told = line["rows_moved_a_frame"] + line["rows_changed_a_frame"]
+    share = round(told / max(line["rows_that_differ_a_frame"], 1), 2)
+    return [
+        check(f"{scene}: rows that differ and are not told of", "0", untold, untold == 0),
+        check(f"{scene}: rows told of / rows that differ", "<= 2", share, share <= 2),
+    ]
 
 
 def _pair_checks(pair: _Pair) -> list[JsonObject]:

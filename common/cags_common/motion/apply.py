@@ -7,7 +7,7 @@ rounded sum, product, quotient or root of doubles, in the order that is written 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isnan
 from typing import Any
 
@@ -59,6 +59,22 @@ class MovingTile:
     steps: Steps
     prepared: _Prepared | None = None
     """For the kernel; None: to be made."""
+    part: MovingTile | None = None
+    """See :meth:`in_motion`; None: all of it."""
+    parted: bool = False
+    """Whether :attr:`part` has been made."""
+
+    def in_motion(self) -> MovingTile:
+        """The part of the tile that is elsewhere at another time of its chunk: all others keep what any evaluation gave
+        them, bit by bit. The tile itself where that is most of it.
+        """
+        if not self.parted:
+            of = self.chunk.restless
+            self.part, self.parted = None if of is None else _part(self, of), True
+        if self.part is None:
+            return self
+        self.part.time = self.time
+        return self.part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +86,23 @@ class _Prepared:
 
     def structure(self) -> Any:
         return self.native
+
+
+def _part(tile: MovingTile, of: NDArray[np.intp]) -> MovingTile:
+    """Splats ``of`` [m] of a tile, rising; blocks stay whole, and of those the other splats are left alone."""
+    chunk, blocks, taken = tile.chunk, tile.chunk.blocks, of
+    if blocks is not None:
+        kept = np.unique(of // blocks.size)
+        taken = (kept[:, None] * blocks.size + np.arange(blocks.size)).ravel()
+        taken = taken[taken < chunk.splats]
+        blocks = replace(blocks, shifts=blocks.shifts.take(kept, axis=1), turns=blocks.turns.take(kept, axis=1))
+    lives = None if chunk.lives is None else chunk.lives[taken]
+    fades = None if chunk.fades is None else chunk.fades[taken]
+    moves, turns = (None if part is None else part.take(taken, axis=1) for part in (chunk.moves, chunk.turns))
+    some = replace(chunk, splats=len(taken), lives=lives, fades=fades, blocks=blocks, moves=moves, turns=turns)
+    rows = np.full(chunk.splats, -1, np.int32)
+    rows[of] = tile.rows[of]
+    return MovingTile(some, tile.time, rows[taken], Steps(tile.steps.moves[taken], tile.steps.turns[taken]))
 
 
 def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:

@@ -141,7 +141,9 @@ def _staged_update(held: StoredUpdate, version: Version[UpdateDecoder]) -> Stage
 
 def _staged_motion(held: StoredMotion, version: Version[MotionDecoder]) -> Staged:
     state = version.handed_out()
-    return Staged(held, version.since, state.lod, state.chunk)
+    chunk = state.chunk
+    _ = chunk.restless  # worked out here, beside the display path
+    return Staged(held, version.since, state.lod, chunk)
 
 
 def named(key: Key) -> str:

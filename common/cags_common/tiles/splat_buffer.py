@@ -16,7 +16,7 @@ Client, server and encoder use this class, so that each knows what another shows
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -75,7 +75,9 @@ class _Motion:
     shown: tuple[int, float] | None = None
     """First frame of the chunk that is shown, and the time; None: splats are as their looks say."""
     dirty: bool = True
-    """Whether looks, an update or motion came since :attr:`shown`."""
+    """Whether looks or motion came since :attr:`shown`."""
+    updated: bool = False
+    """Whether opacities of looks were updated since: those of what is in motion have to be evaluated again."""
     _tile: MovingTile | None = None
 
     def start(self, time: float) -> int | None:
@@ -83,16 +85,19 @@ class _Motion:
         return max((first for first in self.chunks if first <= time), default=None)
 
     def tile_at(self, start: int, time: float, rows: I32, steps: Steps) -> MovingTile:
-        """The splats of ``rows`` at ``time``; made anew only where something else than the time has changed."""
+        """The splats of ``rows`` that are not shown as they are at ``time``: all of them, but where the same chunk is
+        shown. Made anew only where something else than the time has changed.
+        """
         chunk, tile = self.chunks[start], self._tile
         if tile is None or tile.chunk is not chunk or tile.rows is not rows or tile.steps is not steps:
             tile = self._tile = MovingTile(chunk, time - start, rows, steps)
         tile.time = time - start
-        return tile
+        again = self.shown is not None and self.shown[0] == start and not self.dirty
+        return tile.in_motion() if again else tile
 
     def settled(self, start: int, time: float) -> bool:
         """Whether the chunk from ``start`` is shown as it is at ``time`` already."""
-        if self.dirty or self.shown is None or self.shown[0] != start:
+        if self.dirty or self.updated or self.shown is None or self.shown[0] != start:
             return False
         return self.shown[1] == time or min(self.shown[1], time) >= self.ends[start]
 
@@ -253,25 +258,29 @@ class SplatBuffer:
         """Take an update of media frame ``frame``: column -> (ids [m], values [m, ...]); the rows that changed."""
         taken = {column: self._takes(frame, column, ids) for column, (ids, _) in values.items()}
         ids_of = {column: values[column][0][takes] for column, takes in taken.items()}
-        out = self._shown(_union(list(ids_of.values())))
-        moving = np.array([i for i in np.unique(self.owner[out]) if self._touch(self.slots[i])], np.intp)
         for column, ids in ids_of.items():
             self._updated[column][ids] = frame
             target, new = getattr(self.splats, column), values[column][1][taken[column]]
             if column in self._still:
                 self._still[column][ids] = new
-                here = (self.owner[ids] >= 0) & ~np.isin(self.owner[ids], moving)
-                target[ids[here]] = new[here]
+                owners = self.owner[ids]
+                target[ids[owners >= 0]] = new[owners >= 0]  # what is in motion is evaluated once more
+                for index in np.flatnonzero(np.bincount(owners[owners >= 0])):
+                    if motion := self._motions.get(self.slots[index].key):
+                        motion.updated = True
             else:
                 target[ids] = new
-        return out
+        return self._shown(list(ids_of.values()))
 
     def _takes(self, frame: int, column: str, ids: Rows) -> NDArray[np.bool_]:
         newest = (self._updated[column][ids] <= frame) & (self._source[ids] <= frame)
         return newest & (self._removed_at[ids] <= frame)
 
-    def _shown(self, ids: Rows) -> Rows:
-        return ids[self.owner[ids] >= 0]
+    def _shown(self, parts: Sequence[Rows]) -> Rows:
+        """Those of ``parts`` that are there, rising and each once."""
+        listed = np.sort(np.concatenate([np.zeros(0, np.intp), *parts]))  # np.unique takes three times as long
+        once: Rows = listed[np.diff(listed, prepend=-1) > 0]
+        return once[self.owner[once] >= 0]
 
     def uses(self, frame: int, ids_of: Mapping[str, Rows], *, shown: bool = False) -> bool:
         """Whether the update of ``frame`` of columns' ``ids_of`` is the newest for any splat that is there or may come;
@@ -328,7 +337,7 @@ class SplatBuffer:
                 slot.rows = np.where(self.owner[slot.ids] == slot.index, slot.ids, -1).astype(np.int32)
             tiles.append(motion.tile_at(start, time, slot.rows, slot.steps))
             slot.ended = time >= motion.ends[start] and _ends_all(motion.chunks[start])
-            motion.shown, motion.dirty = (start, time), False
+            motion.shown, motion.dirty, motion.updated = (start, time), False, False
         if not tiles:
             return np.zeros(0, np.intp)
         listed = np.concatenate([tile.rows for tile in tiles])
@@ -349,11 +358,6 @@ def _ends(chunk: Chunk) -> float:
         assert chunk.lives is not None
         return float(chunk.lives.max(initial=0))
     return float(chunk.span)
-
-
-def _union(parts: list[Rows]) -> Rows:
-    rows: Rows = np.unique(np.concatenate([np.zeros(0, np.intp), *parts]))
-    return rows
 
 
 def _blank(capacity: int, sh_degree: int) -> Splats:

@@ -6,9 +6,10 @@
 @group(0) @binding(3) var<storage, read> entry_value: array<u32>;
 @group(0) @binding(4) var<storage, read> slot_splat: array<u32>;
 @group(0) @binding(5) var<storage, read> ranges: array<vec2<u32>>;
-@group(0) @binding(6) var<storage, read_write> picture: array<vec4<f32>>;  // rgb, alpha
+@group(0) @binding(6) var<storage, read_write> picture: array<vec2<u32>>;  // rgb, alpha: two a pixel, of floats; COMPACT: one
 @group(0) @binding(7) var<storage, read_write> depth: array<u32>;          // bits of a float; +inf where void
 @group(0) @binding(8) var<storage, read_write> slots: array<u32>;          // contribution of each entry, 2^-23 pixels
+override COMPACT: bool = false;  // pictures for a display: 16 bits a channel
 const BATCH = 256u;
 const UNIT = 8388608.0;
 var<workgroup> batch_a: array<vec4<f32>, BATCH>;  // u, v, l11, l12
@@ -35,7 +36,13 @@ struct Pixel { rgb: vec3<f32>, light: f32, z: f32 }
 fn written(pixel: vec2<u32>, p: Pixel) {
   let i = pixel.y * view.size.x + pixel.x;
   let alpha = 1.0 - p.light;
-  picture[i] = vec4(min(p.rgb, vec3(view.brightest)), alpha);
+  let rgb = min(p.rgb, vec3(view.brightest));
+  if (COMPACT) {
+    picture[i] = vec2(pack2x16unorm(rgb.xy), pack2x16unorm(vec2(rgb.z, alpha)));
+  } else {
+    picture[2u * i] = bitcast<vec2<u32>>(rgb.xy);
+    picture[2u * i + 1u] = bitcast<vec2<u32>>(vec2(rgb.z, alpha));
+  }
   let known = alpha >= view.void_alpha && alpha > 0.0;
   depth[i] = select(VOID, bitcast<u32>(p.z / alpha), known);
 }

@@ -10,7 +10,7 @@ struct Correction {
   veto_cell: u32,                                    // pixels a side of a veto's values, 0: there is none
 }
 @group(0) @binding(0) var<uniform> job: Correction;
-@group(0) @binding(1) var<storage, read> picture: array<vec4<f32>>;         // the client's own: rgb, alpha
+@group(0) @binding(1) var<storage, read> picture: array<vec2<u32>>;         // the client's own, as blend.wgsl leaves it
 @group(0) @binding(2) var<storage, read> depth: array<u32>;                 // bits of a float; +inf where void or thin
 @group(0) @binding(3) var<storage, read_write> cells: array<vec2<f32>>;     // inverse depth and weight, level after level
 @group(0) @binding(4) var<storage, read_write> filled: array<u32>;          // depth without holes, bits
@@ -21,6 +21,7 @@ struct Correction {
 @group(0) @binding(9) var<storage, read_write> lack: array<vec4<f32>>;     // what is laid over, at the reference's pixels: premultiplied colour, opacity
 @group(0) @binding(10) var<storage, read_write> shown: array<u32>;          // 8 bits a channel; with FLOATS four floats
 @group(0) @binding(11) var<storage, read_write> sums: array<vec4<f32>>;     // of the finest cells: what was added, confidence
+override COMPACT: bool = false;     // the picture has 16 bits a channel
 override FLOATS: bool = false;
 override CONFIDENCE: bool = false;  // in the place of the bytes' alpha
 const CELL = 8u;         // pixels a side of the grid that fills holes in the depth
@@ -217,6 +218,12 @@ fn sample_of(id: vec2<u32>, i: u32, p: vec2<u32>, alpha: f32) -> Sample {
   return Sample(xy, weight * (1.0 - vetoed(id, i)));
 }
 
+// The client's own colours and opacity.
+fn drawn_at(i: u32) -> vec4<f32> {
+  if (COMPACT) { return vec4(unpack2x16unorm(picture[i].x), unpack2x16unorm(picture[i].y)); }
+  return vec4(bitcast<vec2<f32>>(picture[2u * i]), bitcast<vec2<f32>>(picture[2u * i + 1u]));
+}
+
 fn show(i: u32, colour: vec3<f32>, confidence: f32) {
   let rgb = clamp(colour, vec3(0.0), vec3(1.0));
   if (FLOATS) {
@@ -240,7 +247,7 @@ var<workgroup> parts: array<vec4<f32>, 256>;
     if (p.y != OUTSIDE && hidden(id.xy, i, p)) {
       places[i].y = HIDDEN;
     } else {
-      let drawn = picture[i];
+      let drawn = drawn_at(i);
       let at = sample_of(id.xy, i, p, drawn.w);
       if (at.weight > 0.0) {
         let over = lacking(at.xy);
@@ -275,7 +282,7 @@ var<workgroup> parts: array<vec4<f32>, 256>;
   let top = mix(sums[lo.y * w + lo.x], sums[lo.y * w + hi.x], a.x);
   let bottom = mix(sums[hi.y * w + lo.x], sums[hi.y * w + hi.x], a.x);
   let sum = mix(top, bottom, a.y);
-  let drawn = picture[i];
+  let drawn = drawn_at(i);
   show(i, drawn.xyz + sample_of(id.xy, i, p, drawn.w).weight * sum.xyz / max(sum.w, LEAST_AROUND), 0.0);
 }
 
@@ -283,5 +290,5 @@ var<workgroup> parts: array<vec4<f32>, 256>;
 @compute @workgroup_size(16, 16) fn plain(@builtin(global_invocation_id) id: vec3<u32>) {
   if (any(id.xy >= job.size)) { return; }
   let i = id.y * job.size.x + id.x;
-  show(i, picture[i].xyz, 0.0);
+  show(i, drawn_at(i).xyz, 0.0);
 }

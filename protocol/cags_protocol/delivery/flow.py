@@ -14,9 +14,10 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 
 from cags_common.errors import ProtocolError
+from cags_protocol.delivery.competition import Competition, Stance
 from cags_protocol.delivery.round_trips import RoundTrips
 from cags_protocol.delivery.send_queue import Entry
 from cags_protocol.wire import limits
@@ -27,6 +28,12 @@ REORDER_PACKETS = 64
 
 MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
 """Least credit: one packet on the wire, one to follow it."""
+
+OWN_QUEUES = 3.0
+"""A queue is others' that is longer than the one of the credit window by this factor, which allows for probing."""
+
+SLOW_BPS = 300e3
+"""The least credit alone is a queue of 0.4 s on a link as slow as this: no queue on it is others'."""
 
 PACING_GAIN = 1.5
 """Packets leave at most so many times as fast as the link is thought to be: credit that comes at once is spread out,
@@ -77,6 +84,8 @@ class FlowControl:
         self._delivered_us = self._first_sent_us = now_us
         self._round_trips = RoundTrips()
         self._one_way = RoundTrips()  # from the server's clock to the client's: of any sign
+        self._competition = Competition()
+        self._rtt_us = 0
         self._window_full = False
         self._ahead_bytes, self._ahead_us = 0.0, now_us - window_us  # more than the pace allows, and since when
         self.in_flight_bytes = 0
@@ -95,13 +104,29 @@ class FlowControl:
         return self._round_trips.shortest_us
 
     @property
+    def stance(self) -> Stance:
+        """What is done about a queue on the link."""
+        return self._competition.stance
+
+    @property
     def window_bytes(self) -> int:
         """Bytes that may be unacknowledged: the link's own content, ``window_us`` of queue, and room for jitter.
 
-        Without that room a busy machine, whose round trips jump by tens of milliseconds, would never fill its link.
+        Without that room a busy machine, whose round trips jump by tens of milliseconds, would never fill its link. A
+        queue that others hold up counts as the link's own content: else the window left the less the longer it is.
         """
-        jitter_us = self._round_trips.jitter_us
-        return max(MIN_WINDOW_BYTES, int(self.rate_bps * (self._window_us + self.min_rtt_us + jitter_us) / 8e6))
+        if self.stance is Stance.GIVE_WAY:
+            return self._bytes_in(self._window_us + self.min_rtt_us + self._round_trips.jitter_us)
+        return limits.PACKET_BYTES + self._bytes_in(self._window_us + self._rtt_us + self._round_trips.jitter_us)
+
+    def _own_queue_us(self) -> tuple[float, float]:
+        """The longest queue that connections of this kind make as a rule, and what the least credit may add to it."""
+        if self.rate_bps < SLOW_BPS:
+            return inf, 0.0
+        return OWN_QUEUES * self._window_us + self._round_trips.jitter_us, MIN_WINDOW_BYTES * 8e6 / self.rate_bps
+
+    def _bytes_in(self, time_us: float) -> int:
+        return max(MIN_WINDOW_BYTES, int(self.rate_bps * time_us / 8e6))
 
     def has_credit(self, extra_bytes: int = 0) -> bool:
         """Whether another packet may be sent now; ``extra_bytes`` widens the window."""
@@ -162,6 +187,9 @@ class FlowControl:
         rtt_us = self._round_trip_us(newest.sent_us, received_us, delay_us, now_us)
         arrived_us = max(newest.sent_us + rtt_us, self._delivered_us)
         rate = self._rate_sample(newest, arrived_us)
+        self._rtt_us = rtt_us
+        own_us, least_us = self._own_queue_us()
+        self._competition.note(now_us, rtt_us, own_us, sure_us=own_us + least_us)
         self._delivered_us, self._first_sent_us = arrived_us, newest.sent_us
         return AckResult(acked, self._take_lost(largest), rtt_us, rate, newest.app_limited, newest.window_limited)
 

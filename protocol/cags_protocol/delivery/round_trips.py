@@ -14,7 +14,9 @@ JITTER_GAIN, MAX_JITTER_US = 4.0, 80_000
 class RoundTrips:
     """What acknowledgements tell about the path besides its rate."""
 
-    def __init__(self) -> None:
+    def __init__(self, window_us: int = MIN_RTT_WINDOW_US) -> None:
+        """The shortest is taken over ``window_us``."""
+        self._window_us = window_us
         self._rtts: deque[tuple[int, int]] = deque()  # (time, rtt), rising rtt: the front is the minimum
         self._last_us: int | None = None
         self._jitter_us = 0.0
@@ -40,5 +42,5 @@ class RoundTrips:
         while self._rtts and self._rtts[-1][1] >= rtt_us:
             self._rtts.pop()
         self._rtts.append((now_us, rtt_us))
-        while self._rtts[0][0] < now_us - MIN_RTT_WINDOW_US:
+        while self._rtts[0][0] < now_us - self._window_us:
             self._rtts.popleft()

@@ -220,6 +220,7 @@ class ServerSession(Session[ev.ServerEvent]):
             queued_bytes=self._queue.queued_bytes,
             shortest_rtt_us=self._flow.min_rtt_us,
             received_us=ack.received_us,
+            stance=self._flow.stance,
         )
         if self._trace is not None:
             self._trace.acknowledged(sample, self._flow.min_rtt_us)

@@ -9,16 +9,17 @@ import pytest
 
 from cags_common.correction import Correction, FrameScene, Reference, Spheres
 from cags_common.geometry import Camera
-from cags_common.raster import DepthKind, RenderOptions
+from cags_common.raster import DepthKind, Exactness, RenderOptions
 from cags_common.raster.halving import enlarged, halved
 from cags_gpu import submission
+from cags_gpu.correct import Frame
 from cags_gpu.keeper import Keeper
 from cags_gpu.pictures import DevicePictures
 from cags_gpu.raster import GpuRasteriser, GpuScene
 from cags_gpu.workspace import Workspace
 from support.device_frames import CLIENT, EXACT, SERVER, by_definition, lack, plates, reference, share_within
 from support.gpu import any_gpu, needs_adapter, rasteriser
-from support.raster_scenes import F, camera
+from support.raster_scenes import F, camera, psnr_db
 
 pytestmark = needs_adapter
 
@@ -105,6 +106,37 @@ def test_a_frame_of_half_the_pixels_is_brought_up() -> None:
             if correction is not None:
                 assert small.confidence is not None
                 np.testing.assert_array_equal(ours.confidence, small.confidence)
+
+
+@pytest.mark.parametrize("level", [Exactness.BALANCED, Exactness.FAST])
+@pytest.mark.parametrize("corrected", [None, "difference", "picture"])
+def test_pictures_for_a_display_are_kept_in_16_bits_and_shown_as_floats_are(
+    level: Exactness, corrected: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = replace(DISPLAYED, exactness=level)
+    splats = plates()
+    scene = rasteriser().load(replace(splats, sh0=splats.sh0 * 3))  # some brighter than a display
+    correction = None if corrected is None else given(picture(1e-3) if corrected == "picture" else reference())
+    ours = made(scene, correction, options=options)
+    drawn, alpha = ours.drawn, ours.alpha
+    monkeypatch.setattr(Frame, "compact", False)
+    floats = made(scene, correction, options=options)
+    assert 0.9 < floats.drawn.max() <= 1
+    for compact, whole in ((drawn, floats.drawn), (alpha, floats.alpha)):
+        assert np.abs(compact - whole).max() <= 0.5001 / 65535
+        assert (compact != whole).any(), "16 bits are fewer than a float's"
+    off = np.abs(ours.rgb - floats.rgb)
+    assert off.max() <= 1.0001 / 255
+    assert (off > 0).mean() <= 0.01, "only what lies next to a level's edge is shown a level off"
+    assert psnr_db(drawn, floats.drawn) >= 100
+
+
+def test_of_an_exact_frame_no_bit_is_lost() -> None:
+    scene = rasteriser().load(plates())
+    right = scene.render(CLIENT, DISPLAYED)
+    ours = made(scene, None)
+    np.testing.assert_array_equal(ours.drawn, right.rgb)
+    np.testing.assert_array_equal(ours.alpha, right.alpha)
 
 
 def test_nothing_comes_back_but_the_picture_until_it_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,7 +76,7 @@ export class Renderer {
   #sceneNumber = -1;
   #uploaded = 0;
   #held: HeldReference = null;
-  #shown: { target: Target; width: number; height: number } | null = null;
+  #shown: { target: Target; width: number; height: number; compact: boolean } | null = null;
 
   /** Settles once the shaders are compiled, which goes on while a scene is fetched: before it frames take longer. */
   readonly prepared: Promise<unknown>;
@@ -126,7 +126,7 @@ export class Renderer {
       if (!this.#workspace.grow(wanted)) continue;
       this.#scene.submitted();
       this.#held = held;
-      this.#shown = { target, width: widthPx, height: heightPx };
+      this.#shown = { target, width: widthPx, height: heightPx, compact: isCompact(options) };
       this.present();
       return { uploadBytes, entries: wanted, gpuMs: performance.now() - begun, attempts };
     }
@@ -139,7 +139,7 @@ export class Renderer {
 
   /** Put the picture that was drawn last on the canvas (again): it can be read until the page's next turn. */
   present(): void {
-    if (this.#shown) this.#presenter.present(this.#shown.target.get("shown"), this.#shown.target.get("picture"), this.#shown.width);
+    if (this.#shown) this.#presenter.present(this.#shown);
   }
 
   /** The picture that was drawn last, over black: [H, W, 4], 8 bits a channel. */
@@ -168,7 +168,7 @@ export class Renderer {
     this.#workspace.reserve(scene.count, 0, options.exactness === "exact"); // before anything refers to its buffers
     const encoder = device.createCommandEncoder();
     encoder.clearBuffer(this.#workspace.get("state"));
-    const target = scene.record(encoder, camera, drawing(options));
+    const target = scene.record(encoder, camera, drawing(options), "", isCompact(options));
     const held = this.#finish(encoder, scene, target, camera, options);
     encoder.copyBufferToBuffer(this.#workspace.get("state"), 0, this.#counted, 0, 16);
     device.queue.submit([encoder.finish()]);
@@ -190,10 +190,10 @@ export class Renderer {
     const vetoed = (options.changed?.length ?? 0) > 0 || (options.stale ?? 0) > 0;
     this.gpu.device.queue.writeBuffer(target.correction, 0, correctionJob(camera, reference, vetoed));
     const own: Named = { correction: target.correction, shown: target.get("shown") };
-    const flags = SHOWN;
+    const flags = { ...SHOWN, compact: isCompact(options) };
     const { version } = this.#workspace;
     if (!reference) {
-      const steps = target.steps(version, "plain", () =>
+      const steps = target.steps(version, `plain ${flags.compact}`, () =>
         build(this.gpu, "plain", target.counts, flags, (name) => own[name] ?? target.get(name)),
       );
       encode(encoder, steps);
@@ -204,7 +204,7 @@ export class Renderer {
     const named: Named = { ...own, ...Object.fromEntries(kept), veto: target.get("veto_cells") };
     if (vetoed) this.#veto(encoder, scene, target, camera, options);
     const held = this.#expand(encoder, scene, target, { options, reference, counts, named });
-    const key = `correct ${reference.camera.intrinsics.widthPx}x${reference.camera.intrinsics.heightPx} ${counts.sampled_x} ${scene.keptVersion}`;
+    const key = `correct ${flags.compact} ${reference.camera.intrinsics.widthPx}x${reference.camera.intrinsics.heightPx} ${counts.sampled_x} ${scene.keptVersion}`;
     const steps = target.steps(version, key, () =>
       build(this.gpu, "correct", counts, flags, (name) => named[name] ?? target.get(name)),
     );
@@ -260,10 +260,15 @@ export class Renderer {
 
 /** The graphs of a frame, with the flags that they will run with. */
 function everyGraph(): Parameters<typeof prepare>[1] {
-  const frame = { ...frameFlags({ exactness: "balanced" }), ...SHOWN };
+  const frame = { ...frameFlags({ exactness: "balanced" }, true), ...SHOWN };
   const drawn = ["project", "draw", "plain", "expand", "compare", "changed", "correct"].map((name) => [name, frame] as const);
   const moved = { motion: true, looks: false, colour: false };
   return [["update", { motion: true, looks: true, colour: true }], ["update", moved], ["hash", {}], ...drawn];
+}
+
+/** Whether the page's own picture is kept in 16 bits a channel, as `Frame.compact` of `cags_gpu.correct` says of displays. */
+function isCompact({ exactness }: FrameOptions): boolean {
+  return exactness !== "exact";
 }
 
 function drawing(options: FrameOptions): DrawOptions {

@@ -198,7 +198,7 @@ export class ResidentScene {
   }
 
   /** Record a frame: afterwards the target holds picture and, unless `flat`, depth. */
-  record(encoder: GPUCommandEncoder, camera: Camera, options: DrawOptions, role = ""): Target {
+  record(encoder: GPUCommandEncoder, camera: Camera, options: DrawOptions, role = "", compact = false): Target {
     const exact = options.exactness === "exact";
     this.workspace.reserve(this.count, 0, exact);
     const target = this.target(camera, role);
@@ -206,7 +206,7 @@ export class ResidentScene {
     const view = viewBytes(camera, options, { count: this.count, shCount: this.shCount, capacity });
     this.gpu.device.queue.writeBuffer(target.view, 0, view);
     if (this.#unsorted) encode(encoder, this.#hashSteps(target));
-    encode(encoder, this.#frameSteps(target, frameFlags(options)));
+    encode(encoder, this.#frameSteps(target, frameFlags(options, compact)));
     return target;
   }
 
@@ -223,7 +223,7 @@ export class ResidentScene {
   }
 
   #frameSteps(target: Target, flags: Flags): Dispatch[] {
-    return target.steps(this.workspace.version, `frame ${flags.packed}`, () => {
+    return target.steps(this.workspace.version, `frame ${flags.packed} ${flags.compact}`, () => {
       const counts = this.#counts(target);
       const steps = this.#chunks.flatMap((chunk) => {
         const named: Named = { view: target.view, chunk: chunk.job, sh_rest: chunk.shRest };
@@ -247,6 +247,6 @@ export class ResidentScene {
 export type Named = Readonly<Record<string, GPUBuffer>>;
 
 /** What chooses the steps and constants of a frame. */
-export function frameFlags(options: Pick<DrawOptions, "exactness">): Flags {
-  return { packed: options.exactness !== "exact", slots: false, contribution: false };
+export function frameFlags({ exactness }: Pick<DrawOptions, "exactness">, compact: boolean): Flags {
+  return { packed: exactness !== "exact", compact, slots: false, contribution: false };
 }

@@ -2,6 +2,7 @@
 import { check, type Kernels } from "../decode/kernels.ts";
 import type { Steps } from "../decode/looks.ts";
 import type { Chunk } from "./chunk.ts";
+import { partOf, pick, restless } from "./parts.ts";
 
 /** Opacity logit of a splat that is not there: every rasteriser culls it. */
 export const ABSENT_LOGIT = -30;
@@ -29,6 +30,7 @@ export class MovingTile {
   readonly steps: Steps;
   private readonly kernels: Kernels;
   private readonly blocks: number[] = [];
+  private part: MovingTile | undefined;
   private readonly structure = new DataView(new ArrayBuffer(TILE_BYTES));
 
   constructor(kernels: Kernels, chunk: Chunk, rows: Int32Array, steps: Steps) {
@@ -58,8 +60,28 @@ export class MovingTile {
     this.kernels.u8(at, TILE_BYTES).set(new Uint8Array(this.structure.buffer));
   }
 
+  /** The part of the tile that is elsewhere at another time of its chunk: all others keep what any evaluation gave them, bit
+   * by bit. The tile itself where that is most of it. */
+  inMotion(): MovingTile {
+    this.part ??= this.parted();
+    this.part.time = this.time;
+    return this.part;
+  }
+
+  private parted(): MovingTile {
+    const of = restless(this.chunk);
+    if (!of) return this;
+    const { chunk, taken } = partOf(this.chunk, of);
+    const rows = new Int32Array(this.rows.length).fill(-1);
+    for (const splat of of) rows[splat] = this.rows[splat]!;
+    const steps = { moves: pick(this.steps.moves, taken), turns: pick(this.steps.turns, taken) };
+    return new MovingTile(this.kernels, chunk, pick(rows, taken), steps);
+  }
+
   /** Free the copies. */
   dispose(): void {
+    if (this.part !== this) this.part?.dispose();
+    this.part = undefined;
     for (const at of this.blocks) this.kernels.free(at);
     this.blocks.length = 0;
   }

@@ -43,7 +43,7 @@ interface Group {
 }
 
 export class StaticSource implements SceneSource {
-  private readonly decoders: Decoders;
+  private readonly decoders: Promise<Decoders>;
   private readonly fetchAt: Fetch;
   private base = "";
   private options!: ConnectOptions;
@@ -62,8 +62,10 @@ export class StaticSource implements SceneSource {
   private ended = false;
   private timer: ReturnType<typeof setInterval> | undefined;
 
-  constructor(decoders: Decoders, fetchAt: Fetch = (url, init) => fetch(url, init)) {
+  /** `decoders` may be on their way still: the scene is looked up meanwhile. */
+  constructor(decoders: Promise<Decoders>, fetchAt: Fetch = (url, init) => fetch(url, init)) {
     this.decoders = decoders;
+    decoders.catch(() => undefined); // told when they are needed
     this.fetchAt = fetchAt;
   }
 
@@ -132,12 +134,13 @@ export class StaticSource implements SceneSource {
       if (!manifest.files.length) throw new BundleError("manifest: does not say where tiles lie");
       const published = manifest.manifest["published"] as { codebooks?: unknown } | undefined;
       const name = typeof published?.codebooks === "string" ? published.codebooks : "codebooks.bin";
-      const scene = new SceneStore(manifest, this.decoders, this.at);
       const books = this.whole(name);
       const index = this.fetchIndex(manifest, gofOf(manifest, this.at)); // meanwhile
       void index.then(() => this.next(), (error: unknown) => this.fail(error));
-      scene.codebooks(await books);
-      if (this.ended) return scene.dispose();
+      const [decoders, data] = await Promise.all([this.decoders, books]);
+      if (this.ended) return;
+      const scene = new SceneStore(manifest, decoders, this.at);
+      scene.codebooks(data);
       this.scene = scene;
       this.listen({ type: "info", info: sceneInfo(manifest, true) });
       this.next();

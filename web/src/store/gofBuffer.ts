@@ -264,11 +264,10 @@ export function viewCone(camera: Camera): (sphere: readonly [number, number, num
 }
 
 function where(flags: Uint8Array, wanted: number): Int32Array {
+  const out = new Int32Array(flags.length);
   let count = 0;
-  for (const flag of flags) if (flag === wanted) count++;
-  const out = new Int32Array(count);
-  for (let i = 0, to = 0; i < flags.length; i++) if (flags[i] === wanted) out[to++] = i;
-  return out;
+  for (let i = 0; i < flags.length; i++) if (flags[i] === wanted) out[count++] = i;
+  return out.slice(0, count);
 }
 
 /** Rows of several tiles, no row of two of them, each tile's ascending: all of them, ascending. */

@@ -21,8 +21,10 @@ class Motion {
   readonly chunks = new Map<number, { readonly chunk: Chunk; readonly end: number }>();
   /** First frame of the chunk that is shown, and the time; undefined: splats are as their looks say. */
   shown: readonly [number, number] | undefined;
-  /** Whether looks, an update or motion came since. */
+  /** Whether looks or motion came since. */
   dirty = true;
+  /** Whether opacities of looks were updated since: those of what is in motion have to be evaluated again. */
+  updated = false;
   private tile: MovingTile | undefined;
 
   /** First frame of the chunk to show at `time`. */
@@ -34,11 +36,12 @@ class Motion {
 
   /** Whether the chunk from `start` is shown as it is at `time` already. */
   settled(start: number, time: number): boolean {
-    if (this.dirty || !this.shown || this.shown[0] !== start) return false;
+    if (this.dirty || this.updated || !this.shown || this.shown[0] !== start) return false;
     return this.shown[1] === time || Math.min(this.shown[1], time) >= this.chunks.get(start)!.end;
   }
 
-  /** The tile at `time`; made anew only where something else than the time has changed. */
+  /** The splats of a tile that are not shown as they are at `time`: all of them, but where the same chunk is shown. Made anew
+   * only where something else than the time has changed. */
   tileAt(kernels: Kernels, start: number, time: number, held: StoredLooks): MovingTile {
     const { chunk } = this.chunks.get(start)!;
     const { tile } = this;
@@ -47,7 +50,7 @@ class Motion {
       this.tile = new MovingTile(kernels, chunk, held.rows!, held.steps!);
     }
     this.tile!.time = time - start;
-    return this.tile!;
+    return !this.dirty && this.shown?.[0] === start ? this.tile!.inMotion() : this.tile!;
   }
 
   dispose(): void {
@@ -71,6 +74,7 @@ export class SplatBuffer {
   private owners: Int32Array | undefined;
   private sources!: Int32Array;
   private removedAt!: Int32Array;
+  private seen!: Uint8Array; // all zeros but within a call
   private updated!: Record<UpdateColumn, Int32Array>;
 
   /** `onReplaced` hears of each tile of which nothing is shown any more. */
@@ -146,6 +150,7 @@ export class SplatBuffer {
     this.still = Object.fromEntries(MOVING.map((name) => [name, room(name)])) as Record<Moving, number>;
     const unset = (): Int32Array => new Int32Array(this.capacity).fill(-1);
     [this.owners, this.sources, this.removedAt] = [unset(), unset(), unset()];
+    this.seen = new Uint8Array(this.capacity);
     this.updated = { log_scales: unset(), logit_opacities: unset(), sh0: unset(), sh_rest: unset() };
     for (const name of COLUMNS) blank(this.column(name), name);
     for (const name of MOVING) blank(this.stillColumn(name), name);
@@ -252,40 +257,55 @@ export class SplatBuffer {
 
   // ------------------------------------------------------------------------------------------------------------ updates
 
-  /** Take an update of media frame `frame`; the rows that changed. */
+  /** Take an update of media frame `frame`; the rows that changed, each once. */
   update(frame: number, values: UpdateValues): Int32Array {
     this.made();
-    const taken = [...values].map(([column, { ids, values: all }]) => {
-      const chosen = [...ids.keys()].filter((i) => this.takes(frame, column, ids[i]!));
-      return { column, chosen, ids: chosen.map((i) => ids[i]!), all };
-    });
-    const out = new Set<number>();
-    for (const { ids } of taken) for (const id of ids) if (this.owners![id]! >= 0) out.add(id);
-    const owners = new Set([...out].map((row) => this.owners![row]!));
-    const moving = new Set([...owners].filter((index) => this.touch(this.slots[index]!)));
-    for (const { column, chosen, ids, all } of taken) this.takeColumn(frame, column, ids, chosen, all, moving);
-    return Int32Array.from(out).sort();
+    const rows = new Int32Array([...values.values()].reduce((sum, { ids }) => sum + ids.length, 0));
+    let count = 0;
+    for (const [column, { ids, values: all }] of values) {
+      const chosen = this.chosen(frame, column, ids);
+      for (const i of chosen) {
+        const id = ids[i]!;
+        if (this.owners![id]! >= 0 && !this.seen[id]) rows[count++] = id;
+        this.seen[id] = 1;
+      }
+      this.takeColumn(frame, column, { ids, chosen, all });
+    }
+    for (const { ids } of values.values()) for (const id of ids) this.seen[id] = 0;
+    return rows.subarray(0, count);
   }
 
   private takeColumn(
-    frame: number, column: UpdateColumn, ids: number[], chosen: number[], values: Float32Array, moving: ReadonlySet<number>,
+    frame: number, column: UpdateColumn, { ids, chosen, all }: { ids: Int32Array; chosen: Int32Array; all: Float32Array },
   ): void {
-    const [target, width] = [this.column(column), this.width(column)];
+    const [target, width, updated, owners] = [this.column(column), this.width(column), this.updated[column], this.owners!];
     const still = isMoving(column) ? this.stillColumn(column) : undefined;
-    ids.forEach((id, k) => {
-      this.updated[column][id] = frame;
-      const owner = this.owners![id]!;
-      const here = !still || (owner >= 0 && !moving.has(owner));
-      for (let d = 0; d < width; d++) {
-        const value = values[chosen[k]! * width + d]!;
-        if (still) still[id * width + d] = value;
-        if (here) target[id * width + d] = value;
+    const touched = new Set<number>();
+    for (const i of chosen) {
+      const id = ids[i]!;
+      updated[id] = frame;
+      if (still) {
+        for (let d = 0; d < width; d++) still[id * width + d] = all[i * width + d]!;
+        if (owners[id]! < 0) continue;
+        touched.add(owners[id]!);
       }
-    });
+      for (let d = 0; d < width; d++) target[id * width + d] = all[i * width + d]!; // what is in motion is evaluated once more
+    }
+    for (const index of touched) {
+      const motion = this.motions.get(this.slots[index]!.key);
+      if (motion) motion.updated = true;
+    }
   }
 
-  private takes(frame: number, column: UpdateColumn, id: number): boolean {
-    return this.updated[column][id]! <= frame && this.sources[id]! <= frame && this.removedAt[id]! <= frame;
+  /** Which of `ids` an update of `frame` still says anything new of. */
+  private chosen(frame: number, column: UpdateColumn, ids: Int32Array): Int32Array {
+    const [updated, out] = [this.updated[column], new Int32Array(ids.length)];
+    let count = 0;
+    for (let i = 0; i < ids.length; i++) {
+      const id = ids[i]!;
+      if (updated[id]! <= frame && this.sources[id]! <= frame && this.removedAt[id]! <= frame) out[count++] = i;
+    }
+    return out.subarray(0, count);
   }
 
   /** Whether the update of `frame` of columns' `idsOf` is the newest for any splat that is there or may come; with `shown`:
@@ -350,7 +370,7 @@ export class SplatBuffer {
       const { chunk, end } = motion.chunks.get(start)!;
       slot.ended = time >= end && endsAll(chunk);
       motion.shown = [start, time];
-      motion.dirty = false;
+      motion.dirty = motion.updated = false;
     }
     if (!tiles.length) return [];
     const columns = this.made();

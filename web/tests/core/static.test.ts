@@ -8,7 +8,7 @@ import { draco, kernels, vectors } from "./vectors.ts";
 
 const url = process.env["CAGS_FOLDER"]!;
 const expected = vectors<{ ids: number[]; columns: Record<string, number> }[]>("expected");
-const decoders = { kernels: await kernels(), draco: await draco() };
+const decoders = Promise.all([kernels(), draco()]).then(([wasm, decoder]) => ({ kernels: wasm, draco: decoder }));
 const OPTIONS: ConnectOptions = {
   intrinsics: { widthPx: 400, heightPx: 300, fxPx: 60, fyPx: 60, cxPx: 200, cyPx: 150 },
   pose: { position: [0, 0, 0], rotation: [1, 0, 0, 0] },
@@ -18,6 +18,15 @@ type Events = SourceEvent[];
 
 const sources: StaticSource[] = [];
 after(() => sources.forEach((source) => source.close()));
+
+type Loaded = Awaited<typeof decoders>;
+
+/** Decoders that come when they are told to. */
+function onTheirWay(): { promise: Promise<Loaded>; resolve: (loaded: Loaded) => void; reject: (error: Error) => void } {
+  let [resolve, reject]: [(loaded: Loaded) => void, (error: Error) => void] = [() => {}, () => {}];
+  const promise = new Promise<Loaded>((done, failed) => ([resolve, reject] = [done, failed]));
+  return { promise, resolve, reject };
+}
 
 function opened(fetchAt?: Fetch): StaticSource {
   const source = new StaticSource(decoders, fetchAt);
@@ -53,6 +62,46 @@ async function complete(source: StaticSource, frame: number): Promise<{ ids: num
   });
   return { ids, columns: Object.fromEntries(columns) };
 }
+
+test("the scene is looked up while its decoders are on their way", { timeout: 60_000 }, async () => {
+  const [events, asked]: [Events, string[]] = [[], []];
+  const late = onTheirWay();
+  const source = new StaticSource(late.promise, (at, init) => {
+    asked.push(at.slice(url.length));
+    return fetch(at, init);
+  });
+  sources.push(source);
+  source.connect(url, OPTIONS, (event) => events.push(event));
+  await until("manifest, codebooks and index", () => asked.length === 3);
+  assert.match(asked[0]!, /manifest/);
+  assert.ok(!events.some((event) => event.type === "info"));
+  late.resolve(await decoders);
+  await until("frame 0", () => whole(events, 0));
+});
+
+test("a viewer that leaves before its decoders have come takes nothing with it", { timeout: 60_000 }, async () => {
+  const events: Events = [];
+  const late = onTheirWay();
+  const source = new StaticSource(late.promise);
+  source.connect(url, OPTIONS, (event) => events.push(event));
+  source.close();
+  late.resolve(await decoders);
+  await sleep(200);
+  assert.ok(!events.some((event) => event.type === "info" || event.type === "error"));
+});
+
+test("decoders that do not come are said once", { timeout: 60_000 }, async () => {
+  const events: Events = [];
+  const late = onTheirWay();
+  const source = new StaticSource(late.promise);
+  sources.push(source);
+  source.connect(url, OPTIONS, (event) => events.push(event));
+  late.reject(new Error("the viewer's decoders cannot be fetched from the server"));
+  await until("the error", () => events.some((event) => event.type === "error"));
+  await sleep(200);
+  const errors = events.filter((event) => event.type === "error").map(({ error }) => [error.message, error.fatal]);
+  assert.deepEqual(errors, [["the viewer's decoders cannot be fetched from the server", true]]);
+});
 
 test("a folder plays to its end, seeks, and shows the bundle in full", { timeout: 60_000 }, async () => {
   const events: Events = [];

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from cags_protocol.delivery.competition import Stance
 from cags_protocol.delivery.round_trips import RoundTrips
 from cags_protocol.events import AckSample
 from cags_protocol.wire.limits import PACKET_BYTES
@@ -30,7 +31,10 @@ INITIAL_BPS = 8e6
 
 MIN_BPS, MAX_BPS = 64e3, 10e9
 
-STARTUP_GAIN, LOADED_GAIN = 2.0, 0.95
+STARTUP_GAIN = 2.0
+
+LOADED_GAINS = {Stance.GIVE_WAY: 0.95, Stance.TRY: 0.7, Stance.COMPETE: 1.25}
+"""What may be sent while a queue stands."""
 
 PROBE_BPS, LEAST_PROBE, MOST_PROBE = 450e3, 0.03, 0.6
 """What may be sent above the estimate while no queue stands, and its bounds, shares of the estimate."""
@@ -64,6 +68,8 @@ class MeasuredEstimator:
         self._queued_us = 0  # when a queue was last seen
         self._samples: deque[tuple[int, int, float]] = deque()  # (time, bytes, rate) of samples that show the link
         self._round_trips = RoundTrips()
+        self._stance, self._tried_bps = Stance.GIVE_WAY, 0.0  # the rate when less began to be sent to try a queue out
+        self._tried_until_us = 0
         self._newest: AckSample | None = None
 
     def on_ack(self, sample: AckSample) -> None:
@@ -76,13 +82,15 @@ class MeasuredEstimator:
             return
         queue_us = sample.rtt_us - trips.shortest_us
         queued = queue_us > QUEUE_US + trips.jitter_us
-        backed_up = sample.app_limited and queue_us > BACKED_UP_US
+        self._take_stance(sample)
+        backed_up = sample.app_limited and queue_us > BACKED_UP_US and sample.stance is Stance.GIVE_WAY
         if backed_up:  # the link was busy all that time, and may have been idle only before
-            rate *= sample.rtt_us / queue_us
+            rate = min(rate * sample.rtt_us / queue_us, max(rate, self._rate_bps))
         self._loaded = shows_link = queued and (backed_up or not sample.app_limited)
         if shows_link:
             self._queued_us = sample.now_us
-        if not shows_link and rate <= self._rate_bps:
+        tried = sample.now_us < self._tried_until_us
+        if (tried or not shows_link) and rate <= self._rate_bps:
             return
         self._startup = self._startup and not shows_link
         self._samples.append((sample.now_us, sample.newly_delivered_bytes, rate))
@@ -98,13 +106,25 @@ class MeasuredEstimator:
 
     def allowance_bps(self, now_us: int) -> float:
         """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
-        gain = LOADED_GAIN if self._loaded else STARTUP_GAIN if self._startup else self._probe_gain(now_us)
+        if self._loaded or self._stance is not Stance.GIVE_WAY:
+            gain = LOADED_GAINS[self._stance]
+        else:
+            gain = STARTUP_GAIN if self._startup else self._probe_gain(now_us)
         return min(max(min(self._rate_bps, self._silence_bps(now_us)) * gain, MIN_BPS), MAX_BPS)
 
     def _probe_gain(self, now_us: int) -> float:
         doublings = max(now_us - self._queued_us - QUIET_US, 0) / DOUBLES_US
         least = LEAST_PROBE * math.exp2(min(doublings, math.log2(MOST_GROWN / LEAST_PROBE)))
         return 1.0 + min(max(PROBE_BPS / max(self._rate_bps, MIN_BPS), least), MOST_PROBE)
+
+    def _take_stance(self, sample: AckSample) -> None:
+        """What was sent to try a queue out is no measure of the link, where others turn out to hold that queue."""
+        if sample.stance is Stance.TRY and self._stance is not Stance.TRY:
+            self._tried_bps = self._rate_bps
+        elif sample.stance is Stance.COMPETE and self._stance is Stance.TRY:
+            self._rate_bps, self._tried_until_us = max(self._rate_bps, self._tried_bps), sample.now_us + sample.rtt_us
+            self._samples.clear()
+        self._stance = sample.stance
 
     def _silence_bps(self, now_us: int) -> float:
         """The most that the link can carry if nothing has arrived since the newest acknowledgement."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import cags_kernels
 from cags_common.motion.apply import ABSENT_LOGIT, Looks, MovingTile, Steps, evaluate, move_rows
 from cags_common.motion.chunk import Blocks, Chunk
 
@@ -120,4 +121,62 @@ def test_what_does_not_fit_is_refused_and_nothing_written(rows: list[int], time:
     bad, into = MovingTile(still(), time, np.array(rows, np.int32), STEPS), into_of(9)
     with pytest.raises(ValueError, match="motion"):
         move_rows([good, bad], looks_of(9), into)
+    assert (into.means == 9).all()
+
+
+def mixed(count: int, seed: int) -> Chunk:
+    """Blocks of seven, of which some turn; splats that move, turn, stand elsewhere, fade, end, or stand still."""
+    random = np.random.default_rng(seed)
+    kinds = random.integers(0, 6, count)
+    moves, turns = (random.integers(-99, 99, (SPAN + 1, count, width)).astype(np.int32) for width in (3, 4))
+    for part, moving in ((moves, 1), (turns, 2)):
+        part[:, (kinds != moving) & (kinds != 3)] = 0
+        part[:, kinds == 3] = part[0, kinds == 3]
+    rigid = [random.integers(-99, 99, (SPAN + 1, -(-count // 7), 3)).astype(np.int32) for _ in range(2)]
+    for part in rigid:
+        part[:, 1::2] = part[0, 1::2]
+    fades = np.where(kinds[:, None] == 4, [2, 1], [0, np.inf]).astype(np.float32)
+    lives = np.where(kinds == 5, 2, SPAN + 1).astype(np.uint8)
+    blocks = Blocks(7, 0.01, *rigid) if seed % 2 else None
+    parts = {"splats": count, "moves": moves, "turns": turns, "fades": fades, "lives": lives, "blocks": blocks}
+    return still(**parts)
+
+
+@pytest.mark.parametrize("native", [False, True] if cags_kernels.native_available() else [False])
+@pytest.mark.parametrize("seed", range(4))
+def test_only_what_is_in_motion_is_evaluated_again_and_all_bits_are_those_of_a_whole_evaluation(
+    seed: int, native: bool
+) -> None:
+    count = 45
+    chunk, looks = mixed(count, seed), looks_of(count)
+    steps = Steps(np.full(count, 0.5, np.float32), np.full(count, 0.25, np.float32))
+    rows = np.random.default_rng(seed).permutation(count).astype(np.int32)
+    rows[::9] = -1
+    tile, into = MovingTile(chunk, 0.0, rows, steps), into_of(count)
+    move_rows([tile], looks, into, native=native)
+    for time in (0.5, 1.0, 2.0, 3.75, 4.0, 9.0, 0.25):
+        tile.time, whole, before = time, into_of(count), into.means.copy()
+        part = tile.in_motion()
+        move_rows([part], looks, into, native=native)
+        move_rows([MovingTile(chunk, time, rows, steps)], looks, whole, native=native)
+        for name in ("means", "quats", "logit_opacities"):
+            assert np.array_equal(getattr(into, name), getattr(whole, name)), (time, name)
+        told = np.zeros(count, bool)
+        told[part.rows[part.rows >= 0]] = True
+        assert not (into.means != before).any(axis=1)[~told].any()
+    assert 0 < told.sum() < 0.9 * count
+
+
+def test_of_a_tile_in_which_everything_moves_the_part_in_motion_is_the_tile() -> None:
+    moves = np.arange((SPAN + 1) * SPLATS * 3, dtype=np.int32).reshape(SPAN + 1, SPLATS, 3)
+    tile = MovingTile(still(moves=moves), 0.0, np.arange(SPLATS, dtype=np.int32), STEPS)
+    assert tile.in_motion() is tile
+
+
+def test_nothing_of_a_tile_that_stands_is_in_motion() -> None:
+    tile = MovingTile(
+        still(moves=np.full((SPAN + 1, SPLATS, 3), 8, np.int32)), 1.0, np.arange(3, dtype=np.int32), STEPS
+    )
+    assert len(tile.in_motion().rows) == 0
+    move_rows([tile.in_motion()], looks_of(), into := into_of(SPLATS))
     assert (into.means == 9).all()

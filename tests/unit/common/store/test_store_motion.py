@@ -9,14 +9,15 @@ from cags_common.bundle import TilePayloads
 from cags_common.bundle.codecs import MotionTile, SvqTileCodec
 from cags_common.errors import DecodeError
 from cags_common.motion.apply import ABSENT_LOGIT
-from cags_common.motion.chunk import DEADZONES, LEVELS, Chunk
+from cags_common.motion.chunk import DEADZONES, LEVELS, Chunk, encode
 from cags_common.store.motions import StoredMotion, to_stage
 from cags_common.store.tile_decode import Arrival
 from cags_common.store.tile_store import TileStore
 from cags_common.store.versions import Versions
 from cags_common.tiles.inventory import InventoryEntry
+from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.splat_buffer import Slot, SplatBuffer
-from support.small_motion import looks, motion, moving, recoloured
+from support.small_motion import BOX, looks, motion, moving, recoloured, update
 from support.small_store import books, manifest, removed, xs
 
 LAST = 3
@@ -61,6 +62,51 @@ def test_only_what_moved_is_told_of_and_apart_from_what_is_new(store: TileStore)
     send(store, 1, 0, looks([1], 9))
     _, committed = store.commit(1)
     assert (committed.rows.tolist(), committed.moved.tolist()) == ([1], [0])
+
+
+def some_moving(store: TileStore) -> None:
+    """A tile of two splats of which the second moves."""
+    moves = np.zeros((4, 2, 3))
+    moves[:, 1, 0] = [0, 64, 128, 192]
+    payloads = encode((0, 0), moves, None, starts=True)
+    send(store, 0, 0, looks([0, 1], 5))
+    send(store, 0, 1, TilePayloads(2, None, BOX, payloads, TileKind.MOTION, (0, 0), 3))
+
+
+def test_splats_that_stand_in_a_tile_that_moves_are_told_of_once(store: TileStore) -> None:
+    some_moving(store)
+    end_all(store)
+    store.commit(0)
+    told = [store.commit(frame)[1] for frame in range(1, LAST + 1)]
+    assert [(c.rows.tolist(), c.moved.tolist()) for c in told] == [([], [1])] * LAST
+    between = store.move(LAST, -0.5)
+    assert between is not None and between[1].moved.tolist() == [1]
+
+
+def test_a_splat_of_another_colour_moves_none_and_one_of_another_opacity_is_shown_where_it_is(store: TileStore) -> None:
+    some_moving(store)
+    send(store, 1, 0, recoloured([1], 7))
+    changed = {"opacity": np.ones(1, bool)}
+    send(store, 2, 0, update([0], changed, {"opacity": np.array([6])}))
+    end_all(store)
+    opacities = []
+    for frame in range(LAST + 1):
+        shown, committed = store.commit(frame)
+        opacities.append(shown.splats.logit_opacities[0])
+        if frame == 1:
+            assert (committed.rows.tolist(), committed.moved.tolist()) == ([1], [])
+            assert shown.splats.means[1, 0] > shown.splats.means[0, 0], "it has moved on nevertheless"
+    assert opacities[0] == opacities[1] != opacities[2] == opacities[3]
+
+
+def test_a_splat_that_has_ended_does_not_come_back_by_another_opacity(store: TileStore) -> None:
+    send(store, 0, 0, looks([0, 1], 5))
+    send(store, 0, 1, motion((0, 0), 2, [0, 0], lives=[1, 2]))
+    send(store, 3, 0, update([0, 1], {"opacity": np.ones(2, bool)}, {"opacity": np.array([6, 6])}))
+    end_all(store)
+    opacities = [store.commit(frame)[0].splats.logit_opacities[:2].copy() for frame in range(LAST + 1)]
+    assert all(shown[0] == ABSENT_LOGIT for shown in opacities[1:])
+    assert opacities[0][1] == opacities[2][1] != opacities[3][1]
 
 
 def test_lives_end_without_a_message_and_a_newer_chunk_says_when(store: TileStore) -> None:

@@ -3,9 +3,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
+from cags_protocol.delivery.competition import Stance
 from cags_protocol.delivery.flow import MAX_PACING_US, MIN_WINDOW_BYTES, PACING_GAIN, REORDER_PACKETS, FlowControl
 from cags_protocol.delivery.round_trips import MIN_RTT_WINDOW_US
 from cags_protocol.delivery.send_queue import Entry
+from cags_protocol.wire.limits import PACKET_BYTES
 from cags_protocol.wire.messages import SeqRange
 from support.wire_pair import tile
 
@@ -37,6 +39,29 @@ def test_credit_is_rate_times_window_and_round_trip():
     ack(control, [SeqRange(1, 1)], 60_000)
     assert control.min_rtt_us == 60_000
     assert control.window_bytes == 100_000
+
+
+def test_a_queue_that_others_hold_up_counts_as_the_links_own():
+    control, now_us = flow(rate_bps=8e6), 0
+    for step in range(300):
+        now_us += 10_000
+        seq = send(control, now_us)
+        ack(control, [SeqRange(seq, seq)], now_us + (50_000 if step == 0 else 250_000))
+        now_us += 250_000 if step else 50_000
+        if control.stance is Stance.COMPETE:
+            break
+    assert control.window_bytes == pytest.approx(40_000 + 250_000 + PACKET_BYTES, rel=0.3)
+    assert control.min_rtt_us == 50_000
+
+
+def test_on_a_slow_link_the_queue_is_its_own():
+    """Two packets of credit take half a second of 250 kbit/s."""
+    control, now_us = flow(rate_bps=250e3, window_us=20_000), 0
+    for step in range(60):
+        seq = send(control, now_us, 8192)
+        now_us += 50_000 if step == 0 else 400_000
+        ack(control, [SeqRange(seq, seq)], now_us)
+        assert control.stance is Stance.GIVE_WAY
 
 
 def test_credit_never_falls_below_two_packets():

@@ -1,5 +1,6 @@
 import pytest
 
+from cags_protocol.delivery.competition import Stance
 from cags_protocol.events import AckSample
 from cags_protocol.wire.limits import PACKET_BYTES
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator, OracleEstimator
@@ -147,3 +148,41 @@ def test_sessions_that_share_a_link_come_to_equal_rates(link_mbps: float, sessio
     got = share([first, *late], link_mbps, 30)
     assert sum(got) > 0.85 * link_mbps
     assert sum(got) ** 2 > 0.9 * sessions * sum(rate**2 for rate in got), got
+
+
+def stand(estimator: MeasuredEstimator, stance: Stance, rate: float, start_ms: int, ms: int) -> None:
+    """A queue of 200 ms stands; this session's part of the link is ``rate`` Mbps."""
+    for t in range(start_ms, start_ms + ms, 5):
+        sample = AckSample(t * 1000, int(rate * 625), RTT_US + 200_000, False, rate * 1e6, stance=stance)
+        estimator.on_ack(sample)
+
+
+def test_a_session_that_competes_sends_more_than_it_gets() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    stand(estimator, Stance.GIVE_WAY, 3, 5, 1000)
+    assert allowance(estimator) < 3
+    stand(estimator, Stance.COMPETE, 3, 1005, 1000)
+    assert allowance(estimator) > 3.5
+
+
+def test_what_was_sent_to_try_a_queue_out_is_forgotten_when_others_hold_it() -> None:
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    stand(estimator, Stance.COMPETE, 3, 5, 2000)
+    stand(estimator, Stance.TRY, 2, 2005, 600)
+    assert mbps(estimator) == pytest.approx(2, rel=0.1)
+    stand(estimator, Stance.COMPETE, 2, 2605, 200)  # sent before the trial ended
+    assert mbps(estimator) == pytest.approx(3, rel=0.1)
+    stand(estimator, Stance.COMPETE, 2.5, 2805, 1000)
+    assert mbps(estimator) == pytest.approx(2.5, rel=0.1)
+
+
+def test_a_queue_of_others_does_not_show_a_faster_link() -> None:
+    """Samples behind a long queue, taken while little was to be sent, tell of falls alone."""
+    estimator = MeasuredEstimator()
+    idle(estimator, 1, 0, 5)
+    busy(estimator, 3, 5, 1000)
+    for t in range(1005, 3005, 5):
+        estimator.on_ack(AckSample(t * 1000, 1250, RTT_US + 120_000, True, delivery_rate_bps=2.9e6))
+    assert mbps(estimator) <= 3.1

@@ -1,0 +1,119 @@
+"""What the frames of a clip hand to a renderer, counted, and what that would be if the device evaluated motion.
+
+A row that only moved takes 36 bytes (its index, position, opacity and rotation), one that changed otherwise all of its
+columns. A device that evaluated motion would be given each chunk once: of every splat that is ever elsewhere its row,
+its place before motion, its units, and a 32-bit number for each part of each sample. Such rows would then cost nothing
+a frame, and one that changed otherwise only its other columns.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_bench.jsonl import JsonObject
+from cags_common.bundle import BundleReader
+from cags_common.motion.chunk import Chunk
+from cags_common.splats import Splats
+from cags_common.store.gof_buffer import Committed
+from cags_common.store.tile_decode import Arrival
+from cags_common.store.tile_store import TileStore
+from cags_common.tiles.kinds import TileKind
+
+NO_IDS = np.zeros(0, np.int32)
+
+MOVED_BYTES, MOVING_COLUMNS_BYTES = 36, 32
+STATE_BYTES = 44
+"""Of a splat in a chunk on a device: row, position, opacity, rotation, and the units of its positions and rotations."""
+
+
+@dataclass
+class _Counts:
+    """Sums over the frames after the first of each group."""
+
+    frames: int = 0
+    moved: int = 0
+    changed: int = 0
+    differ: int = 0
+    untold: int = 0
+    seconds: float = 0.0
+
+
+def frame_uploads(reader: BundleReader) -> JsonObject:
+    """Means over the frames of a clip that do not begin a group, with every level, in the order of play."""
+    manifest = reader.manifest
+    store, counts = TileStore(manifest, reader.codec), _Counts()
+    before: NDArray[np.uint32] | None = None
+    for frame in range(manifest.frames):
+        for error in store.add_all(_arrivals(reader, frame)) + store.flush():
+            raise error
+        store.end(frame, reader.removed_ids(frame) if manifest.motion is None else NO_IDS)  # lives say when splats end
+        begun = time.thread_time()
+        shown, committed = store.commit(frame)
+        seconds = time.thread_time() - begun
+        now = _words(shown.splats)
+        if before is not None and not committed.fresh:
+            _count(counts, committed, before, now)
+            counts.seconds += seconds
+        before = now
+    row = 4 * (1 + (0 if before is None else before.shape[1]))
+    n = max(counts.frames, 1)
+    return {
+        "rows_moved_a_frame": round(counts.moved / n),
+        "rows_changed_a_frame": round(counts.changed / n),
+        "rows_that_differ_a_frame": round(counts.differ / n),
+        "rows_that_differ_and_are_not_told_of": counts.untold,
+        "upload_bytes_a_frame": round((MOVED_BYTES * counts.moved + row * counts.changed) / n),
+        "upload_bytes_a_frame_device_motion": round(
+            (_chunk_bytes(reader) + (row - MOVING_COLUMNS_BYTES) * counts.changed) / n
+        ),
+        "commit_cpu_ms": round(1e3 * counts.seconds / n, 3),
+    }
+
+
+def _arrivals(reader: BundleReader, frame: int) -> list[Arrival]:
+    return [
+        Arrival(frame, e.tile, 0, [memoryview(reader.payload(frame, e.tile, lod)) for lod in range(len(e.lod_bytes))])
+        for e in reader.frame(frame).tiles
+    ]
+
+
+def _words(splats: Splats) -> NDArray[np.uint32]:
+    """Every column's bits [N, words]."""
+    columns = [np.ascontiguousarray(array, np.float32).reshape(len(splats), -1) for _, array in splats.arrays()]
+    return np.concatenate(columns, axis=1).view(np.uint32)
+
+
+def _count(counts: _Counts, committed: Committed, before: NDArray[np.uint32], now: NDArray[np.uint32]) -> None:
+    differ = (before != now).any(axis=1)
+    told = np.zeros(len(now), bool)
+    told[committed.rows] = told[committed.moved] = True
+    counts.frames += 1
+    counts.moved += len(committed.moved)
+    counts.changed += len(committed.rows)
+    counts.differ += int(differ.sum())
+    counts.untold += int((differ & ~told).sum())
+
+
+def _chunk_bytes(reader: BundleReader) -> int:
+    """Of all chunks together."""
+    total = 0
+    for frame in range(reader.manifest.frames):
+        for entry in reader.frame(frame).tiles:
+            if entry.kind == TileKind.MOTION:
+                state = reader.codec.open_tile(reader.payload(frame, entry.tile, 0))
+                for lod in range(1, len(entry.lod_bytes)):
+                    state.add_layer(lod, reader.payload(frame, entry.tile, lod))
+                chunk = state.chunk  # type: ignore[union-attr]
+                total += _device_bytes(chunk)
+    return total
+
+
+def _device_bytes(chunk: Chunk) -> int:
+    count = chunk.splats if chunk.restless is None else len(chunk.restless)
+    parts = 3 * (chunk.moves is not None) + 4 * (chunk.turns is not None)
+    blocks = 0 if chunk.blocks is None else 24 * chunk.blocks.shifts.shape[1]
+    return count * (STATE_BYTES + 4 * parts * (chunk.span + 1)) + blocks * (chunk.span + 1)
