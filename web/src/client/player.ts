@@ -41,7 +41,8 @@ export class ClientPlayer implements Playing {
   #wanted: { readonly frame: number; readonly untilMs: number } | null = null;
   #key = "";
   #mine = false;
-  #newestPoseUs = 0;
+  /** When the page's camera was where the newest picture shows it from; 0 before any such picture. */
+  movedUs = 0;
 
   constructor(view: ClientView) {
     this.#view = view;
@@ -186,8 +187,8 @@ export class ClientPlayer implements Playing {
     this.shown = head;
     this.shownMs = performance.now();
     if (head.frame === this.#wanted?.frame) this.#wanted = null;
-    if (head.pose_at_us !== null && head.pose_at_us > this.#newestPoseUs) {
-      this.#newestPoseUs = head.pose_at_us;
+    if (head.pose_at_us !== null && head.pose_at_us > this.movedUs) {
+      this.movedUs = head.pose_at_us;
       this.photonMs.push((nowUs() - head.pose_at_us) / 1000);
       if (this.photonMs.length > KEPT) this.photonMs.shift();
     }

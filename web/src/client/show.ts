@@ -6,7 +6,7 @@ import { the } from "../page/dom.ts";
 import type { Figure } from "../page/inspector.ts";
 import { milliseconds } from "../page/inspector.ts";
 import { SHORT_OF_DETAIL, STALE_US, type Verdict } from "../page/light.ts";
-import type { Pose } from "../seam.ts";
+import { nowUs, type Pose } from "../seam.ts";
 import { Line } from "./line.ts";
 import * as to from "./messages.ts";
 import type { ClientText, FrameHead, SceneText } from "./messages.ts";
@@ -113,7 +113,7 @@ export class ClientShow implements Show {
     const { shown, shownMs, info, state, photonMs } = this.player;
     const fresh = (text: string | undefined): string | undefined => (performance.now() - shownMs < STALE_US / 1000 ? text : undefined);
     const number = (name: string, unit: string): string | undefined => (typeof shown?.stats[name] === "number" ? fresh(`${brief(shown.stats[name])} ${unit}`) : undefined);
-    const lately = photonMs.slice(-LATELY).sort((a, b) => a - b);
+    const lately = this.#photonMs === undefined ? [] : photonMs.slice(-LATELY).sort((a, b) => a - b);
     const detail = shown && info ? detailOf(shown, info) : undefined;
     const picture = shown?.pictures[0];
     return [
@@ -129,6 +129,11 @@ export class ClientShow implements Show {
       ["Link's capacity", state?.shaper?.capacity_mbps === undefined ? undefined : `${brief(state.shaper.capacity_mbps)} Mbit/s`],
       ["PSNR", number("psnr_restored_db", "dB")],
     ];
+  }
+
+  /** From the last movement of a hand to its picture; undefined where that is a while ago. */
+  get #photonMs(): number | undefined {
+    return nowUs() - this.player.movedUs < STALE_US ? this.player.photonMs.at(-1) : undefined;
   }
 
   #told(message: ClientText): void {
@@ -171,10 +176,10 @@ export class ClientShow implements Show {
   #show(frame: DecodedFrame): void {
     const { head } = frame;
     const { clientWidth } = the("plots");
-    const { state, photonMs } = this.player;
+    const { state } = this.player;
     this.#stage.show(frame);
     this.#host.angles = anglesOf(head);
-    const stats = { ...head.stats, capacity_mbps: head.stats["capacity_mbps"] ?? state?.shaper?.capacity_mbps ?? null, photon_ms: photonMs.at(-1) ?? null };
+    const stats = { ...head.stats, capacity_mbps: head.stats["capacity_mbps"] ?? state?.shaper?.capacity_mbps ?? null, photon_ms: this.#photonMs ?? null };
     this.#plots.add(stats, head.stages_ms, clientWidth > 0);
   }
 
