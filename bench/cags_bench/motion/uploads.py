@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cags_bench.jsonl import JsonObject
 from cags_common.bundle import BundleReader
 from cags_common.motion.chunk import Chunk
+from cags_common.motion.parts import in_motion
 from cags_common.splats import Splats
 from cags_common.store.gof_buffer import Committed
 from cags_common.store.tile_decode import Arrival
@@ -113,7 +114,8 @@ def _chunk_bytes(reader: BundleReader) -> int:
 
 
 def _device_bytes(chunk: Chunk) -> int:
-    count = chunk.splats if chunk.restless is None else len(chunk.restless)
+    some = in_motion(chunk)
+    count = chunk.splats if some is None else len(some.splats)
     parts = 3 * (chunk.moves is not None) + 4 * (chunk.turns is not None)
     blocks = 0 if chunk.blocks is None else 24 * chunk.blocks.shifts.shape[1]
     return count * (STATE_BYTES + 4 * parts * (chunk.span + 1)) + blocks * (chunk.span + 1)

@@ -7,7 +7,7 @@ rounded sum, product, quotient or root of doubles, in the order that is written 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
@@ -18,6 +18,7 @@ import cags_kernels
 from cags_common.geometry import F32, F64
 from cags_common.motion.chunk import TURN_UNIT, Chunk
 from cags_common.motion.knots import FRACTION_BITS, I32
+from cags_common.motion.parts import InMotion, in_motion
 from cags_common.runtime.threads import threads_for_rows
 
 ABSENT_LOGIT = np.float32(-30.0)
@@ -69,7 +70,7 @@ class MovingTile:
         them, bit by bit. The tile itself where that is most of it.
         """
         if not self.parted:
-            of = self.chunk.restless
+            of = in_motion(self.chunk)
             self.part, self.parted = None if of is None else _part(self, of), True
         if self.part is None:
             return self
@@ -88,21 +89,12 @@ class _Prepared:
         return self.native
 
 
-def _part(tile: MovingTile, of: NDArray[np.intp]) -> MovingTile:
-    """Splats ``of`` [m] of a tile, rising; blocks stay whole, and of those the other splats are left alone."""
-    chunk, blocks, taken = tile.chunk, tile.chunk.blocks, of
-    if blocks is not None:
-        kept = np.unique(of // blocks.size)
-        taken = (kept[:, None] * blocks.size + np.arange(blocks.size)).ravel()
-        taken = taken[taken < chunk.splats]
-        blocks = replace(blocks, shifts=blocks.shifts.take(kept, axis=1), turns=blocks.turns.take(kept, axis=1))
-    lives = None if chunk.lives is None else chunk.lives[taken]
-    fades = None if chunk.fades is None else chunk.fades[taken]
-    moves, turns = (None if part is None else part.take(taken, axis=1) for part in (chunk.moves, chunk.turns))
-    some = replace(chunk, splats=len(taken), lives=lives, fades=fades, blocks=blocks, moves=moves, turns=turns)
-    rows = np.full(chunk.splats, -1, np.int32)
-    rows[of] = tile.rows[of]
-    return MovingTile(some, tile.time, rows[taken], Steps(tile.steps.moves[taken], tile.steps.turns[taken]))
+def _part(tile: MovingTile, of: InMotion) -> MovingTile:
+    """The splats in motion of a tile; those that stand in blocks that move are left alone."""
+    rows = np.full(tile.chunk.splats, -1, np.int32)
+    rows[of.splats] = tile.rows[of.splats]
+    steps = Steps(tile.steps.moves[of.taken], tile.steps.turns[of.taken])
+    return MovingTile(of.chunk, tile.time, rows[of.taken], steps)
 
 
 def evaluate(chunk: Chunk, time: float, looks: Looks, steps: Steps) -> Looks:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +44,6 @@ DEADZONES = (0.2, 0.1, 0.15)
 
 FEW_STILL = 0.5
 """Share of splats that keep their places up to which nothing is said of them."""
-
-MOST_RESTLESS = 0.875
-"""Share of a chunk's splats above which all of them are taken for restless: leaving the others out costs more."""
 
 FADE_WIDTHS = 2.0 ** (np.arange(48) / 4 - 3)
 """Standard deviations of a fade, frames; index 0 of the payload stands for none."""
@@ -94,30 +90,6 @@ class Chunk:
     """Whether the samples of the first frame are coded; else they are zero."""
     finer: tuple[int, int] = (0, 0)
     """How often the units of ``moves`` and of ``turns`` are the tile's halved."""
-
-    @cached_property
-    def restless(self) -> NDArray[np.intp] | None:
-        """Splats [m], rising, that may be elsewhere at another time of the span: their samples or those of their blocks
-        differ, they fade, or their lives end within it. All others keep the same bits. None: most of them.
-        """
-        found = np.zeros(self.splats, bool)
-        if self.fades is not None:
-            found |= np.isfinite(self.fades[:, 1])
-        if self.lives is not None:
-            found |= self.lives <= self.span
-        if self.blocks is not None:
-            moving = [_varies(part, part.shape[1]) for part in (self.blocks.shifts, self.blocks.turns)]
-            found |= (moving[0] | moving[1])[np.arange(self.splats) // self.blocks.size]
-        for part in (self.moves, self.turns):
-            if part is not None and found.sum() <= MOST_RESTLESS * self.splats:
-                found |= _varies(part, self.splats)
-        return None if found.sum() > MOST_RESTLESS * self.splats else np.flatnonzero(found)
-
-
-def _varies(samples: I32, count: int) -> NDArray[np.bool_]:
-    """Whether ``samples`` [span + 1, count, parts] of each [count] are not all the same."""
-    differ: NDArray[np.bool_] = (samples != samples[0]).any(axis=0).reshape(count, -1).any(axis=1)
-    return differ
 
 
 def encode(

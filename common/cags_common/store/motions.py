@@ -21,6 +21,7 @@ from cags_common.errors import DecodeError
 from cags_common.geometry import F32
 from cags_common.motion.apply import Steps
 from cags_common.motion.chunk import LEVELS, Chunk
+from cags_common.motion.parts import in_motion
 from cags_common.splats import Ids, Splats
 from cags_common.store.shown import StoredLooks
 from cags_common.store.tile_decode import First, Key, Opener, OpenMotion
@@ -142,7 +143,7 @@ def _staged_update(held: StoredUpdate, version: Version[UpdateDecoder]) -> Stage
 def _staged_motion(held: StoredMotion, version: Version[MotionDecoder]) -> Staged:
     state = version.handed_out()
     chunk = state.chunk
-    _ = chunk.restless  # worked out here, beside the display path
+    in_motion(chunk)  # worked out here, beside the display path, and kept
     return Staged(held, version.since, state.lod, chunk)
 
 

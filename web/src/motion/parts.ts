@@ -1,5 +1,5 @@
-/** What of a chunk of motion hangs on the time, and that part of it by itself; as `Chunk.restless` of
- * `cags_common.motion.chunk` and `MovingTile.in_motion` of `cags_common.motion.apply`. */
+/** What of a chunk of motion hangs on the time, and that part of it by itself; as `in_motion` of
+ * `cags_common.motion.parts` and `MovingTile.in_motion` of `cags_common.motion.apply`. */
 import type { Chunk } from "./chunk.ts";
 
 /** Share of a chunk's splats above which all of them are taken for restless: leaving the others out costs more. */
