@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TypeAlias
 
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol.cadence import EVERY_FRAME
-from cags_protocol.delivery.competition import Stance
 from cags_protocol.wire.messages import (
     Control,
     FrameEnd,
@@ -37,6 +37,15 @@ class Outgoing:
     priority: int = 0
     deadline_us: int | None = None
     key: Hashable = None
+
+
+class Stance(enum.Enum):
+    """What a connection does about a queue."""
+
+    GIVE_WAY = enum.auto()
+    COMPETE = enum.auto()
+    TRY = enum.auto()
+    """Competes, and sends less for a moment to see whose the queue is."""
 
 
 @dataclass(frozen=True)

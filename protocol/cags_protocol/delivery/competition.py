@@ -9,10 +9,10 @@ time whether somebody else still holds it: less is sent for a moment, and a queu
 
 from __future__ import annotations
 
-import enum
 from collections import deque
 
 from cags_protocol.delivery.round_trips import RoundTrips
+from cags_protocol.events import Stance
 
 STANDING_US = 1_000_000
 """A queue that was longer than its own kind's for so long is somebody else's."""
@@ -39,15 +39,6 @@ LONGEST_US = 600_000
 
 LOWEST_US = TRIAL_US // 2
 """The shortest queue of so long counts: single packets wait for others that were lost."""
-
-
-class Stance(enum.Enum):
-    """What a connection does about a queue."""
-
-    GIVE_WAY = enum.auto()
-    COMPETE = enum.auto()
-    TRY = enum.auto()
-    """Competes, and sends less for a moment to see whose the queue is."""
 
 
 class Competition:

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 from math import ceil, inf
 
 from cags_common.errors import ProtocolError
-from cags_protocol.delivery.competition import Competition, Stance
+from cags_protocol.delivery.competition import Competition
 from cags_protocol.delivery.round_trips import RoundTrips
 from cags_protocol.delivery.send_queue import Entry
+from cags_protocol.events import Stance
 from cags_protocol.wire import limits
 from cags_protocol.wire.messages import SeqRange
 

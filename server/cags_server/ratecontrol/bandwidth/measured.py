@@ -21,9 +21,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from cags_protocol.delivery.competition import Stance
 from cags_protocol.delivery.round_trips import RoundTrips
-from cags_protocol.events import AckSample
+from cags_protocol.events import AckSample, Stance
 from cags_protocol.wire.limits import PACKET_BYTES
 
 INITIAL_BPS = 8e6

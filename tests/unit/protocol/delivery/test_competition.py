@@ -15,8 +15,8 @@ from cags_protocol.delivery.competition import (
     STANDING_US,
     TRIAL_US,
     Competition,
-    Stance,
 )
+from cags_protocol.events import Stance
 
 TRIP_US, OWN_US, STEP_US = 40_000, 60_000, 10_000
 

@@ -3,10 +3,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cags_common.errors import ProtocolError
-from cags_protocol.delivery.competition import Stance
 from cags_protocol.delivery.flow import MAX_PACING_US, MIN_WINDOW_BYTES, PACING_GAIN, REORDER_PACKETS, FlowControl
 from cags_protocol.delivery.round_trips import MIN_RTT_WINDOW_US
 from cags_protocol.delivery.send_queue import Entry
+from cags_protocol.events import Stance
 from cags_protocol.wire.limits import PACKET_BYTES
 from cags_protocol.wire.messages import SeqRange
 from support.wire_pair import tile

@@ -1,7 +1,6 @@
 import pytest
 
-from cags_protocol.delivery.competition import Stance
-from cags_protocol.events import AckSample
+from cags_protocol.events import AckSample, Stance
 from cags_protocol.wire.limits import PACKET_BYTES
 from cags_server.ratecontrol.bandwidth import MeasuredEstimator, OracleEstimator
 
