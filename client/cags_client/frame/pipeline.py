@@ -200,8 +200,12 @@ class ClientPipeline:
         """The display's camera at ``pose``, with the scene's near plane."""
         return Camera(self.settings.intrinsics, pose, self.info.near)
 
-    def present(self, frame: int, camera: Camera, share: float = 0.0) -> PresentedFrame:
-        """Draw media frame ``frame`` from ``camera``; with ``share``, after that, what moves so many frames later."""
+    def present(self, frame: int, camera: Camera, share: float = 0.0, *, timed: bool = True) -> PresentedFrame:
+        """Draw media frame ``frame`` from ``camera``; with ``share``, after that, what moves so many frames later.
+
+        A picture that is not ``timed``, before the play, cannot be late. While everything is decoded for the first
+        time, it says nothing of what the machine keeps up with.
+        """
         started_s = self._clock()
         watch = Stopwatch(self._clock)
         self._shown_frame = frame
@@ -230,7 +234,7 @@ class ClientPipeline:
         else:
             given = self._correction(plan, canvas, store, used, frame) if used and Pass.CORRECTION in plan else None
             pictures = self._painter.paint(canvas, given, watch)
-        if self.live.resolution == AUTO:
+        if timed and self.live.resolution == AUTO:
             self._resolutions.observe(self._clock(), watch.stages_ms, (self._clock() - started_s) * 1e3)
         return PresentedFrame(
             frame=frame,

@@ -109,7 +109,7 @@ class Present:
 
     def run(self) -> PresentedFrame:
         """Draw it."""
-        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose), self.share)
+        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose), self.share, timed=not self.first)
 
 
 @dataclass(frozen=True, slots=True)
