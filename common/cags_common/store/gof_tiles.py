@@ -49,6 +49,8 @@ REPLAY_AHEAD = 8
 """Frames ahead of the display whose kept tiles are dequantised off the display path."""
 
 Layers: TypeAlias = list[tuple[int, memoryview]]
+Ahead: TypeAlias = "dict[Key, tuple[memoryview, Opened | DecodeError]]"
+"""Tiles that are opened already, and by which payload."""
 
 
 class GofTiles:
@@ -167,7 +169,7 @@ class GofTiles:
         """The looks that a tile of motion moves; None of other kinds."""
         return self._opener.looks_of(First(key, lod, payload)) if self._in_motion else None
 
-    def _open_ahead(self, arrivals: Sequence[Arrival]) -> dict[Key, Opened | DecodeError]:
+    def _open_ahead(self, arrivals: Sequence[Arrival]) -> Ahead:
         """The new tiles that arrivals bring, opened together; not motion of looks that are yet to come."""
         coming = {arrival.key for arrival in arrivals if arrival.from_lod == 0}
         firsts: dict[Key, First] = {}
@@ -177,13 +179,14 @@ class GofTiles:
             looks = self._looks_of(arrival.key, arrival.from_lod, arrival.payloads[0])
             if looks is None or looks in self._tiles or looks in coming:
                 firsts.setdefault(arrival.key, First(arrival.key, arrival.from_lod, arrival.payloads[0]))
-        return dict(zip(firsts, self._opener.opened(list(firsts.values())), strict=True))
+        opened = self._opener.opened(list(firsts.values()))
+        return {key: (first.payload, tile) for (key, first), tile in zip(firsts.items(), opened, strict=True)}
 
     def _opens(self, lod: int) -> bool:
         """Whether a payload of ``lod`` opens a tile of which nothing is held: its base, or the whole of it."""
         return lod == 0 or not self._layered
 
-    def _add(self, key: Key, layers: Layers, ahead: dict[Key, Opened | DecodeError]) -> None:
+    def _add(self, key: Key, layers: Layers, ahead: Ahead) -> None:
         """``ahead``: tiles that are opened already."""
         if key in self._tiles and self._tiles[key] is None:
             return
@@ -195,7 +198,9 @@ class GofTiles:
             if not layers or not self._opens(layers[0][0]) or self._waits(key, *layers[0]):
                 self._wait(key, layers)
                 return
-            opened = ahead.pop(key) if key in ahead else self._opened(key, *layers[0])
+            opened = self._taken(ahead, key, layers[0][1])
+            if opened is None:
+                opened = self._opened(key, *layers[0])
             held = self._take(key, layers[0][1], opened, ahead)
             if held is None:
                 return
@@ -204,6 +209,13 @@ class GofTiles:
         for lod, payload in layers:
             if lod > 0 and self._add_layer(held, lod, payload):
                 self._touched[key] = held
+
+    @staticmethod
+    def _taken(ahead: Ahead, key: Key, payload: memoryview) -> Opened | DecodeError | None:
+        """The tile that ``payload`` opens, if it was opened ahead: one that had waited may have come again, damaged."""
+        if key not in ahead or ahead[key][0] is not payload:
+            return None
+        return ahead.pop(key)[1]
 
     def _opened(self, key: Key, lod: int, payload: memoryview) -> Opened | DecodeError:
         return self._opener.opened([First(key, lod, payload)])[0]
@@ -242,9 +254,7 @@ class GofTiles:
             self._motions.give_up(gone)
             self._dropped.append(InventoryEntry(*gone, 0))
 
-    def _take(
-        self, key: Key, payload: memoryview, tile: Opened | DecodeError, ahead: dict[Key, Opened | DecodeError]
-    ) -> StoredTile | None:
+    def _take(self, key: Key, payload: memoryview, tile: Opened | DecodeError, ahead: Ahead) -> StoredTile | None:
         """A tile that is new; None where what it moves is not kept. Raises :class:`DecodeError`."""
         if isinstance(tile, DecodeError):
             raise tile
@@ -261,7 +271,7 @@ class GofTiles:
         self._bring(self._motions.come(key), ahead)
         return held
 
-    def _bring(self, waiting: list[Key], ahead: dict[Key, Opened | DecodeError]) -> None:
+    def _bring(self, waiting: list[Key], ahead: Ahead) -> None:
         """Looks have come: take the motion that waited for them. Errors wait for the next :meth:`flush`."""
         for key in waiting:
             for layer in sorted(self._waiting.take(key), key=lambda layer: layer[0]):

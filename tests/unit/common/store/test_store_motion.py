@@ -259,6 +259,18 @@ def test_a_damaged_level_that_had_to_wait_is_not_taken_for_held(store: TileStore
     assert xs(store, 1)[0] == 5 + 1 / 32
 
 
+def test_motion_that_waited_is_taken_though_it_comes_again_damaged_together_with_its_looks(store: TileStore) -> None:
+    """A batch opens its tiles together: not the damaged one in the good one's place."""
+    good = motion((0, 0), 1, [2, 3])
+    send(store, 0, 1, good)
+    begun, damaged = looks([0], 5).payloads[0], memoryview(good.payloads[0][:-1])
+    errors = store.add_all([Arrival(0, 0, 0, [memoryview(begun)]), Arrival(0, 1, 0, [damaged])])
+    errors += store.flush()
+    end_all(store)
+    assert errors == []
+    assert xs(store, 1)[0] == 8
+
+
 def test_motion_whose_looks_never_come_waits_within_bounds(store: TileStore, monkeypatch: pytest.MonkeyPatch) -> None:
     chunk = motion((0, 9999), 2, [0, 1])
     monkeypatch.setattr("cags_common.store.reorder_buffer.MAX_WAITING_BYTES", 10 * len(chunk.payloads[0]))
