@@ -50,9 +50,11 @@ class Compared:
                 self._made[job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
             return drawn
 
-        def compared(pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0) -> PresentedFrame:
+        def compared(
+            pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, timed: bool = True
+        ) -> PresentedFrame:
             before = pipeline._used
-            shown = present(pipeline, frame, camera, share)
+            shown = present(pipeline, frame, camera, share, timed=timed)
             reference = shown.reference
             if reference is not None and reference.frame == frame and reference.assumes and pipeline._used > before:
                 basis = reference.basis - pipeline._marked_before
