@@ -40,12 +40,12 @@ class Outgoing:
 
 
 class Stance(enum.Enum):
-    """What a connection does about a queue."""
+    """How a connection responds to a queue on the link."""
 
     GIVE_WAY = enum.auto()
     COMPETE = enum.auto()
     TRY = enum.auto()
-    """Competes, and sends less for a moment to see whose the queue is."""
+    """Sends less for a moment, to see whether the queue is its own."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class AckSample:
     received_us: int = 0
     """When the newest packet arrived, by the client's clock."""
     stance: Stance = Stance.GIVE_WAY
-    """What the connection does about a queue."""
+    """How the connection responds to a queue."""
 
 
 # ------------------------------------------------------------------------------------------------- server's events

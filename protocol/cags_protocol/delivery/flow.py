@@ -18,7 +18,7 @@ from math import ceil, inf
 
 from cags_common.errors import ProtocolError
 from cags_protocol.delivery.competition import Competition
-from cags_protocol.delivery.round_trips import RoundTrips
+from cags_protocol.delivery.round_trips import MIN_RTT_WINDOW_US, Lowest, RoundTrips
 from cags_protocol.delivery.send_queue import Entry
 from cags_protocol.events import Stance
 from cags_protocol.wire import limits
@@ -31,10 +31,10 @@ MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
 """Least credit: one packet on the wire, one to follow it."""
 
 OWN_QUEUES = 3.0
-"""A queue is others' that is longer than the one of the credit window by this factor, which allows for probing."""
+"""Connections of this kind hold at most so many times the queue that the credit window allows; probing adds to it."""
 
 SLOW_BPS = 300e3
-"""The least credit alone is a queue of 0.4 s on a link as slow as this: no queue on it is others'."""
+"""On a slower link the least credit alone makes a queue of 0.4 s, so no queue is taken for another flow's."""
 
 PACING_GAIN = 1.5
 """Packets leave at most so many times as fast as the link is thought to be: credit that comes at once is spread out,
@@ -84,7 +84,7 @@ class FlowControl:
         self._app_limited_until = 0
         self._delivered_us = self._first_sent_us = now_us
         self._round_trips = RoundTrips()
-        self._one_way = RoundTrips()  # from the server's clock to the client's: of any sign
+        self._one_way = Lowest(MIN_RTT_WINDOW_US)  # from the server's clock to the client's: of any sign
         self._competition = Competition()
         self._rtt_us = 0
         self._window_full = False
@@ -106,7 +106,7 @@ class FlowControl:
 
     @property
     def stance(self) -> Stance:
-        """What is done about a queue on the link."""
+        """How this connection responds to a queue on the link."""
         return self._competition.stance
 
     @property
@@ -114,14 +114,15 @@ class FlowControl:
         """Bytes that may be unacknowledged: the link's own content, ``window_us`` of queue, and room for jitter.
 
         Without that room a busy machine, whose round trips jump by tens of milliseconds, would never fill its link. A
-        queue that others hold up counts as the link's own content: else the window left the less the longer it is.
+        queue that another flow holds counts as the link's own content; otherwise the longer it is, the less of the
+        link this connection could use.
         """
         if self.stance is Stance.GIVE_WAY:
             return self._bytes_in(self._window_us + self.min_rtt_us + self._round_trips.jitter_us)
         return limits.PACKET_BYTES + self._bytes_in(self._window_us + self._rtt_us + self._round_trips.jitter_us)
 
     def _own_queue_us(self) -> tuple[float, float]:
-        """The longest queue that connections of this kind make as a rule, and what the least credit may add to it."""
+        """The longest queue that connections of this kind usually make, and what the least credit may add to it."""
         if self.rate_bps < SLOW_BPS:
             return inf, 0.0
         return OWN_QUEUES * self._window_us + self._round_trips.jitter_us, MIN_WINDOW_BYTES * 8e6 / self.rate_bps
@@ -203,7 +204,7 @@ class FlowControl:
         self._round_trips.note(now_us, until_now_us)
         one_way_us = received_us - sent_us
         self._one_way.note(now_us, one_way_us)
-        return min(until_now_us, self._round_trips.shortest_us + one_way_us - self._one_way.shortest_us)
+        return min(until_now_us, self._round_trips.shortest_us + one_way_us - self._one_way.value)
 
     def drain(self) -> list[Flight]:
         """Take out everything that is in flight: the connection is over."""

@@ -11,20 +11,39 @@ JITTER_GAIN, MAX_JITTER_US = 4.0, 80_000
 """The change between neighbouring round trips, smoothed as in RFC 3550, counts this many times, up to a bound."""
 
 
+class Lowest:
+    """The lowest value of the last ``window_us``."""
+
+    def __init__(self, window_us: int) -> None:
+        self._window_us = window_us
+        self._values: deque[tuple[int, int]] = deque()  # (time, value), rising: the front is the minimum
+
+    @property
+    def value(self) -> int:
+        """0 before the first."""
+        return self._values[0][1] if self._values else 0
+
+    def note(self, now_us: int, value: int) -> None:
+        """A value at ``now_us``, which never falls."""
+        while self._values and self._values[-1][1] >= value:
+            self._values.pop()
+        self._values.append((now_us, value))
+        while self._values[0][0] < now_us - self._window_us:
+            self._values.popleft()
+
+
 class RoundTrips:
     """What acknowledgements tell about the path besides its rate."""
 
-    def __init__(self, window_us: int = MIN_RTT_WINDOW_US) -> None:
-        """The shortest is taken over ``window_us``."""
-        self._window_us = window_us
-        self._rtts: deque[tuple[int, int]] = deque()  # (time, rtt), rising rtt: the front is the minimum
+    def __init__(self) -> None:
+        self._lowest = Lowest(MIN_RTT_WINDOW_US)
         self._last_us: int | None = None
         self._jitter_us = 0.0
 
     @property
     def shortest_us(self) -> int:
         """Shortest round trip seen of late; 0 before the first."""
-        return self._rtts[0][1] if self._rtts else 0
+        return self._lowest.value
 
     @property
     def jitter_us(self) -> float:
@@ -39,8 +58,4 @@ class RoundTrips:
         if self._last_us is not None:
             self._jitter_us += (2 * max(self._last_us - rtt_us, 0) - self._jitter_us) / 16
         self._last_us = rtt_us
-        while self._rtts and self._rtts[-1][1] >= rtt_us:
-            self._rtts.pop()
-        self._rtts.append((now_us, rtt_us))
-        while self._rtts[0][0] < now_us - self._window_us:
-            self._rtts.popleft()
+        self._lowest.note(now_us, rtt_us)

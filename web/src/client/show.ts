@@ -1,12 +1,12 @@
 /** A scene that a Python client draws for this page (`cags-client --view`); no graphics processor is needed here. */
 
 import { beside, poseOf } from "../page/place.ts";
-import type { Host, Show } from "../page/show.ts";
+import { type Host, NOWHERE, SERVER_AWAY, type Show } from "../page/show.ts";
 import { the } from "../page/dom.ts";
 import type { Figure } from "../page/inspector.ts";
 import { milliseconds } from "../page/inspector.ts";
 import { SHORT_OF_DETAIL, STALE_US, type Verdict } from "../page/light.ts";
-import { nowUs, type Pose } from "../seam.ts";
+import { nowUs } from "../seam.ts";
 import { Line } from "./line.ts";
 import * as to from "./messages.ts";
 import type { ClientText, FrameHead, SceneText } from "./messages.ts";
@@ -16,7 +16,6 @@ import { ClientPlayer } from "./player.ts";
 import { brief, Plots } from "./plots.ts";
 import { Stage } from "./stage.ts";
 
-const NOWHERE: Pose = { position: [0, 0, 0], rotation: [1, 0, 0, 0] };
 const HALF = "half";
 /** Poses of which the middle one is told. */
 const LATELY = 60;
@@ -92,7 +91,7 @@ export class ClientShow implements Show {
 
   get trouble(): Show["trouble"] {
     if (this.#closed && !this.#open) return ["The client is not there", "The picture stands; it goes on by itself when the client is back."];
-    if (this.player.state?.away) return ["The server is not there", "The picture stands on what has come; it goes on by itself."];
+    if (this.player.state?.away) return SERVER_AWAY;
     return null;
   }
 

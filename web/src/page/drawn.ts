@@ -14,7 +14,7 @@ import * as embed from "./embed.ts";
 import { drawnFigures, type Figure } from "./inspector.ts";
 import { type Verdict, verdictOf } from "./light.ts";
 import { beside, sceneOf } from "./place.ts";
-import type { Host, Show } from "./show.ts";
+import { type Host, NOWHERE, SERVER_AWAY, type Show } from "./show.ts";
 import { anglesOf, intrinsicsOf, pixelsOf } from "./view.ts";
 
 /** The server is asked again after a while when it was not there at all. */
@@ -25,8 +25,6 @@ const SETTLED_MS = 700;
 const OTHER_SHAPE = 1.3;
 /** Of a published scene that has yet to say how fast it is. */
 const DEFAULT_FPS = 30;
-/** The view until a published scene says where it is. */
-const NOWHERE: Pose = { position: [0, 0, 0], rotation: [1, 0, 0, 0] };
 
 /** Where the scene lies that this page was published with; undefined: it comes from the page's own server. */
 const PUBLISHED = document.querySelector<HTMLMetaElement>('meta[name="cags-source"]')?.content;
@@ -79,8 +77,7 @@ export class DrawnShow implements Show {
   }
 
   get trouble(): Show["trouble"] {
-    if (this.player?.status?.link !== "away") return null;
-    return ["The server is not there", "The picture stands on what has come; it goes on by itself."];
+    return this.player?.status?.link === "away" ? SERVER_AWAY : null;
   }
 
   get verdict(): Verdict {

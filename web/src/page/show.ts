@@ -1,12 +1,19 @@
 /** What the page asks of whatever brings it a scene: drawn here from splats, or by a client that sends pictures. */
 
 import type { ViewCamera } from "../player/camera.ts";
+import type { Pose } from "../seam.ts";
 import type { Opened } from "./author.ts";
 import type { Figure } from "./inspector.ts";
 import type { Verdict } from "./light.ts";
 import type { Messages } from "./messages.ts";
 import type { Place } from "./place.ts";
 import type { Angles } from "./view.ts";
+
+/** The view until a scene says where it is. */
+export const NOWHERE: Pose = { position: [0, 0, 0], rotation: [1, 0, 0, 0] };
+
+/** {@link Show.trouble} while the server is looked for. */
+export const SERVER_AWAY = ["The server is not there", "The picture stands on what has come; it goes on by itself."] as const;
 
 /** A play of a scene. */
 export interface Playing {

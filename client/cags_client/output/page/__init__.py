@@ -2,8 +2,7 @@
 
 The page is the viewer's (``web/``, found by ``cags_web``), told that a client stands behind it. Pictures travel as they
 are, as H.264 for WebCodecs, or as JPEG where the browser has none. :class:`LiveView` is a pose source and takes frames
-through :class:`ViewSink`; see
-``docs/how-to/live-page.md``.
+through :class:`ViewSink`; see ``docs/how-to/live-page.md``.
 """
 
 from __future__ import annotations

@@ -10,10 +10,10 @@ import cags_web
 
 NOT_BUILT = f"the viewer in the browser is not built, so --view has no page to serve; build it: {cags_web.HOW_TO_BUILD}"
 MARK = '<meta name="cags-client" content="live" />'
-"""What tells the page that pictures come from a client at ``live``, and that it draws none itself."""
+"""Tells the page that pictures come from a client at ``live``, and that it draws none itself."""
 
-FILES = ("page.js", "page.css", "icon.svg")
-"""Beside ``index.html``: a page with a client behind it decodes no tiles, so that it needs no worker."""
+FILES = ("index.html", "page.js", "page.css", "icon.svg")
+"""What is served: a page with a client behind it decodes no tiles, so it needs no worker."""
 
 
 def why_missing() -> str | None:
@@ -23,8 +23,9 @@ def why_missing() -> str | None:
 
 def add_assets(app: web.Application) -> None:
     """Serve the page at ``/`` and its parts beside it."""
-    for path, name in (("", "index.html"), ("index.html", "index.html"), *zip(FILES, FILES, strict=True)):
-        app.router.add_get(f"/{path}", partial(_file, name=name))
+    app.router.add_get("/", partial(_file, name="index.html"))
+    for name in FILES:
+        app.router.add_get(f"/{name}", partial(_file, name=name))
 
 
 async def _file(request: web.Request, name: str) -> web.Response:

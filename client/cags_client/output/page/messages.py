@@ -25,11 +25,11 @@ MAX_NUMBER = 2**53
 OVERLAYS = ("occlusion", "confidence", "detail", "tiles", "reference", "score")
 MAX_PANES = 2
 FLAGS = ("playing", "loop", "held")
-"""What is on or off: ``held`` is told off to follow the recorded walk again."""
+"""On or off; ``held`` off follows the recorded walk again."""
 NUMBERS = ("frame", "rate", "cap_mbps", "delay_ms")
-"""What is a number: ``frame`` is gone to; None lifts the cap."""
+"""Numbers: ``frame`` seeks; ``cap_mbps`` None lifts the cap."""
 NAMED = ("restorer", "exactness", "resolution")
-"""What is chosen by name."""
+"""Chosen by name."""
 MAX_TOKEN = 256
 _WORLD = 1e7
 

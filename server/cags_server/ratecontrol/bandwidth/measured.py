@@ -11,9 +11,10 @@ outage stays where it was, and what is sent by it waits in front of all that com
 
 Only sending more shows that a link has become faster. Until a queue is first seen a session may send twice what was
 measured (as in BBR's start-up); later, while no queue stands, a fixed rate more, within bounds that are shares of what
-was measured; and while one stands, a share less. Additive increase and multiplicative decrease bring sessions that
-share a link to equal rates (Chiu and Jain 1989). With shares in both directions the first session kept 88 % of the link
-and the second 8 %.
+was measured; and while one stands, a share less, unless another flow holds it
+(:mod:`cags_protocol.delivery.competition`). Additive increase and multiplicative decrease bring sessions that share a
+link to equal rates (Chiu and Jain 1989). With shares in both directions the first session kept 88 % of the link and the
+second 8 %.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ MIN_BPS, MAX_BPS = 64e3, 10e9
 STARTUP_GAIN = 2.0
 
 LOADED_GAINS = {Stance.GIVE_WAY: 0.95, Stance.TRY: 0.7, Stance.COMPETE: 1.25}
-"""What may be sent while a queue stands."""
+"""What may be sent while a queue stands, over what is measured."""
 
 PROBE_BPS, LEAST_PROBE, MOST_PROBE = 450e3, 0.03, 0.6
 """What may be sent above the estimate while no queue stands, and its bounds, shares of the estimate."""
@@ -67,7 +68,7 @@ class MeasuredEstimator:
         self._queued_us = 0  # when a queue was last seen
         self._samples: deque[tuple[int, int, float]] = deque()  # (time, bytes, rate) of samples that show the link
         self._round_trips = RoundTrips()
-        self._stance, self._tried_bps = Stance.GIVE_WAY, 0.0  # the rate when less began to be sent to try a queue out
+        self._stance, self._tried_bps = Stance.GIVE_WAY, 0.0  # the rate before a trial
         self._tried_until_us = 0
         self._newest: AckSample | None = None
 
@@ -117,7 +118,7 @@ class MeasuredEstimator:
         return 1.0 + min(max(PROBE_BPS / max(self._rate_bps, MIN_BPS), least), MOST_PROBE)
 
     def _take_stance(self, sample: AckSample) -> None:
-        """What was sent to try a queue out is no measure of the link, where others turn out to hold that queue."""
+        """If a trial shows that another flow holds the queue, what was measured during it says nothing of the link."""
         if sample.stance is Stance.TRY and self._stance is not Stance.TRY:
             self._tried_bps = self._rate_bps
         elif sample.stance is Stance.COMPETE and self._stance is Stance.TRY:
