@@ -13,11 +13,11 @@ from cags_common.splats import MAX_SPLATS
 from cags_protocol.wire.messages import CHROMAS
 
 FULL, HALF, AUTO = RESOLUTIONS = "full", "half", "auto"
-"""Pixels that a frame is worked out at (:mod:`cags_client.frame.resolution`)."""
+"""Pixels that a frame is worked out at (:mod:`cags_client.playback.quality`)."""
 
 OFF, ON = "off", "on"
 INTERPOLATIONS = OFF, ON, AUTO
-"""When pictures are drawn between media frames (:mod:`cags_client.playback.interpolation`)."""
+"""Whether pictures are drawn between media frames (:mod:`cags_client.playback.quality`)."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ class ClientSettings:
     pose_rate: float = setting(60.0, "poses sent per second", low=1, high=1000)
     interpolate: str = setting(
         AUTO,
-        "interpolation of motion between media frames up to --display-rate: off, on, or auto: on a live display while "
-        "time allows",
+        "interpolation of motion between media frames up to --display-rate: off, on, or auto: on a live display, where "
+        "full resolution leaves time for it",
         choices=INTERPOLATIONS,
     )
     display_rate: float = setting(
