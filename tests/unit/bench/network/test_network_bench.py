@@ -109,9 +109,19 @@ def test_content_checks_judge_the_worst_trace():
 
 
 def test_first_pictures_have_a_limit_by_link():
-    lines = [{"case": "first", "trace": f"generated:steady-{mbps}", "first_picture_ms": 1500.0} for mbps in (2, 10, 30)]
+    lines = [{"case": "first", "trace": f"generated:steady-{mbps}", "first_picture_ms": 600.0} for mbps in (2, 30)]
+    lines.append({"case": "first", "trace": "generated:steady-10", "first_picture_ms": 400.0})
     found = {c["name"]: c["ok"] for c in checks(lines)}
-    assert found == {"first picture at 2 Mbps, ms": True, "first picture at 10 Mbps, ms": False}
+    assert found == {"first picture at 2 Mbps, ms": False, "first picture at 10 Mbps, ms": True}
+
+
+def test_first_pictures_must_be_recognisable():
+    line = {"case": "first", "trace": "generated:steady-30", "first_picture_ms": 1.0}
+    found = [checks([line | {"first_lpips_restored": lpips}])[0] for lpips in (0.29, 0.31)]
+    assert [(c["name"], c["ok"]) for c in found] == [
+        ("LPIPS of the first picture at 30 Mbps", True),
+        ("LPIPS of the first picture at 30 Mbps", False),
+    ]
 
 
 def test_a_picture_of_next_to_nothing_is_black():
