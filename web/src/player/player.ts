@@ -29,9 +29,9 @@ const REFERENCE_AGE = 10;
 /** Shares of the full picture's width that are drawn, where the device may choose. */
 const SCALES = [0.35, 0.5, 0.7, 1];
 const WHOLE = [1];
-/** Of the screen, until it has been watched; longer pauses between two refreshes say nothing. */
+/** Of the screen, until it has been watched; shorter and longer pauses are not those of a screen. */
 const REFRESH_US = 1e6 / 60;
-const LONGEST_REFRESH_US = 50_000;
+const [SHORTEST_REFRESH_US, LONGEST_REFRESH_US] = [1000, 50_000] as const;
 /** Weight of the newest refresh in their mean. */
 const MEMORY = 0.05;
 /** A refresh is the one that a picture is due at from this share of a step before it on. */
@@ -316,7 +316,7 @@ export class Player {
   #watchScreen(now: number): void {
     const passed = now - this.#steppedUs;
     this.#steppedUs = now;
-    if (passed < LONGEST_REFRESH_US) this.#quality.displayUs += MEMORY * (passed - this.#quality.displayUs);
+    if (passed > SHORTEST_REFRESH_US && passed < LONGEST_REFRESH_US) this.#quality.displayUs += MEMORY * (passed - this.#quality.displayUs);
   }
 
   #samplePose(): void {
