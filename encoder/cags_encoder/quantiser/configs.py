@@ -14,7 +14,7 @@ RAW_LIMIT = 30.0
 
 LOGIT_RANGE = (-5.6, 5.0)
 """Range of opacity logits for clustering. Below 1/255 nothing is drawn; above 0.993, where captures have logits of 20,
-clusters would be wasted (measured in docs/codec.md)."""
+clusters would be wasted (measured in docs/lab/codec.md)."""
 
 
 @dataclass(frozen=True, slots=True)

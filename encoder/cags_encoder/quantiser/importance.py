@@ -14,7 +14,7 @@ from cags_encoder.views import contributions
 VIEWS = 16
 
 EXPONENT = 0.5
-"""Exponent of the contribution: with 1, a few large splats would take most codes (table in docs/codec.md)."""
+"""Exponent of the contribution: with 1, a few large splats would take most codes (table in docs/lab/codec.md)."""
 
 _FLOOR = 0.01
 """Added to every splat's contribution, in mean contributions, so that splats in no view count too."""
