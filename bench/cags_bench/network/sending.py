@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cags_bench.network.load import REFERENCE_BYTES, Arrivals, run_load
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_shaper.generate import MODELS, STEADY_MBPS
 from cags_shaper.link import LinkSettings
 from cags_shaper.trace import Trace, open_trace, trace_of_rates
@@ -39,10 +39,10 @@ def sending_lines(duration_us: int, delay_us: int) -> Iterator[dict[str, Any]]:
     """One line per shipped trace, and one for a fall from 20 to 1.5 Mbps."""
     for spec in SHIPPED:
         trace = open_trace(spec)
-        log = run_load(trace, MeasuredEstimator(), duration_us, LinkSettings(delay_us=delay_us))
+        log = run_load(trace, MeasuredLink(), duration_us, LinkSettings(delay_us=delay_us))
         yield {"case": "sending", "trace": spec, **figures(log, trace, SETTLE_US, duration_us)}
     fall = trace_of_rates("fall", [0.0, FALL_US / 1e6], [20.0, 1.5], 60.0)
-    log = run_load(fall, MeasuredEstimator(), 20_000_000, LinkSettings(delay_us=delay_us))
+    log = run_load(fall, MeasuredLink(), 20_000_000, LinkSettings(delay_us=delay_us))
     yield {"case": "sending", "trace": "20 to 1.5 Mbps", **figures(log, fall, FALL_US + SETTLE_US, 20_000_000)}
 
 

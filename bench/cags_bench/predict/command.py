@@ -82,7 +82,7 @@ def _precision(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict
         raise ConfigError(f"horizons-ms = {args.horizons_ms!r} must be whole numbers, such as 100,200") from error
     if not horizons or min(horizons) < 0 or max(horizons) > 1_000_000 or args.every_ms < 1:
         raise ConfigError(f"horizons-ms = {args.horizons_ms} must lie in [0, 1000] and every-ms above 0")
-    predictors = {"pooled-ar10": PooledAr10(), **{name: create_predictor(name) for name in PREDICTORS}}
+    predictors = {"pooled-ar10": PooledAr10(), **{name: create_predictor(name) for name in PREDICTORS.names()}}
     for name, horizon, errors in measure(walks, predictors, horizons, args.every_ms * 1000):
         yield {"case": "predictor", "predictor": name, "horizon_ms": horizon // 1000, **errors.figures()}
 
@@ -92,7 +92,7 @@ def _coverage(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict[
     from cags_server.fov import FOV_POLICIES, create_fov_policy
     from cags_server.predict import create_predictor
 
-    make = {name: (lambda name=name: create_fov_policy(name)) for name in FOV_POLICIES}
+    make = {name: (lambda name=name: create_fov_policy(name)) for name in FOV_POLICIES.names()}
     for name, curve in measure(walks, create_predictor("autoregressive"), make, LEAD_US, args.seconds).items():
         yield {"case": "fov", "policy": name, "lead_ms": LEAD_US // 1000, **curve.figures(AREAS)}
     some = walks[:: max(1, len(walks) // 4)]
