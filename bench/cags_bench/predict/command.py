@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """One line a predictor and horizon, a policy, a scene, and the targets last."""
-    from cags_bench.jsonl import summary
+    """One line per predictor and horizon, per policy and per scene; the targets last."""
+    from cags_bench.jsonl import provenance, summary
     from cags_common.poses.walks import read_walks
 
     held_out, fitted_on = split(read_walks(args.poses))
@@ -48,12 +48,13 @@ def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for people, walks in (("held-out", held_out), ("fitted-on", fitted_on)):
         if walks and (people == "held-out" or args.people == "all"):
             for line in (*_precision(args, walks), *_coverage(args, walks), *_table(walks)):
-                lines.append({"people": people, "walks": len(walks), **line})
+                lines.append({"benchmark": "predict", "people": people, "walks": len(walks), **line, **provenance()})
                 yield lines[-1]
     if args.bundle:
         from cags_bench.predict.end_to_end import stream_all
 
-        yield from stream_all(args.bundle, (held_out or fitted_on)[0], args.trace, args.frames)
+        played = stream_all(args.bundle, (held_out or fitted_on)[0], args.trace, args.frames)
+        yield from ({"benchmark": "predict", **line, **provenance()} for line in played)
     yield summary("predict", checks(lines))
 
 

@@ -14,6 +14,17 @@ def display(width: int, height: int) -> Camera:
     return Camera(Intrinsics.of_fov(width, height, 1.0, 0.8), Pose.identity(), 0.1)
 
 
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (65, 49), (1, 1)])
+def test_the_view_stays_and_odd_last_pixels_are_halved(width: int, height: int) -> None:
+    whole = display(width, height)
+    half = halved(whole)
+    assert (half.width_px, half.height_px) == ((width + 1) // 2, (height + 1) // 2)
+    for corner in ((0.0, 0.0), (width, height)):  # a ray through the corner is the same ray
+        assert (corner[0] - whole.intrinsics.cx_px) / whole.intrinsics.fx_px == pytest.approx(
+            (corner[0] / 2 - half.intrinsics.cx_px) / half.intrinsics.fx_px
+        )
+
+
 @pytest.mark.parametrize("native", [True, False])
 @pytest.mark.parametrize("size", [(64, 48), (63, 47), (1, 1), (2, 1), (1, 7)])
 def test_pictures_come_up_to_any_size_in_range(size, native, monkeypatch):
