@@ -78,11 +78,16 @@ class Streamer:
         *,
         estimator: BandwidthEstimator,
         may_render: Callable[[int], bool] = lambda now_us: True,
+        lightly: Callable[[], bool] = lambda: False,
     ) -> None:
-        """``may_render(now_us)``: whether the renderer has room for this client; asked when a reference is due."""
+        """``may_render(now_us)``: whether the renderer has room for this client; asked when a reference is due.
+        ``lightly()``: whether references are to spare the processor.
+        """
         self.stats = StreamStats()
+        self.lacking: float | None = None
+        """Mean squared error, [0, 1] RGB, of what the client showed at the newest reference; None: not known."""
         self._library, self._settings, self._hello = library, settings, hello
-        self._estimator, self._may_render = estimator, may_render
+        self._estimator, self._may_render, self._lightly = estimator, may_render, lightly
         self._viewer = Viewer(settings, hello)
         self._policy = create_rate_policy(settings.abr)
         self._coder = ReferenceCoder(settings, hello, library.manifest.fps)
@@ -291,6 +296,7 @@ class Streamer:
             horizon_us=0,
             predicted=seen,
             margins=self._viewer.margins(frame, seen),
+            light=self._lightly(),
             speaks=True,
             idr=self._video.needs_idr,
             basis=self._mark(now_us),
@@ -409,6 +415,7 @@ class Streamer:
             horizon_us=self._viewer.horizon_us(display_us) if drawn else 0,
             predicted=predicted,
             margins=self._viewer.margins(frame, predicted) if drawn else (0.0, 0.0),
+            light=self._lightly(),
             speaks=speaks,
             idr=speaks and self._video.needs_idr,
             basis=self._mark(now_us) if drawn and self._coder.kind is not None else 0,
@@ -427,7 +434,8 @@ class Streamer:
         self._schedule.rendering = False
         work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
         self._schedule.pace.observe(work_us, len(render.coded.access_unit), rate_bps)
-        whole_us = work_us if plan.speaks else REFERENCE_WORK * work_us
+        more_us = 0.0 if plan.speaks else (REFERENCE_WORK - 1) * min(render.took_us, work_us)
+        whole_us = work_us + more_us
         self._worth.made(slowly=whole_us > OVERLOAD * self._schedule.reference_period_us)
         # A job that takes longer than a frame takes the machine from everything else: tiles, and a client beside it.
         self._rests_until_us = now_us + max(work_us - round(self._schedule.reference_period_us), 0)
@@ -436,6 +444,10 @@ class Streamer:
         self.stats.mirror_ns += render.mirror_ns
         self.stats.mirror_bytes = self._mirror.memory_bytes
         self.stats.encode_ns += render.encode_ns
+        if plan.speaks:
+            self.lacking = render.coded.before
+            kind = self.stats.light if plan.light else self.stats.careful
+            kind.add(render.render_ns + render.mirror_ns, render.encode_ns)
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []
