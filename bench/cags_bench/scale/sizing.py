@@ -63,9 +63,7 @@ def crowd_line(settings: ScaleSettings) -> dict[str, Any]:
         "late": [sum(one.spent.references_late for one in run) for run in runs],
         "references_of_a_viewer": [[min(each), max(each)] for each in made],
         "references_wanted": max(len(one.spent.references) for one in alone),
-        "light_share": [
-            round(sum(one.spent.light for one in run) / sum(n), 3) for run, n in zip(runs, made, strict=True)
-        ],
+        "light": [sum(one.spent.light for one in run) for run in runs],
     }
 
 

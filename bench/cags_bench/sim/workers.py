@@ -49,9 +49,9 @@ class SharedRenderer(RenderSlots):
         """See :class:`RenderSlots`, as all of these."""
         return self._shared.light
 
-    def may(self, name: str, now_us: int, lacking: float | None = None) -> bool:
+    def may(self, name: str, now_us: int, wait_us: float = 0.0, lacking: float | None = None) -> bool:
         """Whether a client may have a reference rendered."""
-        return self._shared.may(name, now_us + self._later_us, lacking)
+        return self._shared.may(name, now_us + self._later_us, wait_us, lacking)
 
     def begun(self, name: str, now_us: int, lacking: float | None = None, *, look: bool = False) -> None:
         """One is being rendered."""

@@ -1,9 +1,9 @@
 """Whose reference is rendered, and how carefully, when there are more to render than the renderer can.
 
-A reference that waits behind a dozen others comes too late to be of use, and costs as much. So only as many are out as
-will be done soon; a client that finds no place serves its frame by what it saw last. Places go by *served time*: each
-reference adds to its client's account, less where the client lacks much, and whoever is a turn ahead of one that was
-turned away waits. No place stays empty for somebody who is not there to take it.
+A reference that waits for too long comes too late to be of use, and costs as much. So only as many are out as will be
+done in the time that the next one can wait; a client that finds no place serves its frame by what it saw last. Places
+go by *served time*: each reference adds to its client's account, less where the client lacks much, and whoever is a
+turn ahead of one that was turned away waits. No place stays empty for somebody who is not there to take it.
 
 Where the renderer is busy all the time, references are coded *lightly* (:mod:`.coder`), for all clients alike, until
 what careful ones take would fit again.
@@ -16,10 +16,7 @@ import math
 from cags_server.reference.coder import INVISIBLE
 
 LEAST_PLACES = 2
-"""Of each worker: one that is being rendered and one to follow it."""
-
-WAIT_US = 60_000
-"""So long a reference may wait for a worker; what one takes says how many places that makes."""
+"""Of each worker, however long references take: one that is being rendered and one to follow it."""
 
 PATIENCE_US = 500_000
 """A client that was turned away and has not come back for so long is not waited for."""
@@ -58,16 +55,15 @@ class RenderSlots:
         self.light = False
         """Whether references are to be coded lightly."""
 
-    @property
-    def places(self) -> int:
-        """References that may be out at a time."""
+    def places(self, wait_us: float) -> int:
+        """References that may be out at a time, for one more to wait for ``wait_us`` at most."""
         took_us = self._took_us[self.light]
-        behind = int(WAIT_US / took_us) if took_us else 0
+        behind = int(wait_us / took_us) if took_us else 0
         return self._workers * max(LEAST_PLACES, 1 + behind)
 
-    def may(self, name: str, now_us: int, lacking: float | None = None) -> bool:
-        """Whether a client may have a reference rendered now. ``lacking``: mean squared error of what it showed when
-        that was last compared, [0, 1] RGB; None: not known.
+    def may(self, name: str, now_us: int, wait_us: float = 0.0, lacking: float | None = None) -> bool:
+        """Whether a client may have a reference rendered now, that can wait ``wait_us`` for a worker. ``lacking``: mean
+        squared error of what it showed when that was last compared, [0, 1] RGB; None: not known.
         """
         self._note(now_us)
         again, turn = name in self._turned_away, _turn(lacking)
@@ -77,7 +73,7 @@ class RenderSlots:
             mine = self._served[name] = max(mine, min(self._served[other] for other in waiting))
         turns = TURNS_AHEAD if self._out < self._workers else 1  # rather than that a worker stands idle
         ahead = any(mine >= self._served[other] + turns * self._turns[other] for other in waiting)
-        if not ahead and self._out < self.places + (self._workers if again else 0):
+        if not ahead and self._out < self.places(wait_us) + (self._workers if again else 0):
             return True
         self._turned_away[name], self._turns[name] = now_us, turn
         return False

@@ -175,7 +175,9 @@ class Connection:
             self.streamer.abandon(job)
 
     def _may_render(self, now_us: int) -> bool:
-        return self._render_slots is None or self._render_slots.may(self.name, now_us, self._lacking)
+        if self._render_slots is None or self.streamer is None:
+            return True
+        return self._render_slots.may(self.name, now_us, self.streamer.wait_us, self._lacking)
 
     @property
     def _lacking(self) -> float | None:

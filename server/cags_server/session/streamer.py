@@ -139,6 +139,11 @@ class Streamer:
         frame = self._schedule.next_frame
         return None if frame is None else self._frame_ahead(self._schedule.serves, frame)
 
+    @property
+    def wait_us(self) -> float:
+        """So long a reference may wait for the renderer before its frame goes without."""
+        return self._schedule.grace_us(self.stats.rtt_us)
+
     def startup_due_us(self) -> int | None:
         """When :meth:`end_startup` has something to say."""
         return self._startup.due_us()

@@ -12,7 +12,6 @@ from cags_server.records import ReferenceCosts, StreamStats, Totals
 from cags_server.settings import ServeSettings
 from support.live_server import Client, serving
 
-
 NONE = ReferenceCosts()
 SERVED = ServeSettings(bundle="x", workers=4)
 
