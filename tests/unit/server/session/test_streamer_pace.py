@@ -6,6 +6,8 @@ import pytest
 
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
+from cags_server.ratecontrol import Decision
+from cags_server.reference.coder import Coded
 from cags_server.session.pace import MARGIN_US
 from cags_server.session.schedule import LONGEST_LEAD_US
 from support.server_scene import SETTINGS
@@ -286,6 +288,34 @@ def test_frames_are_counted_on_through_a_loop() -> None:
         rig.step()
         planned.append(rig.streamer.stats.records[-1].tick)
     assert planned == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23]
+
+
+def test_a_client_that_lacks_nothing_is_compared_with_only_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, lacks = Rig(replace(SETTINGS, references="auto")), [False]
+    coded = rig.streamer._coder.code_views
+    nothing = Coded(ReferenceKind.NOTHING)
+    monkeypatch.setattr(
+        rig.streamer._coder, "code_views", lambda *views, **how: coded(*views, **how) if lacks[0] else nothing
+    )
+    sending = [True]
+    monkeypatch.setattr(
+        rig.streamer._policy, "decide",
+        lambda seen, decide=rig.streamer._policy.decide: decide(seen) if sending[0] else Decision((), 0),
+    )  # fmt: skip
+    rig.play()
+    rig.step()
+    sending[0] = False
+    assert [rendered(rig) for _ in range(4)] == [1, 0, 0, 1]
+    lacks[0] = True
+    rig.step()
+    assert [rendered(rig) for _ in range(3)] == [1, 1, 1], "something can be seen again"
+
+
+def rendered(rig: Rig) -> int:
+    """Step a frame; references that were made of it."""
+    before = rig.streamer.stats.references
+    rig.step()
+    return rig.streamer.stats.references - before
 
 
 def be_short(rig: Rig) -> None:
