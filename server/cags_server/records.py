@@ -52,6 +52,8 @@ class FrameRecord:
     visible_tiles: int = 0
     upgrades: int = 0
     reference_late: bool = False
+    no_place: bool = False
+    """Whether it went without a reference because the renderer had too much to do."""
     angular_error_rad: float | None = None
     position_error_m: float | None = None
 

@@ -50,9 +50,7 @@ MARK_EVERY_US = 30_000
 """While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
 
 LOOK_EVERY = 3
-"""Frames from one render to the next where no reference is made of them: they tell which splats are seen. So seldom,
-too, a client is compared with the scene that lacks nothing of it, and to which nothing is sent.
-"""
+"""Frames from one render to the next where no reference is made of them: they tell which splats are seen."""
 
 REFERENCE_WORK = 6
 """A reference takes so many times what a look without one does: of four times the pixels, the mirror drawn too, and the
@@ -111,7 +109,7 @@ class Streamer:
         self._joined_us = self._marked_us = 0
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer says when to play
         self._damaged = False  # something that was sent did not arrive whole
-        self._lacks_nothing = False  # compared, the client showed the scene, and nothing was sent since
+        self._no_place = False  # at the renderer, for the frame that is due
 
     # ------------------------------------------------------------------------------------------------------- startup
 
@@ -350,7 +348,7 @@ class Streamer:
         if self._schedule.is_out(tick):
             self._went_ahead = record  # of the render that is out, whose reference is not late yet
         else:
-            record.reference_late = not between
+            record.reference_late, record.no_place = not between, between and self._no_place
             self.stats.references_late += record.reference_late
         ahead = plan.ahead.frame
         self._enter(ahead, now_us)
@@ -386,12 +384,12 @@ class Streamer:
         spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
         affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), spare_us)
         room = affordable and now_us >= self._rests_until_us
-        if seen and not self._schedule.rendering and not (room and self._may_render(now_us)):
-            return True
+        if seen and not self._schedule.rendering:
+            self._no_place = room and not self._may_render(now_us)
+            if not room or self._no_place:
+                return True
         if not self._pays:
             return self._schedule.between_renders(LOOK_EVERY, seen=seen)
-        if self._lacks_nothing:
-            return self._schedule.between_renders(max(LOOK_EVERY, self._settings.reference_every), seen=seen)
         return not self._video.needs_idr and self._schedule.between_renders(self._settings.reference_every, seen=seen)
 
     @property
@@ -456,7 +454,6 @@ class Streamer:
         self.stats.encode_ns += render.encode_ns
         if plan.speaks:
             self.lacking = render.coded.before
-            self._lacks_nothing = render.coded.kind is ReferenceKind.NOTHING
             kind = self.stats.light if plan.light else self.stats.careful
             kind.add(render.render_ns + render.mirror_ns, render.encode_ns)
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
@@ -571,7 +568,6 @@ class Streamer:
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
         self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
         record.tile_bytes = decision.bytes
-        self._lacks_nothing &= not decision.upgrades
         self._budget.close(earned_bytes - decision.bytes, allowed_bps)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
         return decision

@@ -113,7 +113,7 @@ def test_the_whole_command_tells_costs_and_uses_them(bundle: Path, tmp_path: Pat
 
 
 def test_on_cores_that_are_too_few_everybody_gets_a_share(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The work takes time there: with a hundredth of the speed, references of a few frames each."""
+    """The work takes time there: 60 ms a reference, where three viewers want one every 11 ms."""
     whole = Audience(bundle, 3, 5.0, width=80, height=60)
     alone = [len(one.spent.references) for one in whole.played(1)]
     taken = Cores.taken_until_us

@@ -6,8 +6,6 @@ import pytest
 
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
-from cags_server.ratecontrol import Decision
-from cags_server.reference.coder import Coded
 from cags_server.session.pace import MARGIN_US
 from cags_server.session.schedule import LONGEST_LEAD_US
 from support.server_scene import SETTINGS
@@ -290,32 +288,30 @@ def test_frames_are_counted_on_through_a_loop() -> None:
     assert planned == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23]
 
 
-def test_a_client_that_lacks_nothing_is_compared_with_only_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig, lacks = Rig(replace(SETTINGS, references="auto")), [False]
-    coded = rig.streamer._coder.code_views
-    nothing = Coded(ReferenceKind.NOTHING)
-    monkeypatch.setattr(
-        rig.streamer._coder, "code_views", lambda *views, **how: coded(*views, **how) if lacks[0] else nothing
-    )
-    sending = [True]
-    monkeypatch.setattr(
-        rig.streamer._policy, "decide",
-        lambda seen, decide=rig.streamer._policy.decide: decide(seen) if sending[0] else Decision((), 0),
-    )  # fmt: skip
+def test_a_frame_that_found_no_place_at_the_renderer_is_told_from_a_late_one() -> None:
+    rig = Rig()
     rig.play()
     rig.step()
-    sending[0] = False
-    assert [rendered(rig) for _ in range(4)] == [1, 0, 0, 1]
-    lacks[0] = True
+    rig.streamer._may_render = lambda now_us: False
     rig.step()
-    assert [rendered(rig) for _ in range(3)] == [1, 1, 1], "something can be seen again"
+    rig.streamer._may_render = lambda now_us: True
+    rig.step()
+    assert [(record.no_place, record.reference_late) for record in rig.streamer.stats.records] == [
+        (False, False), (True, False), (False, False),
+    ]  # fmt: skip
 
 
-def rendered(rig: Rig) -> int:
-    """Step a frame; references that were made of it."""
-    before = rig.streamer.stats.references
-    rig.step()
-    return rig.streamer.stats.references - before
+def test_references_are_light_while_the_renderer_says_so() -> None:
+    rig = Rig()
+    rig.play()
+    light = []
+    for number in range(6):
+        rig.streamer._lightly = lambda number=number: 2 <= number < 4
+        rig.step()
+        light.append(rig.streamer.stats.light.references)
+    assert light == [0, 0, 1, 2, 2, 2]
+    assert rig.streamer.stats.careful.references == 5, "with the greeting"
+    assert rig.streamer.lacking is not None
 
 
 def be_short(rig: Rig) -> None:
