@@ -89,6 +89,10 @@ export class ClientShow implements Show {
     this.#stage.draw();
   }
 
+  /** Pictures come ready made, of one view: a headset has nothing from them. */
+  immerse(): void {}
+  readonly immersed = false;
+
   get trouble(): Show["trouble"] {
     if (this.#closed && !this.#open) return ["The client is not there", "The picture stands; it goes on by itself when the client is back."];
     if (this.player.state?.away) return SERVER_AWAY;
