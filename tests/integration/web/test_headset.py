@@ -35,13 +35,21 @@ HEADSET = """
   } });
 })();
 """
-TURN, PLACE = "0.1, 0.3, 0.05, 0.94", "0.2, 1.5, -0.1"
+TURN, PLACE = "0.1, 0.3, 0.05, 0.947365", "0.2, 1.5, -0.1"
 """Of the head, in the headset's space."""
 SEES = "JSON.stringify(window.cags.show.immersive.viewpoint.pose)"
 STANDS = """JSON.stringify(window.cags.show.immersive.layer.shown.map(({ camera }) => camera.pose)) ===
   JSON.stringify(window.cags.show.immersive.viewpoint.eyes.map(({ pose }) => pose))"""
 """What the eyes see was drawn from where they are."""
 OUTER_TAN, LOWER_TAN = 1.376, 1.428
+TOLD = f"""(() => {{
+  const {{ position }} = window.cags.show.immersive.viewpoint.pose, made = player.shown.reference?.camera;
+  if (!made) return false;
+  const {{ widthPx, fxPx, heightPx, fyPx }} = made.intrinsics;
+  const near = Math.hypot(...made.pose.position.map((part, axis) => part - position[axis])) < 1e-3;
+  return near && widthPx / fxPx > 2 * {OUTER_TAN} && heightPx / fyPx > 2 * {LOWER_TAN};
+}})()"""
+"""The server makes references for where the head is, and for all that both eyes see."""
 
 EYES = """
 const done = arguments[0];
@@ -115,6 +123,7 @@ def test_both_eyes_see_the_scene_and_the_server_learns_of_the_head(tmp_path: Pat
         np.testing.assert_allclose(entered["position"], before["pose"]["position"], atol=1e-6)
         viewer.browser.execute_script(f"headset.quaternion.set({TURN}); headset.position.set({PLACE})")
         viewer.until(f"{WHOLE} && {STANDS} && {SEES} !== '{json.dumps(entered)}'")
+        viewer.until(TOLD)
         eyes = viewer.browser.execute_async_script(EYES)
         viewpoint = viewer.ask("window.cags.show.immersive.viewpoint")
         viewer.do("window.cags.show.immerse()")

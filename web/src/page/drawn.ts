@@ -121,12 +121,10 @@ export class DrawnShow implements Show {
         rest: (rested) => this.player?.rest(rested),
         ended: () => {
           this.immersive = null;
-          the("stage").removeAttribute("data-immersed");
           this.player?.rest(document.hidden);
           this.player?.reshape(this.#intrinsics);
         },
       });
-      the("stage").setAttribute("data-immersed", "");
     } catch (error) {
       host.messages.toast(`The headset cannot be used (${error instanceof Error ? error.message : String(error)})`);
     }
@@ -190,7 +188,10 @@ export class DrawnShow implements Show {
     const startFrame = Math.floor((place.seconds ?? 0) * (scene?.fps ?? DEFAULT_FPS) + 1e-6);
     const player = new Player(source, rendering, () => this.#viewpoint, this.#options(startFrame), {
       changed: () => undefined,
-      drew: (eye, of, camera) => this.immersive?.keep(eye, of, camera, this.#host.canvas),
+      drew: (eye, of, camera, picture) => {
+        this.immersive?.keep(eye, of, camera, picture);
+        picture.close();
+      },
       info: (info) => {
         if (PUBLISHED) this.#stand(info);
         this.#host.ready();

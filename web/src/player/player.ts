@@ -70,8 +70,8 @@ export interface Shown {
 }
 
 export interface PlayerEvents {
-  /** The picture of an eye (0 where there is one view) is on the canvas until the page's next turn; of `of` pictures. */
-  drew?(eye: number, of: number, camera: Camera): void;
+  /** A picture of one of the viewpoint's `of` eyes; whoever hears it closes it. */
+  drew?(eye: number, of: number, camera: Camera, picture: ImageBitmap): void;
   /** Something that a page shows has changed: the state of play, a frame, the link. */
   changed(): void;
   info(info: SceneInfo): void;
@@ -408,8 +408,8 @@ export class Player {
     for (const [i, eye] of eyes.entries()) {
       const camera = this.#cameraOf(eye);
       const options = this.#frameOptions({ frame, share, update, camera, display: view.intrinsics }, found?.picture ? found : undefined);
-      const times = await this.#renderer.draw(camera, options);
-      this.#events.drew?.(i, eyes.length, camera);
+      const times = await this.#renderer.draw(camera, options, view.eyes !== undefined);
+      if (view.eyes) this.#events.drew?.(i, eyes.length, camera, this.#renderer.taken());
       drawn.push({ camera, options, times });
     }
     const { camera, options, times } = drawn.at(-1)!;

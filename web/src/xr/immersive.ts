@@ -93,9 +93,9 @@ export class Immersive {
     this.#centred = false;
   }
 
-  /** A picture of an eye is on the canvas. */
-  keep(eye: number, of: number, camera: Camera, canvas: HTMLCanvasElement): void {
-    if (this.viewpoint?.eyes?.length === of) this.layer.keep(eye, of, camera, canvas);
+  /** Take a picture of an eye. */
+  keep(eye: number, of: number, camera: Camera, picture: ImageBitmap): void {
+    if (this.viewpoint) this.layer.keep(eye, of, camera, picture);
   }
 
   #frame(nowMs: number, frame: XRFrame): void {

@@ -63,13 +63,13 @@ export class EyeLayer {
     return new EyeLayer(gl);
   }
 
-  /** Take what is on the canvas as an eye's picture; with the last of `of` eyes, they are shown. */
-  keep(eye: number, of: number, camera: Camera, canvas: HTMLCanvasElement): void {
+  /** Take an eye's picture; with the last of `of` eyes, they are shown. */
+  keep(eye: number, of: number, camera: Camera, picture: ImageBitmap): void {
     const { gl } = this;
     const kept = this.#spare[eye] ?? this.#made(camera);
     kept.camera = camera;
     gl.bindTexture(gl.TEXTURE_2D, kept.texture);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, canvas);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, picture);
     this.#next[eye] = kept;
     if (eye + 1 < of || this.#next.length < of) return;
     this.#spare = [...this.shown];
