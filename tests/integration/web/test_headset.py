@@ -43,13 +43,13 @@ STANDS = """JSON.stringify(window.cags.show.immersive.layer.shown.map(({ camera 
 """What the eyes see was drawn from where they are."""
 OUTER_TAN, LOWER_TAN = 1.376, 1.428
 TOLD = f"""(() => {{
-  const {{ position }} = window.cags.show.immersive.viewpoint.pose, made = player.shown.reference?.camera;
-  if (!made) return false;
-  const {{ widthPx, fxPx, heightPx, fyPx }} = made.intrinsics;
-  const near = Math.hypot(...made.pose.position.map((part, axis) => part - position[axis])) < 1e-3;
-  return near && widthPx / fxPx > 2 * {OUTER_TAN} && heightPx / fyPx > 2 * {LOWER_TAN};
+  const {{ position }} = window.cags.show.immersive.viewpoint.pose, {{ kind, camera }} = player.shown.reference ?? {{}};
+  if (kind !== "nothing") return false;
+  const {{ widthPx, fxPx, heightPx, fyPx }} = camera.intrinsics;
+  const near = Math.hypot(...camera.pose.position.map((part, axis) => part - position[axis])) < 1e-3;
+  return near && widthPx / fxPx > 2 * {OUTER_TAN} - 1e-6 && heightPx / fyPx > 2 * {LOWER_TAN} - 1e-6;
 }})()"""
-"""The server makes references for where the head is, and for all that both eyes see."""
+"""The server knows where the head is, and all that both eyes see: nothing is lacking there."""
 
 EYES = """
 const done = arguments[0];
