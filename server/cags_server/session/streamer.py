@@ -20,7 +20,6 @@ from cags_protocol.wire.messages import (
     Hello,
     Mark,
     ReferenceFrame,
-    ReferenceKind,
     TileLayers,
     Welcome,
 )
@@ -228,8 +227,10 @@ class Streamer:
         return marks
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
-        self._budget.settled(outgoing)
         message = outgoing.message
+        if isinstance(message, Mark):  # not planned either: it takes next to nothing
+            return
+        self._budget.settled(outgoing)
         if isinstance(message, TileLayers):
             self._tiles.settled(message, delivered=delivered)
             self._startup.settled(message)
@@ -536,7 +537,6 @@ class Streamer:
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps = self._link.estimate_bps(now_us)
         frame, display_us = record.ahead.frame, record.ahead.display_us
-        lead_us = self._schedule.lead_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
         lead_frames = to_display_us / self._schedule.timeline.period_us
         views = (self._tiles.view(tile, frame, lead_frames) for tile in visible)
@@ -544,8 +544,6 @@ class Streamer:
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, self._schedule.timeline.period_us, now_us)
         spare_us = float(to_display_us - MARGIN_US)
-        if self._coder.kind is ReferenceKind.DIFFERENCE and spare_us > lead_us:
-            spare_us -= lead_us  # what is to be shown is there when it is compared with, where it still can be
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
         timely_bytes = self._budget.timely(spare_us, period_us, max(fresh, default=0), now_us)
@@ -560,6 +558,7 @@ class Streamer:
             layered=self._tiles.layered,
             waiting_us=self._budget.waiting_us(now_us),
             timely_bytes=timely_bytes,
+            alone_bytes=self._budget.alone(earned_bytes, period_us, now_us),
         )
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
