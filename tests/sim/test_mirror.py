@@ -52,11 +52,9 @@ class Compared:
                 self._made[job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
             return drawn
 
-        def compared(
-            pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, timed: bool = True
-        ) -> PresentedFrame:
+        def compared(pipeline: ClientPipeline, frame: int, camera: Camera, *more: Any, **named: Any) -> PresentedFrame:
             before = pipeline._used
-            shown = present(pipeline, frame, camera, share, timed=timed)
+            shown = present(pipeline, frame, camera, *more, **named)
             reference = shown.reference
             if reference is not None and reference.frame == frame and reference.assumes and pipeline._used > before:
                 basis = reference.basis - pipeline._marked_before
