@@ -24,7 +24,17 @@ from cags_encoder.scenes import FrameSource, open_scene
 from cags_gpu.device import choose
 from cags_gpu.raster import GpuScene
 from cags_gpu.timing import frame_counts
-from cags_gpu.work import DEVICES, STEPS, FrameCounts, compared_bytes, estimated_ms, pass_bytes, read_back_bytes, visits
+from cags_gpu.work import (
+    DEVICES,
+    STEPS,
+    FrameCounts,
+    compared_bytes,
+    estimated_ms,
+    operations,
+    pass_bytes,
+    read_back_bytes,
+    visits,
+)
 
 LEAST_PSNR_DB = 100.0
 LEAST_SHARE = 0.9999
@@ -170,6 +180,7 @@ def work_lines(spec: str, size: tuple[int, int] = WORK_SIZE) -> Iterator[Line]:
             "visible": scaled.visible,
             "entries": scaled.entries if design.ellipse else scaled.box_entries,
             "pixels_x_splats": visits(scaled, design),
+            "operations": operations(scaled, design),
             "bytes": moved,
             "bytes_total": sum(moved.values()),
             "estimated_ms": {device.name: round(estimated_ms(scaled, device, design), 2) for device in DEVICES},
