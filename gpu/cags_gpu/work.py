@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 OPERATIONS_A_VISIT, OPERATIONS_TO_FIND = 14, 3
-"""Operations that a pixel spends on an entry, and where quarters of tiles look only at what touches them, to find it."""
+"""Operations that a pixel spends on an entry, and to find it where it looks only at those of its quarter of a tile."""
 
 OPERATIONS_AN_ENTRY = 100
 """To tell which quarters of its tile an entry touches, once for all their pixels."""
