@@ -1,7 +1,7 @@
-"""Trajectories as knots: the ends of a span first, then the middle of every interval against the line through its ends.
+"""Trajectories as knots: both ends of a span first, then the middle of each interval, predicted by interpolation.
 
-Linear motion has no middles; smooth motion has small ones, a quarter a level. Samples are integers in 1/64 of the
-layer's unit, so that a line is followed to 1/64 and every decoder gives the same bits.
+Residuals of middles are zero for linear motion; for smooth motion they shrink by a factor of four per level. Samples
+are integers in 1/64 of the layer's unit, so every decoder computes the same bits.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from cags_common.geometry import F64
 I32 = NDArray[np.int32]
 
 FRACTION_BITS = 6
-"""Samples are fixed-point numbers of so many fractional bits."""
+"""Fractional bits of the fixed-point samples."""
 
 START, END, MIDDLE = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
 class Knot:
-    """One sample of a span that is coded: ``at`` between the samples ``left`` and ``right``, which come before it."""
+    """One coded sample of a span: ``at``, between the samples ``left`` and ``right``, which are coded earlier."""
 
     kind: int
     at: int
     left: int
     right: int
     parent: int
-    """The sample whose residuals tell most of this one's size; -1 for none."""
+    """The sample whose residuals best predict the size of this one's; -1 for none."""
 
 
 @cache
 def knots(span: int, *, start: bool) -> tuple[Knot, ...]:
-    """The knots of ``span`` + 1 samples in coding order; sample 0 is coded only with ``start``, else it is zero."""
+    """The knots of ``span`` + 1 samples in coding order. Without ``start``, sample 0 is not coded and is zero."""
     first = [Knot(START, 0, 0, 0, -1)] if start else []
     return (*first, Knot(END, span, 0, 0, 0 if start else -1), *_middles(span))
 
@@ -56,7 +56,7 @@ def _middles(span: int) -> Iterator[Knot]:
 
 
 def predicted(samples: I32, knot: Knot) -> I32:
-    """What ``samples`` [span + 1, ...] before ``knot`` lead to expect of it: rounded down, the same everywhere."""
+    """Prediction of ``knot`` from the ``samples`` [span + 1, ...] coded before it, rounded down on every machine."""
     if knot.kind == START:
         return np.zeros_like(samples[0])
     left: I32 = samples[knot.left]
@@ -68,7 +68,7 @@ def predicted(samples: I32, knot: Knot) -> I32:
 
 
 def quantised(wanted: F64, guess: I32, deadzone: F64 | float) -> I32:
-    """Residuals of ``wanted`` (units) against a ``guess`` (fixed point); within half a unit and ``deadzone``: none."""
+    """Residuals of ``wanted`` (units) against a ``guess`` (fixed point); 0 within half a unit plus ``deadzone``."""
     off = wanted - guess / (1 << FRACTION_BITS)
     size = np.floor(np.abs(off) + (0.5 - deadzone))
     residual: I32 = (np.sign(off) * size).astype(np.int32)

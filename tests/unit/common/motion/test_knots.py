@@ -1,0 +1,44 @@
+"""Knots of a span: each sample once, after those that predict it, and the same bits from every decoder."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cags_common.motion.knots import END, FRACTION_BITS, knots, predicted, quantised
+
+SPANS = [1, 2, 3, 7, 16, 33]
+
+
+@pytest.mark.parametrize("span", SPANS)
+@pytest.mark.parametrize("start", [True, False])
+def test_each_sample_is_coded_once_after_its_neighbours(span: int, start: bool) -> None:
+    known = set() if start else {0}
+    for knot in knots(span, start=start):
+        assert knot.at not in known
+        assert {knot.left, knot.right} - {knot.at} <= known
+        assert knot.parent in known | {-1}
+        known.add(knot.at)
+    assert known == set(range(span + 1))
+
+
+@pytest.mark.parametrize("span", SPANS)
+def test_a_line_needs_nothing_but_its_end(span: int) -> None:
+    rise = 5 << FRACTION_BITS
+    samples = (np.arange(span + 1) * rise)[:, None].astype(np.int32)
+    for knot in knots(span, start=False):
+        guess = predicted(samples, knot)
+        assert (guess == samples[knot.at]).all() or knot.kind == END
+
+
+def test_a_guess_is_rounded_down_on_both_sides_of_zero() -> None:
+    middle = knots(2, start=False)[1]
+    samples = np.array([[0, 0], [0, 0], [1, -1]], np.int32)
+    assert predicted(samples, middle).tolist() == [0, -1]
+
+
+def test_residuals_round_to_the_nearest_unit_outside_of_the_dead_zone() -> None:
+    wanted, guess = np.array([0.49, 0.51, -0.51, 1.4, -1.6]), np.zeros(5, np.int32)
+    assert quantised(wanted, guess, 0.0).tolist() == [0, 1, -1, 1, -2]
+    assert quantised(wanted, guess, 0.25).tolist() == [0, 0, 0, 1, -1]
+    assert quantised(wanted, guess + (1 << FRACTION_BITS), 0.0).tolist() == [-1, 0, -2, 0, -3]
