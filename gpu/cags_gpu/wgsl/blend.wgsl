@@ -28,8 +28,8 @@ fn pixel_of(tile: vec2<u32>, lane: u32) -> vec2<u32> {
   return tile * TILE + QUARTER * vec2(quarter % 2u, quarter / 2u) + vec2(within % QUARTER, within / QUARTER);
 }
 
-// Note by which quarters of the tile a splat is looked at, entry `lane` of the batch.
-fn announced(lane: u32, d: Drawn, tile: vec2<u32>) {
+// Mark the quarters of the tile that entry `lane` of the batch touches.
+fn marked(lane: u32, d: Drawn, tile: vec2<u32>) {
   let corner = vec2<i32>(tile * TILE); let side = i32(QUARTER);
   let rows = pixel_rows(d, view.size);
   for (var half = 0; half < 2; half++) {
@@ -53,7 +53,7 @@ fn fetched(lane: u32, splat: u32, tile: vec2<u32>) {
   } else {
     batch_c[lane] = vec4(colours[splat].xyz, drawn.rest.y);
   }
-  announced(lane, drawn, tile);
+  marked(lane, drawn, tile);
 }
 
 struct Pixel { rgb: vec3<f32>, light: f32, z: f32 }
@@ -72,7 +72,7 @@ fn written(pixel: vec2<u32>, p: Pixel) {
   depth[i] = select(VOID, bitcast<u32>(p.z / alpha), known);
 }
 
-// Whether any pixel is not finished; the batch before is done with by all, and nothing of the next is announced.
+// Whether any pixel is not finished. Afterwards all are done with the batch before, and no entry of the next is marked.
 fn going(lane: u32, finished: bool) -> bool {
   if (lane == 0u) { atomicStore(&open, 0u); }
   workgroupBarrier();
