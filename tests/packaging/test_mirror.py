@@ -31,7 +31,6 @@ TESTED_THROUGH = {
     "cags_server.http.acceptor": "tests/attacks/test_acceptor.py",
     "cags_server.http.gallery": "tests/integration/server/test_gallery.py",
     "cags_server.predict": "tests/unit/server/predict/test_predictors.py",
-    "cags_server.ratecontrol.bandwidth.base": "tests/unit/server/ratecontrol/bandwidth/test_estimators.py",
     "cags_server.ratecontrol.plan": "tests/unit/server/session/test_streamer.py",
     "cags_server.session": "tests/unit/server/session/test_streamer.py",
     "cags_research.align": "tests/unit/client/frame/test_align.py",
