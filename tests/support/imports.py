@@ -73,11 +73,15 @@ def entry_points() -> frozenset[str]:
 
 
 def reached(path: Path) -> set[str]:
-    """All modules that a file imports, directly or through others. Registries lead to all entry points."""
+    """Modules that a file imports, directly, through others or builders. Registries lead to all entry points."""
     from cags_bench.cli import SUBCOMMANDS
 
     found: set[str] = set()
-    ahead = mentioned(path) & sources().keys()
+    builders = [
+        ROOT / "tests" / f"{name.replace('.', '/')}.py" for name in mentioned(path) if name.startswith("support.")
+    ]
+    files = [path, *(builder for builder in builders if builder.exists())]
+    ahead = set().union(*(mentioned(file) for file in files)) & sources().keys()
     while ahead:
         name = ahead.pop()
         found.add(name)
