@@ -17,19 +17,20 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
 
 from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
 from cags_client.frame.restore import references_wanted
 from cags_client.net.reconnect import Reconnect
-from cags_client.playback.cadence import Cadence
 from cags_client.playback.decode_queue import MAX_UNDECODED_BYTES, DecodeQueue
 from cags_client.playback.endings import FATAL_ENDS, FATAL_REFUSALS, affordable, refused
 from cags_client.playback.interpolation import Interpolation, Moment
 from cags_client.playback.jobs import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
+from cags_client.playback.quality import SCALES, Quality, newest_due, next_due
 from cags_client.playback.startup import Startup
 from cags_client.playback.viewpoint import PoseSource, Viewpoint
-from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.settings import OFF, ClientSettings, LiveSettings
 from cags_client.stats import PlayStats
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
@@ -80,6 +81,8 @@ class Player:
         self._reconnect = Reconnect(round(settings.reconnect_s * 1e6), rng or random.Random(0))  # noqa: S311
         self._lost_us = 0
         self._why_away = NetworkError("the connection was lost")
+        self.rejoining = False
+        """Whether the connection is away by the client's own wish, for a moment."""
         self._welcome: Welcome | None = None
         self._resume_at: Control | None = None
         self._codebooks: bytes | None = None
@@ -90,8 +93,9 @@ class Player:
         self._presenting, self._next_tick, self._end_tick = False, 0, 1
         self._preview_due = False  # more of the first frame has arrived than was shown
         self._startup = Startup(settings.startup_ms * 1000, now_us)
-        self._cadence = Cadence()
-        self._interpolation = Interpolation(settings.interpolate, settings.display_rate)
+        self._quality = Quality(SCALES[self.live.resolution], 1e6 / settings.display_rate, skips=settings.drop_late)
+        self._interpolation = Interpolation()
+        self._begun_us = now_us  # the picture that is being drawn
         self._due_us: int | None = None
         self._asked_idr_us: int | None = None
         session.hello(self._hello(settings.start_frame, poses.pose_at(0)), now_us=now_us)
@@ -140,12 +144,13 @@ class Player:
         self._play_if_due(now_us)
         self._session.handle_timer(now_us=now_us)
         if samples := self._viewpoint.due(now_us):
-            self._session.send_poses(samples, now_us=now_us, cadence_permille=self._cadence.permille)
+            self._session.send_poses(samples, now_us=now_us, cadence_permille=self._quality.permille)
         self._pump(now_us)
 
     def lost(self, reason: str, now_us: int) -> None:
         """The connection was lost, or the one that :meth:`wants_connection` asked for could not be opened."""
         attempt = self._reconnect.trying
+        self.rejoining = False
         self._session.connection_lost(reason, now_us=now_us)
         self._pump(now_us)
         if attempt and self._reconnect.trying:  # there was no session yet to report the end
@@ -175,6 +180,17 @@ class Player:
         self._decode_queue.add(Restarted(unpack_inventory(hello.inventory)))
         self._session.hello(hello, now_us=now_us)
 
+    def reshape(self, width: int, height: int, fov: float, now_us: int) -> None:
+        """Pictures are of ``width`` x ``height`` pixels from now on, and ``fov`` degrees across.
+
+        A server learns of it by a Hello alone: it is joined anew, with what is held, so that nothing is sent again.
+        """
+        self.settings = replace(self.settings, width=width, height=height, fov=fov)
+        if self.pipeline is not None:
+            self.pipeline.settings = self.settings
+        if self.pipeline is not None and not self.away and self._reconnect.possible:
+            self._rejoin(now_us)
+
     def leave(self, now_us: int) -> None:
         """End playback now, with a goodbye."""
         if not self.finished:
@@ -192,7 +208,7 @@ class Player:
             return self._present_first(now_us)
         if self._due_us is not None and now_us >= self._due_us and not self._presenting:
             return self._present(now_us)
-        if not self._presenting and (moment := self._interpolation.take(now_us)) is not None:
+        if not self._presenting and (moment := self._interpolation.take(now_us, self._quality.fits)) is not None:
             return self._present_between(moment, now_us)
         return None
 
@@ -224,11 +240,10 @@ class Player:
             self.stats.first_picture_us = now_us
         if action.first:
             return
-        self._interpolation.drawn(now_us)
+        self._quality.observe(now_us, now_us - self._begun_us, result.pixels_ms * 1e3, media=not action.share)
         if action.share:
             self.stats.interpolated += 1
             return
-        self._cadence.drawn(now_us)
         self.stats.frames += 1
         self.stats.missed += result.missed
 
@@ -286,6 +301,7 @@ class Player:
             return
         if not self._reconnect.away:
             self._lost_us = now_us
+        self.rejoining = False
         self._reconnect.lost(now_us)
 
     def _on_welcome(self, welcome: Welcome, now_us: int) -> None:
@@ -296,8 +312,10 @@ class Player:
             self._reconnect.restored(now_us)
             if not welcome.resumed:  # everything is sent again
                 self._decode_queue.add(Restarted())
-            self.stats.reconnects += 1
-            self.stats.away_us += now_us - self._lost_us
+            if not self.rejoining:
+                self.stats.reconnects += 1
+                self.stats.away_us += now_us - self._lost_us
+            self.rejoining = False
         self._welcome = welcome
         if self.pipeline is None:
             try:
@@ -312,6 +330,8 @@ class Player:
             self._session.control(self._resume_at, now_us=now_us)
             self._go_on_by(self._resume_at)
             self._resume_at = None
+        if self._said_view != self.settings.intrinsics and self._reconnect.possible:  # while this was on its way
+            self._rejoin(now_us)
 
     def _on_codebooks(self, data: bytes, now_us: int) -> None:
         if self._codebooks is not None and data != self._codebooks:
@@ -330,8 +350,16 @@ class Player:
         if self.pipeline is not None and self._welcome is not None and self._codebooks is not None:
             resume, held = self._welcome.session, pack_inventory(self._decode_queue.held(self.pipeline.held()))
         token, agent = self.settings.token, "cags-client"
-        wanted, chroma, view = references_wanted(self.settings.restore), self.settings.chroma, self.settings.intrinsics
+        wanted, chroma = references_wanted(self.settings.restore), self.settings.chroma
+        view = self._said_view = self.settings.intrinsics
         return Hello(PROTOCOL_VERSION, view, pose, self._near, frame, token, agent, resume, wanted, chroma, held)
+
+    def _rejoin(self, now_us: int) -> None:
+        self._session.bye(now_us=now_us)
+        while self._session.next_event() is not None:
+            pass  # its end is known, and what came last comes again
+        self.rejoining = True
+        self._reconnect.lost(now_us)
 
     def _state_of_play(self, now_us: int) -> Control | None:
         """The playback position when a server will have taken the session over; None before playback."""
@@ -392,7 +420,8 @@ class Player:
         """Restart the count of ticks by ``control``, and tell the server."""
         self._timeline = self._timeline.controlled(control)
         self._next_tick, self._end_tick, self._due_us = 0, self._timeline.round_end(0), control.at_us
-        self._cadence.restart()
+        self._quality.period_us = self._timeline.period_us
+        self._quality.restart()
         self._interpolation.cancel()
         self._session.control(control, now_us=now_us)
 
@@ -402,7 +431,7 @@ class Player:
             passed = self._timeline.first_tick(control.at_us)
             self._next_tick, self._end_tick = self._next_tick - passed, self._end_tick - passed
             self._timeline = self._timeline.controlled(control)
-        self._cadence.restart()
+        self._quality.restart()
 
     def _media_frame(self, tick: int) -> int:
         frame = self._timeline.media_frame(tick)
@@ -410,36 +439,43 @@ class Player:
         return frame
 
     def _present(self, now_us: int) -> Present:
-        tick = self._cadence.next(self._next_tick, self._end_tick)
+        half, permille, display_us = self._begin(now_us), self._quality.permille, self._timeline.display_us
+        tick = next_due(self._next_tick, self._end_tick, permille)
         if self.settings.drop_late:
-            tick = self._cadence.newest_due(now_us, self._next_tick, self._end_tick, self._timeline.display_us)
+            tick = newest_due(tick, self._end_tick, permille, lambda each: display_us(each) <= now_us)
         self.stats.dropped += tick - self._next_tick
-        self._next_tick, self._presenting = tick + 1, True
-        frame, due_us = self._media_frame(tick), self._timeline.display_us(tick)
-        following = self._cadence.next(tick + 1, self._end_tick)
-        following_us = self._timeline.display_us(following)
+        self._next_tick = tick + 1
+        frame, due_us = self._media_frame(tick), display_us(tick)
+        following = next_due(tick + 1, self._end_tick, permille)
+        following_us = display_us(following)
         self._due_us = following_us if following > tick else None
-        self._interpolation.cancel()
-        assert self.info is not None and self.pipeline is not None
-        if self.info.motion is not None and following > tick:
-            self._interpolation.begin(due_us, following_us, following - tick)
-        self._interpolation.drawing(now_us)
-        return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._decode_queue.traffic())
+        if self._quality.step_us is not None and following > tick:
+            self._interpolation.begin(due_us, following_us, following - tick, self._quality.step_us)
+        assert self.pipeline is not None
+        pose, traffic = self._viewpoint.pose_at(due_us), self._decode_queue.traffic()
+        return Present(frame, due_us, pose, self.pipeline, traffic, half=half)
+
+    def _begin(self, now_us: int) -> bool:
+        """A picture is begun, as the viewer wishes now; whether it is worked out at half resolution."""
+        assert self.info is not None
+        between = self.settings.interpolate if self.info.motion is not None else OFF
+        self._quality.wish(SCALES[self.live.resolution], between)
+        self._presenting, self._begun_us = True, now_us
+        return self._quality.scale < 1
 
     def _present_first(self, now_us: int) -> Present:
         """A picture before playback: from a reference at first, and from the tiles received so far."""
         assert self.pipeline is not None
-        self._presenting, self._preview_due = True, False
+        self._preview_due = False
         frame, pose = self.settings.start_frame, self._viewpoint.pose_at(now_us)
-        return Present(frame, now_us, pose, self.pipeline, Traffic(), first=True)
+        return Present(frame, now_us, pose, self.pipeline, Traffic(), first=True, half=self._begin(now_us))
 
     def _present_between(self, moment: Moment, now_us: int) -> Present:
         """An interpolated picture, before the next media frame is due."""
         assert self.pipeline is not None
-        self._presenting = True
-        self._interpolation.drawing(now_us)
-        frame, pose = self._media_frame(self._next_tick - 1), self._viewpoint.pose_at(moment.due_us)
-        return Present(frame, moment.due_us, pose, self.pipeline, Traffic(), moment.share)
+        half, frame = self._begin(now_us), self._media_frame(self._next_tick - 1)
+        pose = self._viewpoint.pose_at(moment.due_us)
+        return Present(frame, moment.due_us, pose, self.pipeline, Traffic(), moment.share, half=half)
 
     def _ask_idr(self, last_seq: int, now_us: int) -> None:
         if self._asked_idr_us is not None and now_us - self._asked_idr_us < KEYFRAME_RETRY_US:

@@ -23,6 +23,9 @@ MESSAGE_OVERHEAD_BYTES = 160
 SMOOTHING = 0.2
 """Weight of the newest frame in the means of what overtakes."""
 
+IDLE_FRAMES = 0.5
+"""A link on which less waits than it carries in so many frames is idle: ends of frames and references always do."""
+
 MAX_BUDGET_TICKS = 4
 """A stretch of skipped frames earns at most the budget of so many."""
 
@@ -107,6 +110,14 @@ class ByteBudget:
         room = max(int(most - ahead), 0)
         late = dearest_bytes > most and ahead < min(link_bps * within_us / 8e6, delay_bytes)
         return max(room, dearest_bytes) if late else room
+
+    def alone(self, earned_bytes: int, period_us: float, now_us: int) -> int:
+        """What one message in no hurry may take, though it is larger than the room: all that was earned, where no more
+        waits than the link carries in a share of a frame's time.
+        """
+        link_bps = self._link.estimate_bps(now_us)
+        idle = self._waiting_bytes(link_bps) < IDLE_FRAMES * link_bps * period_us / 8e6
+        return earned_bytes if idle else 0
 
     def _delay_bytes(self, link_bps: float, period_us: float) -> float:
         return link_bps * (self._queue_ms * 1e3 + period_us) / 8e6

@@ -150,11 +150,14 @@ class Schedule:
         due_us = self._clock.to_server(round(self.timeline.display_us(tick) - lead_us))
         if not self.rendering:
             return due_us
-        unserved, period_us = self._unserved_render, self.timeline.period_us
         if not seen():
             return due_us + round(UNSEEN_GRACE_LEADS * lead_us)
-        periods, leads = SEEN_GRACE if unserved is None else RENDER_GRACE
-        return due_us + round(min(periods * period_us, leads * lead_us))
+        return due_us + round(self.grace_us(SEEN_GRACE if self._unserved_render is None else RENDER_GRACE))
+
+    def grace_us(self, grace: tuple[float, float] = RENDER_GRACE) -> float:
+        """How long a frame waits for its render before it goes without."""
+        periods, leads = grace
+        return min(periods * self.timeline.period_us, leads * self.lead_us)
 
     def between_renders(self, every: int, *, seen: bool) -> bool:
         """Whether the next frame is one of those that are not rendered, where one of ``every`` frames is."""

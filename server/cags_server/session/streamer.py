@@ -20,7 +20,6 @@ from cags_protocol.wire.messages import (
     Hello,
     Mark,
     ReferenceFrame,
-    ReferenceKind,
     TileLayers,
     Welcome,
 )
@@ -78,11 +77,16 @@ class Streamer:
         *,
         link: LinkState,
         may_render: Callable[[int], bool] = lambda now_us: True,
+        lightly: Callable[[], bool] = lambda: False,
     ) -> None:
-        """``may_render(now_us)``: whether the renderer has room for this client; asked when a reference is due."""
+        """``may_render(now_us)``: whether the renderer has room for this client; asked when a reference is due.
+        ``lightly()``: whether references are to spare the processor.
+        """
         self.stats = StreamStats()
+        self.lacking: float | None = None
+        """Mean squared error, [0, 1] RGB, of what the client showed at the newest reference; None: not known."""
         self._library, self._settings, self._hello = library, settings, hello
-        self._link, self._may_render = link, may_render
+        self._link, self._may_render, self._lightly = link, may_render, lightly
         self._viewer = Viewer(settings, hello)
         self._policy = create_rate_policy(settings.abr)
         self._coder = ReferenceCoder(settings, hello, library.manifest.fps)
@@ -104,6 +108,7 @@ class Streamer:
         self._joined_us = self._marked_us = 0
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer says when to play
         self._damaged = False  # something that was sent did not arrive whole
+        self._no_place = False  # at the renderer, for the frame that is due
 
     # ------------------------------------------------------------------------------------------------------- startup
 
@@ -133,6 +138,11 @@ class Streamer:
         """The media frame whose tiles are to be planned next; None while there is none."""
         frame = self._schedule.next_frame
         return None if frame is None else self._frame_ahead(self._schedule.serves, frame)
+
+    @property
+    def wait_us(self) -> float:
+        """So long a reference may wait for the renderer before its frame goes without."""
+        return self._schedule.grace_us()
 
     def startup_due_us(self) -> int | None:
         """When :meth:`end_startup` has something to say."""
@@ -217,8 +227,10 @@ class Streamer:
         return marks
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
-        self._budget.settled(outgoing)
         message = outgoing.message
+        if isinstance(message, Mark):  # not planned either: it takes next to nothing
+            return
+        self._budget.settled(outgoing)
         if isinstance(message, TileLayers):
             self._tiles.settled(message, delivered=delivered)
             self._startup.settled(message)
@@ -288,6 +300,7 @@ class Streamer:
             horizon_us=0,
             predicted=seen,
             margins=self._viewer.margins(frame, seen),
+            light=self._lightly(),
             speaks=True,
             idr=self._video.needs_idr,
             basis=self._mark(now_us),
@@ -333,7 +346,7 @@ class Streamer:
         if self._schedule.is_out(tick):
             self._went_ahead = record  # of the render that is out, whose reference is not late yet
         else:
-            record.reference_late = not between
+            record.reference_late, record.no_place = not between, between and self._no_place
             self.stats.references_late += record.reference_late
         ahead = plan.ahead.frame
         self._enter(ahead, now_us)
@@ -369,8 +382,10 @@ class Streamer:
         spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
         affordable = self._reference_budget.bears(now_us, spare_us)
         room = affordable and now_us >= self._rests_until_us
-        if seen and not self._schedule.rendering and not (room and self._may_render(now_us)):
-            return True
+        if seen and not self._schedule.rendering:
+            self._no_place = room and not self._may_render(now_us)
+            if not room or self._no_place:
+                return True
         if not self._pays:
             return self._schedule.between_renders(LOOK_EVERY, seen=seen)
         return not self._video.needs_idr and self._schedule.between_renders(self._settings.reference_every, seen=seen)
@@ -406,6 +421,7 @@ class Streamer:
             horizon_us=self._viewer.horizon_us(display_us) if drawn else 0,
             predicted=predicted,
             margins=self._viewer.margins(frame, predicted) if drawn else (0.0, 0.0),
+            light=self._lightly(),
             speaks=speaks,
             idr=speaks and self._video.needs_idr,
             basis=self._mark(now_us) if drawn and self._coder.kind is not None else 0,
@@ -424,7 +440,8 @@ class Streamer:
         self._schedule.rendering = False
         work_us = now_us - plan.planned_us
         self._schedule.pace.observe(work_us, len(render.coded.access_unit), now_us)
-        whole_us = work_us if plan.speaks else REFERENCE_WORK * work_us
+        more_us = 0.0 if plan.speaks else (REFERENCE_WORK - 1) * min(render.took_us, work_us)
+        whole_us = work_us + more_us
         self._worth.made(slowly=whole_us > OVERLOAD * self._schedule.reference_period_us)
         # A job that takes longer than a frame takes the machine from everything else: tiles, and a client beside it.
         self._rests_until_us = now_us + max(work_us - round(self._schedule.reference_period_us), 0)
@@ -433,6 +450,10 @@ class Streamer:
         self.stats.mirror_ns += render.mirror_ns
         self.stats.mirror_bytes = self._mirror.memory_bytes
         self.stats.encode_ns += render.encode_ns
+        if plan.speaks:
+            self.lacking = render.coded.before
+            kind = self.stats.light if plan.light else self.stats.careful
+            kind.add(render.render_ns + render.mirror_ns, render.encode_ns)
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []
@@ -516,7 +537,6 @@ class Streamer:
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps = self._link.estimate_bps(now_us)
         frame, display_us = record.ahead.frame, record.ahead.display_us
-        lead_us = self._schedule.lead_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
         lead_frames = to_display_us / self._schedule.timeline.period_us
         views = (self._tiles.view(tile, frame, lead_frames) for tile in visible)
@@ -524,8 +544,6 @@ class Streamer:
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, self._schedule.timeline.period_us, now_us)
         spare_us = float(to_display_us - MARGIN_US)
-        if self._coder.kind is ReferenceKind.DIFFERENCE and spare_us > lead_us:
-            spare_us -= lead_us  # what is to be shown is there when it is compared with, where it still can be
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
         timely_bytes = self._budget.timely(spare_us, period_us, max(fresh, default=0), now_us)
@@ -540,6 +558,7 @@ class Streamer:
             layered=self._tiles.layered,
             waiting_us=self._budget.waiting_us(now_us),
             timely_bytes=timely_bytes,
+            alone_bytes=self._budget.alone(earned_bytes, period_us, now_us),
         )
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)

@@ -12,8 +12,7 @@ import { References } from "../playback/references.ts";
 import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status } from "../seam.ts";
 import { ReferenceVideo } from "../video/stream.ts";
 import { Timeline } from "../wire/timeline.ts";
-import { Cadence } from "./cadence.ts";
-import { Resolution } from "./resolution.ts";
+import { newestDue, nextDue, Quality } from "./quality.ts";
 import { Startup, STARTUP_US } from "./startup.ts";
 import { cellBoxes } from "./veto.ts";
 
@@ -27,11 +26,29 @@ const REFILL_S = 1;
 const JUMP_US = 1_000_000;
 /** Media frames after which a reference is too old; it fades over the last half. */
 const REFERENCE_AGE = 10;
-/** A picture between two frames is drawn where it will be done in this many times what the last ones took. */
-const CAUTION = 1.25;
-const MEMORY = 0.2;
+/** Shares of the full picture's width that are drawn, where the device may choose. */
+const SCALES = [0.35, 0.5, 0.7, 1];
+const WHOLE = [1];
+/** Of the screen, until it has been watched; shorter and longer pauses are not those of a screen. */
+const REFRESH_US = 1e6 / 60;
+const [SHORTEST_REFRESH_US, LONGEST_REFRESH_US] = [1000, 50_000] as const;
+/** Weight of the newest refresh in their mean. */
+const MEMORY = 0.05;
+/** A refresh is the one that a picture is due at from this share of a step before it on. */
+const NEARLY = 0.25;
 /** Poses are kept for the next message; the oldest go first. */
 const MOST_SAMPLES = 64;
+
+/** What a picture is drawn of. */
+export interface Viewed {
+  readonly pose: Pose;
+  readonly intrinsics: Intrinsics;
+}
+
+/** From where the viewer looks, and with what the server is told that they see; in a headset each eye has a picture of its own. */
+export interface Viewpoint extends Viewed {
+  readonly eyes?: readonly Viewed[];
+}
 
 export interface PlayerOptions {
   readonly startFrame: number;
@@ -59,6 +76,8 @@ export interface Shown {
 }
 
 export interface PlayerEvents {
+  /** A picture of one of the viewpoint's `of` eyes; whoever hears it closes it. */
+  drew?(eye: number, of: number, camera: Camera, picture: ImageBitmap): void;
   /** Something that a page shows has changed: the state of play, a frame, the link. */
   changed(): void;
   info(info: SceneInfo): void;
@@ -100,14 +119,13 @@ export class Player {
   readonly #source: SceneSource;
   #renderer!: Renderer; // there once `#ready`
   readonly #events: PlayerEvents;
-  readonly #view: () => { pose: Pose; intrinsics: Intrinsics };
+  readonly #view: () => Viewpoint;
   readonly #video: ReferenceVideo;
   readonly #references: Decoded = new References<CodedReference | null>();
-  readonly #cadence: Cadence;
+  readonly #quality = new Quality(WHOLE, REFRESH_US);
   readonly #startFrame: number;
   #startup: Startup;
   #holdUs = STARTUP_US; // of the first frame, at most
-  #resolution = new Resolution(1000 / 30);
   #samples: PoseSample[] = [];
   #timeline = new Timeline(1, 1);
   #startedUs: number | null = null;
@@ -119,7 +137,8 @@ export class Player {
   readonly #whole = new Set<number>(); // media frames that are there, since everything was forgotten
   #busy = false;
   #news = false;
-  #takesUs = 0;
+  #steppedUs = -Infinity; // the newest refresh of the screen
+  #begunUs = -Infinity; // the newest picture
   #drawnView = "";
   #rested = false;
   #newestOrder = 0; // of references that have come
@@ -127,7 +146,7 @@ export class Player {
   #ended = false;
 
   /** `renderer` may still be on its way: the scene is joined, and its first frame refined, meanwhile. */
-  constructor(source: SceneSource, renderer: Promise<Renderer>, view: () => { pose: Pose; intrinsics: Intrinsics }, options: PlayerOptions, events: PlayerEvents) {
+  constructor(source: SceneSource, renderer: Promise<Renderer>, view: () => Viewpoint, options: PlayerOptions, events: PlayerEvents) {
     this.#source = source;
     this.#startup = new Startup(this.#holdUs, nowUs());
     this.#view = view;
@@ -138,7 +157,6 @@ export class Player {
     this.exactness = options.exactness;
     this.adaptResolution = options.adaptResolution;
     this.frame = this.#startFrame = options.startFrame;
-    this.#cadence = new Cadence();
     this.#video = new ReferenceVideo({
       decoded: (reference, coded) => {
         const { camera, knee, kind, error } = reference;
@@ -197,6 +215,11 @@ export class Player {
     else this.#tell("play", this.frame, nowUs() + START_DELAY_US);
   }
 
+  /** The viewer's pinhole is another from now on. */
+  reshape(intrinsics: Intrinsics): void {
+    this.#source.reshape(intrinsics);
+  }
+
   close(): void {
     this.#ended = true;
     this.#source.close();
@@ -221,12 +244,12 @@ export class Player {
 
   /** Share of the full picture's width that is drawn. */
   get scale(): number {
-    return this.adaptResolution ? this.#resolution.scale : 1;
+    return this.#quality.scale;
   }
 
   /** How many of 1,000 media frames this device displays. */
   get cadencePermille(): number {
-    return this.#cadence.permille;
+    return this.#quality.permille;
   }
 
   get videoErrors(): number {
@@ -240,7 +263,7 @@ export class Player {
       case "info":
         this.info = event.info;
         this.#timeline = new Timeline(event.info.fps, event.info.frames, { frame: this.#startFrame });
-        this.#resolution = new Resolution(1000 / event.info.fps);
+        this.#quality.periodUs = 1e6 / event.info.fps;
         if (event.info.waits) this.#startup = new Startup((this.#holdUs = 0), nowUs()); // nobody would refine it
         this.#events.info(event.info);
         break;
@@ -288,9 +311,12 @@ export class Player {
   /** Before each refresh of the screen. */
   step(): void {
     if (this.#ended || !this.info) return;
+    const now = nowUs();
+    this.#watchScreen(now);
     this.#samplePose();
     if (this.#busy || this.#rested || !this.#ready) return;
-    const work = this.#work(nowUs());
+    this.#quality.wish(this.adaptResolution ? SCALES : WHOLE, this.info.moves ? "auto" : "off");
+    const work = this.#work(now);
     if (!work) return;
     this.#busy = true;
     work()
@@ -305,9 +331,15 @@ export class Player {
     this.#events.failed({ code: "frame", message, fatal: true });
   }
 
+  #watchScreen(now: number): void {
+    const passed = now - this.#steppedUs;
+    this.#steppedUs = now;
+    if (passed > SHORTEST_REFRESH_US && passed < LONGEST_REFRESH_US) this.#quality.displayUs += MEMORY * (passed - this.#quality.displayUs);
+  }
+
   #samplePose(): void {
     this.#samples.push({ tUs: nowUs(), pose: this.#view().pose });
-    this.#source.sendPoses(this.#samples.slice(-MOST_SAMPLES), this.#cadence.permille);
+    this.#source.sendPoses(this.#samples.slice(-MOST_SAMPLES), this.#quality.permille);
     this.#samples = [];
   }
 
@@ -332,41 +364,45 @@ export class Player {
 
   /** A picture of what moves by itself, or of the frame on display from where the viewer is now. */
   #between(now: number): (() => Promise<void>) | null {
-    if (this.#dueUs === null || now + CAUTION * this.#takesUs > this.#dueUs) return null;
+    if (this.#dueUs === null || !this.#quality.fits(now, this.#dueUs)) return null;
+    const { stepUs } = this.#quality;
+    if (stepUs === undefined || now - this.#begunUs < (1 - NEARLY) * stepUs) return this.#redraw(now);
     const timeline = this.#timeline;
     const tick = timeline.mediaFrame(this.#nextTick) === this.frame ? this.#nextTick : this.#nextTick - 1;
     const share = ((now - timeline.displayUs(tick)) * timeline.fps * timeline.place.rate) / 1e6;
-    if (this.info!.moves && this.frame < timeline.frames - 1 && share > 0 && share < 1) return () => this.#present(this.frame, share, false);
+    if (this.frame < timeline.frames - 1 && share > 0 && share < 1) return () => this.#present(this.frame, share, false);
     return this.#redraw(now);
   }
 
   #redraw(_now: number): (() => Promise<void>) | null {
     const { shown } = this;
-    if (!shown || this.#viewKey() === this.#drawnView) return null;
-    return () => this.#draw(shown.frame, shown.share, shown.update, performance.now());
+    if (!shown || this.#keyOf(this.#view()) === this.#drawnView) return null;
+    return () => this.#draw(shown.frame, shown.share, shown.update, performance.now(), false);
   }
 
   async #presentDue(now: number): Promise<void> {
     const timeline = this.#timeline;
-    const tick = this.#cadence.newestDue(now, this.#nextTick, this.#endTick, (t) => timeline.displayUs(t));
+    const { permille } = this.#quality;
+    const tick = newestDue(nextDue(this.#nextTick, this.#endTick, permille), this.#endTick, permille, (t) => timeline.displayUs(t) <= now);
     const frame = timeline.mediaFrame(tick)!;
     if (this.info!.waits && !this.#whole.has(frame)) return this.#stall(frame, now);
     this.#nextTick = tick + 1;
-    const following = this.#cadence.next(tick + 1, this.#endTick);
+    const following = nextDue(tick + 1, this.#endTick, permille);
     this.#dueUs = following > tick ? timeline.displayUs(following) : null;
     this.frame = frame;
     await this.#present(frame, 0, true);
-    this.#cadence.drawn(nowUs());
     if (this.playing && this.#wanted === null && !this.#awaited && this.#nextTick >= this.#endTick) this.#atEnd();
   }
 
   async #present(frame: number, share: number, media: boolean): Promise<void> {
     const begun = performance.now();
+    this.#begunUs = nowUs();
     this.#news = false;
     this.#references.show(frame, this.info!.frames);
     const reference = this.#references.newest(REFERENCE_AGE);
     const basis = this.#references.basis(reference);
-    const { camera } = this.#camera();
+    const { pose, intrinsics } = this.#view();
+    const camera = this.#cameraOf({ pose, intrinsics });
     const speaks = this.correct && reference?.picture ? reference : undefined;
     const update = await this.#source.frame({
       frame,
@@ -377,26 +413,36 @@ export class Player {
     this.#references.marked(update.mark);
     this.#renderer.update(update);
     if (media && update.missed) this.missed++;
-    await this.#draw(frame, share, update, begun);
+    await this.#draw(frame, share, update, begun, media);
   }
 
-  async #draw(frame: number, share: number, update: FrameUpdate, begun: number): Promise<void> {
-    const { camera, footprint, key } = this.#camera();
+  async #draw(frame: number, share: number, update: FrameUpdate, begun: number, media: boolean): Promise<void> {
+    const view = this.#view();
+    const key = this.#keyOf(view);
     const found = this.correct ? this.#references.newest(REFERENCE_AGE) : undefined;
-    const options = this.#frameOptions(frame, share, update, camera, footprint, found?.picture ? found : undefined);
-    const times = await this.#renderer.draw(camera, options);
+    const drawn = [];
+    const eyes = view.eyes ?? [view];
+    for (const [i, eye] of eyes.entries()) {
+      const camera = this.#cameraOf(eye);
+      const options = this.#frameOptions({ frame, share, update, camera, display: view.intrinsics }, found?.picture ? found : undefined);
+      const times = await this.#renderer.draw(camera, options, view.eyes !== undefined);
+      if (view.eyes) this.#events.drew?.(i, eyes.length, camera, this.#renderer.taken());
+      drawn.push({ camera, options, times });
+    }
+    const { camera, options, times } = drawn.at(-1)!;
     this.#drawnView = key;
     this.pictures++;
     const frameMs = performance.now() - begun;
-    const took = frameMs * 1000;
-    this.#takesUs += (this.#takesUs ? MEMORY : 1) * (took - this.#takesUs);
-    this.#resolution.observe(performance.now(), frameMs);
+    const gpuMs = drawn.reduce((sum, eye) => sum + eye.times.gpuMs, 0);
+    // Before the play everything is decoded for the first time: that says nothing of what the device keeps up with.
+    if (this.#startedUs !== null) this.#quality.observe(nowUs(), frameMs * 1000, gpuMs * 1000, media);
     this.shown = { frame, share, camera, reference: found?.reference, update, times, frameMs, atUs: nowUs(), options };
     this.#events.changed();
   }
 
-  #frameOptions(frame: number, share: number, update: FrameUpdate, camera: Camera, footprint: Footprint, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
-    const plain = { exactness: this.exactness, footprint, maxShDegree: update.shDegree, display: this.#view().intrinsics };
+  #frameOptions(of: { frame: number; share: number; update: FrameUpdate; camera: Camera; display: Intrinsics }, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
+    const { frame, share, update, camera, display } = of;
+    const plain = { exactness: this.exactness, footprint: footprintAt(this.scale), maxShDegree: update.shDegree, display };
     if (!found?.picture) return plain;
     const { changed } = update;
     const away = frame - found.reference.frame;
@@ -405,15 +451,12 @@ export class Player {
   }
 
   /** The camera of the next picture, at the pixels that its time allows. */
-  #camera(): { camera: Camera; footprint: Footprint; key: string } {
-    const { pose, intrinsics } = this.#view();
-    const camera = { intrinsics: smaller(intrinsics, this.scale), pose, near: this.info!.near };
-    return { camera, footprint: footprintAt(this.scale), key: this.#viewKey() };
+  #cameraOf({ pose, intrinsics }: Viewed): Camera {
+    return { intrinsics: smaller(intrinsics, this.scale), pose, near: this.info!.near };
   }
 
-  #viewKey(): string {
-    const { pose, intrinsics } = this.#view();
-    return JSON.stringify([pose, intrinsics, this.scale, this.correct, this.exactness]);
+  #keyOf(view: Viewpoint): string {
+    return JSON.stringify([view, this.scale, this.correct, this.exactness]);
   }
 
   // ------------------------------------------------------------------------------------------------------ state of play
@@ -450,7 +493,8 @@ export class Player {
     this.#nextTick = 0;
     this.#endTick = this.#timeline.roundEnd(0);
     this.#dueUs = atUs;
-    this.#cadence.restart();
+    this.#quality.periodUs = 1e6 / (this.#timeline.fps * this.rate);
+    this.#quality.restart();
     this.#source.control(state);
     this.#events.changed();
   }
@@ -465,7 +509,7 @@ export class Player {
       this.#endTick -= passed;
       this.#timeline = timeline.controlled(state);
     }
-    this.#cadence.restart();
+    this.#quality.restart();
   }
 
   /** Speed or loop have changed: from the next frame on. */
@@ -518,7 +562,7 @@ export class Player {
     if (!this.loop) this.pause();
     else if (going && nowUs() - told.displayUs(this.#endTick) <= JUMP_US) {
       this.#endTick = told.roundEnd(this.#endTick);
-      this.#dueUs = told.displayUs(this.#cadence.next(this.#nextTick, this.#endTick));
+      this.#dueUs = told.displayUs(nextDue(this.#nextTick, this.#endTick, this.#quality.permille));
     } else this.seek(0);
   }
 }
