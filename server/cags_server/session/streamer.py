@@ -500,8 +500,8 @@ class Streamer:
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _moving_on(self, render: FrameRender) -> list[ev.Outgoing]:
-        """An empty reference when references are no longer made. Without it, a client would keep showing the last one, and,
-        while paused, no splats beyond those that it assumes.
+        """An empty reference, sent when references are no longer made. Without it, a client would keep showing the last
+        one, and, while paused, no splats beyond those that it assumes.
         """
         if self._coder.kind is None or (self._schedule.timeline.playing and self._video.silent):
             return []
