@@ -52,9 +52,11 @@ class Compared:
                 self._made[job.plan.frame, job.plan.basis] = copied(job.mirror.splats)
             return drawn
 
-        def compared(pipeline: ClientPipeline, frame: int, camera: Camera, *more: Any, **named: Any) -> PresentedFrame:
+        def compared(
+            pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, half: bool = False
+        ) -> PresentedFrame:
             before = pipeline._used
-            shown = present(pipeline, frame, camera, *more, **named)
+            shown = present(pipeline, frame, camera, share, half=half)
             reference = shown.reference
             if reference is not None and reference.frame == frame and reference.assumes and pipeline._used > before:
                 basis = reference.basis - pipeline._marked_before
