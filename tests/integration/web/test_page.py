@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from support.web_page import STILL, Page, Server, encoded, page, require_page, same_as_python, served
+from support.web_page import STILL, WHOLE, Page, Server, encoded, page, require_page, same_as_python, served
 
 ROOM = "procedural:size=800,frames=20,seed=1,fps=5,degree=1"
 MOVING = "fourd:splats=700,births=60,frames=12,fps=5,degree=1,seed=2"
@@ -122,3 +122,16 @@ def test_two_pages_have_a_camera_each(tmp_path: Path, server: Server, room: Path
         same_as_python(two, room)
         assert one.shown().values["camera"] != two.shown().values["camera"]
         assert one.complaints() == two.complaints() == []
+
+
+@pytest.mark.slow
+def test_a_window_that_is_turned_keeps_the_play_and_what_is_held(viewer: Page, server: Server, room: Path) -> None:
+    viewer.browser.set_window_size(600, 300)
+    viewer.browser.get(f"{server.url}#paused")
+    viewer.until(WHOLE)
+    viewer.do("window.before = player")
+    viewer.browser.set_window_size(500, 700)
+    viewer.until(f"{WHOLE} && player.shown.camera.intrinsics.heightPx > player.shown.camera.intrinsics.widthPx")
+    viewer.until("player.status.link === 'open' && player.shown.reference?.connection === 2")
+    assert viewer.ask("player === window.before && player.status.reconnects === 0")
+    same_as_python(viewer, room)

@@ -175,7 +175,8 @@ export class DrawnShow implements Show {
       return undefined;
     }
     if (answer.status === 404 && scene !== undefined) throw new MissingError(`There is no scene '${scene}' here.`);
-    if (answer.status === 404) throw new Error(((await answer.json()) as { error: string }).error);
+    const said = answer.headers.get("Content-Type")?.startsWith("application/json");
+    if (answer.status === 404 && said) throw new Error(((await answer.json()) as { error: string }).error);
     if (!answer.ok) throw new Error(`the server answers ${answer.status} ${answer.statusText}`);
     return sceneInfo(readManifest(new Uint8Array(await answer.arrayBuffer())), false);
   }
