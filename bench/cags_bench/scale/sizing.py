@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import check
+from cags_bench.scale.settings import ScaleSettings
 from cags_bench.scale.viewers import ALONE, APART, SAME, Audience, cost_of, lines_of, measured, splats_shown
 from cags_bench.sim.bundle import is_bundle
 from cags_bench.sim.session import SessionResult
 from cags_encoder import EncodeSettings
 from cags_server.http.capacity import HEADROOM
-
-if TYPE_CHECKING:
-    from cags_bench.scale.command import ScaleSettings
 
 CROWD_FPS, CROWD_MBPS, CROWD_CORES, CROWD_RUNS = 5.0, 3.0, 2, 3
 """A crowd that two cores are to carry: frames a second and link of each viewer; runs, each on other walks."""

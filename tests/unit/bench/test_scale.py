@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from cags_bench.scale.cluster import Cluster, Load
-from cags_bench.scale.command import ScaleSettings, add_arguments, capacity, run
+from cags_bench.scale.command import add_arguments, capacity, run
+from cags_bench.scale.settings import ScaleSettings
 from cags_bench.scale.sizing import judged, sizing_table
 from cags_bench.scale.viewers import ALONE, APART, SAME, Audience, cost_of, splats_shown
 from cags_bench.sim.workers import Cores
