@@ -53,10 +53,10 @@ class Compared:
             return drawn
 
         def compared(
-            pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, timed: bool = True
+            pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, half: bool = False
         ) -> PresentedFrame:
             before = pipeline._used
-            shown = present(pipeline, frame, camera, share, timed=timed)
+            shown = present(pipeline, frame, camera, share, half=half)
             reference = shown.reference
             if reference is not None and reference.frame == frame and reference.assumes and pipeline._used > before:
                 basis = reference.basis - pipeline._marked_before

@@ -9,11 +9,12 @@ import pytest
 
 from support.firefox import WEBGPU, firefox
 from support.live_page import BallShow
-from support.web_page import ICD, WHOLE, Page, encoded, require_built, require_page, same_as_python, served
+from support.web_page import ICD, STILL, WHOLE, Page, encoded, require_built, require_page, same_as_python, served
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 SCENE = "procedural:size=800,frames=2,seed=1,fps=5,degree=1"
+ROOM = "procedural:size=800,frames=20,seed=1,fps=5,degree=1"
 SMALL = ("--reference-width", "64", "--reference-height", "48", "--visible-px", "0")
 
 
@@ -46,6 +47,20 @@ def test_with_webgpu_its_pictures_are_pythons(tmp_path: Path) -> None:
         page.do("player.seek(1); window.cags.camera.turn(0.3, 0.1)")
         page.until(f"player.shown?.frame === 1 && {WHOLE}")
         same_as_python(page, bundle)
+
+
+def test_references_are_decoded_by_its_webcodecs(tmp_path: Path) -> None:
+    require_page()
+    bundle = encoded(ROOM, tmp_path / "room.cags")
+    with (
+        served(bundle, tmp_path, *SMALL[:4], "--references", "picture") as server,
+        firefox(tmp_path / "profile", WEBGPU, VK_ICD_FILENAMES=str(ICD)) as browser,
+    ):
+        page = Page(browser)
+        page.open(server.url, "paused")
+        page.until(f"{STILL} && player.shown.options.reference")
+        same_as_python(page, bundle)
+        assert page.ask("player.videoErrors") == 0
 
 
 async def test_a_page_with_a_client_behind_it_needs_none(tmp_path: Path) -> None:
