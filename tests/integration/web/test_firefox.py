@@ -58,6 +58,9 @@ def test_references_are_decoded_by_its_webcodecs(tmp_path: Path) -> None:
     ):
         page = Page(browser)
         page.open(server.url, "paused")
+        page.until(WHOLE)
+        if not page.ask("player.status.references"):
+            pytest.skip("this Firefox decodes no H.264, so its page asks for no references: install libavcodec")
         page.until(f"{STILL} && player.shown.options.reference")
         same_as_python(page, bundle)
         assert page.ask("player.videoErrors") == 0
