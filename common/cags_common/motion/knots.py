@@ -1,13 +1,15 @@
 """Trajectories as knots: the ends of a span first, then the middle of every interval against the line through its ends.
 
-Linear motion has no middles; smooth motion has small ones, a quarter a level. Samples are integers in 1/64 of the
-layer's unit, so that a line is followed to 1/64 and every decoder gives the same bits.
+Linear motion has no middles; smooth motion has small ones, a quarter a level. Where motion is smooth and little noise
+is in it, middles are told against the curve through the knots around instead: the cubic through the ends of the
+interval and those of its neighbours (the parabola at an end of the span). Samples are integers in 1/64 of the layer's
+unit, so that a line is followed to 1/64 and every decoder gives the same bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -22,6 +24,9 @@ FRACTION_BITS = 6
 
 START, END, MIDDLE = 0, 1, 2
 
+WEIGHT_BITS = 12
+"""Weights of knots further away are fixed-point numbers of so many fractional bits."""
+
 
 @dataclass(frozen=True, slots=True)
 class Knot:
@@ -33,26 +38,60 @@ class Knot:
     right: int
     parent: int
     """The sample whose residuals tell most of this one's size; -1 for none."""
+    before: int = -1
+    """The sample to the left of ``left`` that a curve goes through; -1 for none."""
+    after: int = -1
+    """That to the right of ``right``."""
+    weights: tuple[int, int] = (0, 0)
+    """Of what ``before`` and ``after`` are off the line through ``left`` and ``right``."""
 
 
 @cache
-def knots(span: int, *, start: bool) -> tuple[Knot, ...]:
-    """The knots of ``span`` + 1 samples in coding order; sample 0 is coded only with ``start``, else it is zero."""
+def knots(span: int, *, start: bool, curved: bool = False) -> tuple[Knot, ...]:
+    """The knots of ``span`` + 1 samples in coding order; sample 0 is coded only with ``start``, else it is zero.
+
+    ``curved`` ones are told against curves, others against lines.
+    """
     first = [Knot(START, 0, 0, 0, -1)] if start else []
-    return (*first, Knot(END, span, 0, 0, 0 if start else -1), *_middles(span))
+    return (*first, Knot(END, span, 0, 0, 0 if start else -1), *_middles(span, curved))
 
 
-def _middles(span: int) -> Iterator[Knot]:
+def _middles(span: int, curved: bool) -> Iterator[Knot]:
     intervals = [(0, span, span)]  # left, right, the later of the two
     while intervals:
         below = []
-        for left, right, parent in intervals:
+        for number, (left, right, parent) in enumerate(intervals):
             if right - left < 2:
                 continue
             at = (left + right) // 2
-            yield Knot(MIDDLE, at, left, right, parent)
+            knot = Knot(MIDDLE, at, left, right, parent)
+            yield _bent(knot, intervals, number) if curved else knot
             below += [(left, at, at), (at, right, at)]
         intervals = below
+
+
+def _bent(knot: Knot, intervals: Sequence[tuple[int, int, int]], number: int) -> Knot:
+    """``knot`` in the middle of the interval ``number``, with those beyond its neighbours."""
+    before, after = -1, -1
+    if number > 0 and intervals[number - 1][1] == knot.left:
+        before = intervals[number - 1][0]
+    if number + 1 < len(intervals) and intervals[number + 1][0] == knot.right:
+        after = intervals[number + 1][1]
+    weights = _weight(knot, before, after), _weight(knot, after, before)
+    return replace(knot, before=before, after=after, weights=weights)
+
+
+def _weight(knot: Knot, of: int, other: int) -> int:
+    """Lagrange's weight of the sample ``of`` at ``knot``; ``other`` is the fourth one. -1: there is none."""
+    if of < 0:
+        return 0
+    share = (knot.at - knot.left) * (knot.at - knot.right)
+    whole = (of - knot.left) * (of - knot.right)
+    if other >= 0:
+        share, whole = share * (knot.at - other), whole * (of - other)
+    if whole < 0:
+        share, whole = -share, -whole
+    return ((share << (WEIGHT_BITS + 1)) + whole) // (2 * whole)
 
 
 def predicted(samples: I32, knot: Knot) -> I32:
@@ -62,9 +101,19 @@ def predicted(samples: I32, knot: Knot) -> I32:
     left: I32 = samples[knot.left]
     if knot.kind == END:
         return left
-    rise = (samples[knot.right].astype(np.int64) - left) * (knot.at - knot.left) // (knot.right - knot.left)
-    guess: I32 = (left + rise).astype(np.int32)
-    return guess
+    guess = left + _rise(samples, knot, knot.at)
+    bend = np.zeros_like(guess)
+    for at, weight in zip((knot.before, knot.after), knot.weights, strict=True):
+        if at >= 0:
+            bend += weight * (samples[at].astype(np.int64) - left - _rise(samples, knot, at))
+    out: I32 = (guess + (bend >> WEIGHT_BITS)).astype(np.int32)
+    return out
+
+
+def _rise(samples: I32, knot: Knot, at: int) -> NDArray[np.int64]:
+    """How far the line through the ends of the interval of ``knot`` has risen ``at`` a sample: rounded down."""
+    rise: NDArray[np.int64] = samples[knot.right].astype(np.int64) - samples[knot.left]
+    return rise * (at - knot.left) // (knot.right - knot.left)
 
 
 def quantised(wanted: F64, guess: I32, deadzone: F64 | float) -> I32:

@@ -136,8 +136,8 @@ def kernel_tree(order: tuple[Knot, ...], shape: tuple[int, ...], *, turn: bool) 
 
 @cache
 def _knot_rows(order: tuple[Knot, ...]) -> I32:
-    rows = [(knot.kind, knot.at, knot.left, knot.right, knot.parent) for knot in order]
-    return np.array(rows, np.int32).reshape(-1, 5)
+    rows = [(k.kind, k.at, k.left, k.right, k.parent, k.before, k.after, *k.weights) for k in order]
+    return np.array(rows, np.int32).reshape(-1, 9)
 
 
 def _packed(escapes: I32) -> bytes:
