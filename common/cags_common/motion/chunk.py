@@ -8,6 +8,7 @@ rigid bodies, and coarse residuals; each further level refines the residuals by 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -247,13 +248,9 @@ class ChunkDecoder:
 
     def add_level(self, payload: bytes | memoryview) -> None:
         """Take the next level. Raises :class:`DecodeError`, and then nothing is changed."""
-        view = memoryview(payload)
-        if self.levels >= LEVELS or len(view) < 4:
-            raise DecodeError(f"motion: level {self.levels} of {LEVELS} is too much or cut short")
-        escapes = 4 + struct.unpack_from("<I", view)[0]
-        if escapes > len(view):
-            raise DecodeError("motion: a level's escapes are cut short")
-        reader = SymbolReader(view[4:escapes], view[escapes:], native=self._native)
+        if self.levels >= LEVELS:
+            raise DecodeError(f"motion: level {self.levels} of {LEVELS} is too much")
+        reader = SymbolReader(*_finer_sections(payload), native=self._native)
         chunk, told = self.chunk, self._told.copy()
         more = _read_trees(reader, chunk, self.levels, told)
         reader.finish()
@@ -347,6 +344,43 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
     escapes = who + sizes[2]
     head = _Head(flags, span, (frame, tile), splats, block, (finer, finer_turns), unit)
     return head, view[_HEAD.size : rigid], view[rigid:who], view[who:escapes], view[escapes:]
+
+
+def _finer_sections(payload: bytes | memoryview) -> tuple[memoryview, memoryview]:
+    """Large numbers and symbols of a payload of a further level. Raises :class:`DecodeError`."""
+    view = memoryview(payload)
+    escapes = 4 + struct.unpack_from("<I", view)[0] if len(view) >= 4 else 0
+    if not 4 <= escapes <= len(view):
+        raise DecodeError("motion: a level is cut short")
+    return view[4:escapes], view[escapes:]
+
+
+def spent(payloads: Sequence[bytes | memoryview]) -> dict[str, int]:
+    """Bytes by what they tell, of the first ``payloads`` of a chunk. Read by numpy, which takes its time.
+
+    Raises :class:`DecodeError`.
+    """
+    head, rigid, who, *sections = _sections(payloads[0])
+    movers = _read_movers(head, who)
+    told = _Told.of(head, head.splats if movers is None else len(movers))
+    curved = head.has(CURVED_MOVES), head.has(CURVED_TURNS)
+    out = {"heads and tables": _HEAD.size, "blocks": len(rigid), "movers": len(who), "large numbers": 0}
+    for level, payload in enumerate(payloads):
+        escapes, symbols = _finer_sections(payload) if level else sections
+        reader, before = SymbolReader(escapes, symbols, native=False), 0
+        if level == 0 and head.has(LIVES | FADES):
+            lives = reader.plain(life_tables(head.splats)) if head.has(LIVES) else None
+            out["lives"], before = reader.read_bytes, reader.read_bytes
+            if head.has(FADES):
+                _read_fades(reader, head, lives)
+            out["fades"], before = reader.read_bytes - before, reader.read_bytes
+        for i, (name, part) in enumerate((("positions", told.moves), ("rotations", told.turns))):
+            if part is not None:
+                reader.tree(knots(head.span, start=head.has(STARTS), curved=curved[i]), part, turn=i == 1)
+            out[f"{name}, level {level}"], before = reader.read_bytes - before, reader.read_bytes
+        out["large numbers"] += len(escapes)
+        out["heads and tables"] += 4 * (level > 0) + len(symbols) - reader.read_bytes
+    return out
 
 
 def _read_movers(head: _Head, who: memoryview) -> NDArray[np.intp] | None:

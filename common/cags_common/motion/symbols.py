@@ -174,6 +174,12 @@ class SymbolReader:
         self._escapes, self._at = _unpacked(escapes), 0
         self._symbols = rans.decoder(symbols, native=native)
 
+    @property
+    def read_bytes(self) -> int:
+        """Bytes of symbols that were read; numpy's reader alone knows."""
+        assert isinstance(self._symbols, rans.Decoder)
+        return self._symbols.read_bytes
+
     def plain(self, tables: U8) -> U8:
         """The next numbers [n], by the table of each."""
         return self._symbols.take(tables)

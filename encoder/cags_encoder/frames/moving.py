@@ -43,6 +43,11 @@ SHARE = 0.25
 COLUMNS = {"scale": "log_scales", "sh0": "sh0", "sh_rest": "sh_rest"}
 """Attributes that change by themselves, and their columns of splats."""
 
+MOST_CHANGE = 0.5
+"""Share of the splats from which on those that change are cut into tiles by their ids, which then take no bytes: a key
+frame's rise along the curve that tiles follow.
+"""
+
 STILL = 2.0
 """Splats that stay within so many times the tolerance of where they are held need no chunk; nor within a finest unit at
 most.
@@ -216,7 +221,8 @@ class MovingGroups:
             return []
         self._take_over(ids, changed, rows, fresh)
         means = quantised.prepared.means
-        order = rows[morton_order(means[rows])]
+        most = len(rows) > MOST_CHANGE * int(self._held.alive.sum())
+        order = rows if most else rows[morton_order(means[rows])]
         tiles = []
         for first, end in tile_ranges(len(order), DELTA_TILE_SPLATS):
             run = np.sort(order[first:end])

@@ -249,3 +249,24 @@ def test_a_curve_of_what_is_not_told_is_refused(flag: int) -> None:
     payload[1] = payload[1] & ~chunks.TURNS | flag
     with pytest.raises(DecodeError, match="flags"):
         ChunkDecoder(bytes(payload))
+
+
+def test_what_is_spent_on_each_part_adds_up_to_the_payloads() -> None:
+    random = np.random.default_rng(11)
+    lives = random.integers(0, SPAN + 2, SPLATS).astype(np.uint8)
+    fades = np.stack([random.integers(0, 49, SPLATS), random.integers(-20, 20, SPLATS)], axis=1)
+    sides = {"lives": lives, "fades": fades, "blocks": blocks_of(random)}
+    payloads = encode((7, 3), wavy(random, 3, 4e5), wavy(random, 4), starts=True, curved=(True, False), **sides)
+    found = chunks.spent(payloads)
+    assert sum(found.values()) == sum(map(len, payloads)) and min(found.values()) >= 0
+    named = (
+        "heads and tables",
+        "blocks",
+        "large numbers",
+        "lives",
+        "fades",
+        "positions, level 0",
+        "rotations, level 2",
+    )
+    assert all(found[name] > 0 for name in named)
+    assert chunks.spent(payloads[:1])["positions, level 0"] == found["positions, level 0"]
