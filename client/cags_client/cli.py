@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--url",
         required=True,
-        help="stream address, ws://HOST:PORT/stream; several servers of one scene: separated by commas",
+        help="stream address, ws://HOST:PORT/stream; several servers of one scene are separated by commas",
     )
     parser.add_argument(
         "--poses",
@@ -70,15 +70,22 @@ def _parser() -> argparse.ArgumentParser:
         "{still,looking,turning,walking,jitter}[:seed=N] (default: synthetic:walking, from the author's view on where "
         "the scene has one)",
     )
-    parser.add_argument("--scene", default="", metavar="NAME", help="which scene of a server that has several")
+    parser.add_argument("--scene", default="", metavar="NAME", help="scene to play, for a server of several")
     parser.add_argument(
-        "--save", "--record", metavar="DIR|FILE.mp4", help="write shown frames: a folder of PNG files or a clip"
+        "--save",
+        "--record",
+        metavar="DIR|FILE.mp4",
+        help="write displayed frames, as a folder of PNG files or as a video",
     )
-    parser.add_argument("--headless", action="store_true", help="no live table, even in a terminal")
-    parser.add_argument("--json", metavar="FILE|-", help="write a JSON line a frame and a summary line")
+    parser.add_argument("--headless", action="store_true", help="print no live table, even in a terminal")
+    parser.add_argument(
+        "--json", metavar="FILE|-", help="write one JSON line per frame and a summary line; - is stdout"
+    )
     parser.add_argument("--truth", metavar="BUNDLE", help="score every frame against the source frames of this bundle")
-    parser.add_argument("--stages", metavar="DIR", help="write the intermediate pictures of some frames")
-    parser.add_argument("--stages-every", type=int, default=30, metavar="N", help="which frames (default: every 30th)")
+    parser.add_argument("--stages", metavar="DIR", help="folder for the intermediate pictures of some frames")
+    parser.add_argument(
+        "--stages-every", type=int, default=30, metavar="N", help="frames between those of --stages (default: 30)"
+    )
     add_settings(parser, ClientSettings)
     _add_view(parser)
     return parser
@@ -89,7 +96,7 @@ def _add_view(parser: argparse.ArgumentParser) -> None:
 
     page = parser.add_argument_group("live page")
     page.add_argument(
-        "--view", action="store_true", help="serve a page to look at and to steer; plays until interrupted"
+        "--view", action="store_true", help="serve a live page to watch and steer; plays until interrupted"
     )
     add_flags(page, ViewSettings)
 

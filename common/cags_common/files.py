@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: written under another name beside their own, then moved."""
+"""Atomic files: each is written under a temporary name beside its own and then moved into place."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from cags_common.errors import OutputError
 
 
 class WholeFile:
-    """A file in the making. Write to :attr:`writing`, then :meth:`keep` or :meth:`drop` it.
+    """An unfinished file. Write to :attr:`writing`, then call :meth:`keep` or :meth:`drop`.
 
-    A link stays a link: what it points at is replaced. A device or a pipe must not be replaced by a file, so it is
-    written to directly.
+    A symbolic link stays a link, and its target is replaced. Devices and pipes are written to directly, because a file
+    must not replace them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -30,16 +30,16 @@ class WholeFile:
             self.writing.replace(self._target)
 
     def drop(self) -> None:
-        """Leave nothing behind, unless it was kept."""
+        """Remove the temporary file, unless it was kept."""
         if self._target is not None:
             self.writing.unlink(missing_ok=True)
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Where to write what shall appear at ``path``; it does at the end of the block, unless an error ends it.
+    """A temporary path to write to, which is moved to ``path`` at the end of the block unless an error ends it.
 
-    Raises :class:`OutputError` for a place that cannot be written.
+    Raises :class:`OutputError` if ``path`` cannot be written.
     """
     file = WholeFile(path)
     try:
@@ -52,13 +52,13 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write ``data``. Raises :class:`OutputError` for a place that cannot be written."""
+    """Write ``data`` to a file. Raises :class:`OutputError` if it cannot be written."""
     with whole_file(path) as writing:
         writing.write_bytes(data)
 
 
 def writable_folder(path: Path) -> Path:
-    """The folder, made where it is not there. Raises :class:`OutputError` unless files can be written in it."""
+    """Create the folder if necessary and return it. Raises :class:`OutputError` if files cannot be written in it."""
     probe = path / ".cags-probe"
     try:
         path.mkdir(parents=True, exist_ok=True)

@@ -1,27 +1,27 @@
-"""Which effects a frame and a link need, decided in one place from what is there.
+"""The passes that a frame needs and the effects that a link needs, decided in one place.
 
-An effect is work that only some scenes, moments or scenarios call for. A plan is made anew for every frame; what is not
-in it is not done, and leaving it out must not change the picture (tests hold both: equality with everything on, and a
-visible fault where a needed effect is taken away). The conditions:
+A pass (:class:`Effect`) is work that only some scenes or moments require. A plan is made for every frame, and passes
+outside of it do not run. Leaving them out must not change the picture; tests check equality with all passes on, and a
+visible fault when a needed pass is removed. The conditions:
 
 ==================  ====================================================================================================
-view-colour         some splat that is held has a spherical-harmonics coefficient that is not 0; up to the highest such
+view-colour         some held splat has a nonzero spherical-harmonics coefficient; evaluated up to the highest such
                     band
-correction          a reference is at hand that says what is lacking, or from which that can be told
-restoration         a picture is at hand for a restorer of aligned pictures, and colours are still quantised (or the
-                    restorer stands in the picture's place)
-alignment           as restoration: such restorers look at the picture from the client's view
-occlusion           as alignment, and the two cameras stand at different places: from one place nothing can be hidden
-erosion             as occlusion, and the restorer looks at the aligned colours (which are filled where a pixel is
-                    hidden)
-reference-render    as correction, and the reference is a picture: what is lacking is the picture less the client's
-                    render from the reference camera
+correction          a reference is available that carries, or allows computing, what the client lacks
+restoration         a picture is available for a restorer of aligned pictures, and colours are still quantised (or
+                    the restorer replaces the picture)
+alignment           as restoration: such restorers need the picture in the client's view
+occlusion           as alignment, and the cameras are at different positions; at one position nothing is occluded
+erosion             as occlusion, and the restorer uses the aligned colours, which are filled where a pixel is
+                    occluded
+reference-render    as correction, and the reference is a picture: what the client lacks is the picture minus the
+                    client's render from the reference camera
 veto                as correction, and splats have changed since the reference was made
-fade                the reference is of another frame than the one on display
-depth               something is corrected or aligned, or somebody looks at the depth picture
+fade                the reference belongs to another frame than the displayed one
+depth               something is corrected or aligned, or the viewer shows the depth picture
 ==================  ====================================================================================================
 
-and of a link: ``delay``, ``jitter``, ``loss``, ``queue`` (a bound on it), ``cap`` and ``rate`` (a trace), each where
+The effects of a link are ``delay``, ``jitter``, ``loss``, ``queue`` (a limit), ``cap`` and ``rate`` (a trace), each if
 the scenario names it.
 """
 
@@ -37,7 +37,7 @@ from cags_common.splats import SH_REST_OF_DEGREE
 
 
 class Pass(StrEnum):
-    """Work of a client's frame that is done only where it is needed."""
+    """Passes of a client's frame that run only when needed."""
 
     VIEW_COLOUR = "view-colour"
     DEPTH = "depth"
@@ -52,7 +52,7 @@ class Pass(StrEnum):
 
 
 class LinkEffect(StrEnum):
-    """What a simulated link does to packets besides carrying them."""
+    """Effects of a simulated link on packets."""
 
     RATE = "rate"
     DELAY = "delay"
@@ -73,46 +73,46 @@ STAGE_OF = {
     Pass.CORRECTION: "correct",
     Pass.RESTORATION: "restore",
 }
-"""The timed stage of a frame that an effect is a part of (or the whole); ``fade`` is in none of its own."""
+"""The timed stage of a frame that contains each pass; ``fade`` has none."""
 
 ALWAYS, NEEDED = "always", "needed"
 POLICIES = (NEEDED, ALWAYS)
-"""How effects are decided: from what is there, or all of them whenever they can run (to compare with)."""
+"""Policies: the needed passes, or, for comparison, all passes that can run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What is there for one frame."""
+    """Conditions of one frame."""
 
     sh_degree: int
-    """Highest band of spherical harmonics with a coefficient that is not 0, of all splats held."""
+    """Highest band of spherical harmonics with a nonzero coefficient in any held splat."""
     scene_sh_degree: int
-    """The band up to which the scene has coefficients at all."""
+    """Highest band of spherical harmonics in the scene's format."""
     whole: bool
-    """Everything shown is at its highest level: what is left of quantisation is under the reference's own noise."""
+    """Everything displayed is at its highest level, and its quantisation error is below the reference's noise."""
     reference: bool
-    """A reference is at hand that is not too old and says something."""
+    """A reference is available that is not too old and not empty."""
     picture: bool
-    """That reference is a picture of the scene."""
+    """The reference is a picture of the scene."""
     same_place: bool
-    """The reference's camera stands where the client's does (whichever way they look)."""
+    """The reference's camera has the client's position, with any orientation."""
     same_frame: bool
-    """The reference is of the frame on display."""
+    """The reference belongs to the displayed frame."""
     corrects: bool
-    """What is lacking is added."""
+    """The client adds what it lacks."""
     stale: bool
-    """Splats have changed since the reference was made, other than it assumes."""
+    """Splats have changed since the reference was made in a way that it does not assume."""
     restorer: frozenset[Pass]
-    """What the restorer of aligned pictures looks at; nothing where there is none."""
+    """Inputs of the restorer of aligned pictures; none without such a restorer."""
     replaces: bool
-    """That restorer stands in the picture's place instead of correcting it."""
+    """The restorer replaces the picture instead of correcting it."""
     depth_shown: bool
-    """Somebody looks at the depth picture."""
+    """The viewer shows the depth picture."""
 
 
 @dataclass(frozen=True, slots=True)
 class PassPlan:
-    """The effects of one frame."""
+    """The passes of one frame."""
 
     on: frozenset[Pass]
     sh_degree: int = 0
@@ -122,7 +122,7 @@ class PassPlan:
 
 
 def plan_frame(s: Situation, policy: str = NEEDED) -> PassPlan:
-    """The effects that situation ``s`` calls for; with ``ALWAYS`` every one that can run at all."""
+    """The passes needed in situation ``s``; with ``ALWAYS`` all passes that can run."""
     always = policy == ALWAYS
     on: set[Pass] = set()
     degree = s.scene_sh_degree if always else s.sh_degree
@@ -138,7 +138,7 @@ def plan_frame(s: Situation, policy: str = NEEDED) -> PassPlan:
 
 
 def _correcting(s: Situation, *, always: bool) -> set[Pass]:
-    """Effects around a reference that says what is lacking."""
+    """Passes for a reference that carries what the client lacks."""
     on = {Pass.CORRECTION}
     if s.picture:
         on.add(Pass.REFERENCE_RENDER)
@@ -150,7 +150,7 @@ def _correcting(s: Situation, *, always: bool) -> set[Pass]:
 
 
 def _restoring(s: Situation, *, always: bool) -> set[Pass]:
-    """Effects around a picture for a restorer."""
+    """Passes for a picture and a restorer."""
     on = {Pass.RESTORATION, *(s.restorer - {Pass.EROSION})}
     if always or not s.same_place:
         on |= {Pass.OCCLUSION, *(s.restorer & {Pass.EROSION})}
@@ -160,17 +160,17 @@ def _restoring(s: Situation, *, always: bool) -> set[Pass]:
 
 
 def held_sh_degree(sh_rest: F32) -> int:
-    """The highest band with a coefficient that is not 0 in ``sh_rest`` [N, K, 3]."""
+    """The highest band with a nonzero coefficient in ``sh_rest`` [N, K, 3]."""
     bands = range(1, len(SH_REST_OF_DEGREE))
     own = {d: sh_rest[:, SH_REST_OF_DEGREE[d - 1] : SH_REST_OF_DEGREE[d]] for d in bands}
     return max((d for d, band in own.items() if band.any()), default=0)
 
 
 def tally(records: Iterable[tuple[frozenset[Pass], Mapping[str, float]]]) -> dict[str, dict[str, Any]]:
-    """Over frames (effects that were on, milliseconds by stage): each effect's share of frames and the time saved.
+    """Summarise frames (passes that ran, milliseconds by stage): each pass's share of frames and the time saved.
 
-    ``saved_ms`` is the sum over the frames without the effect of what its stage takes less there than in the frames
-    with it. It is None where the effect never ran, was never left out, or no times were taken.
+    ``saved_ms`` is the time that the pass's stage took less in frames without the pass than in frames with it, summed
+    over the former. It is None if the pass always or never ran, or if no times were taken.
     """
     frames = list(records)
     return {effect.value: _tallied(effect, frames) for effect in Pass} if frames else {}

@@ -77,7 +77,7 @@ def add_settings(parser: argparse.ArgumentParser, cls: type[DataclassInstance]) 
         "--config", metavar="FILE", help="TOML file with the same names as the flags (dashes as underscores)"
     )
     if any(f.metadata.get("research") for f in fields(cls)):
-        parser.add_argument("--help-all", action=_HelpAll, nargs=0, help="show this, and the flags of experiments")
+        parser.add_argument("--help-all", action=_HelpAll, nargs=0, help="show this and the options of experiments")
     add_flags(parser, cls)
 
 

@@ -1,4 +1,4 @@
-"""What a frame is made of and how long its passes take, measured on the device."""
+"""Counts of a frame's work, and times of its passes, measured on the device."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _box_entries(words: np.ndarray, camera: Camera, *, packed: bool) -> int:
 
 
 def pass_times_ms(scene: ResidentScene, steps: Sequence[Dispatch]) -> dict[str, float]:
-    """Milliseconds of each kind of pass among ``steps`` by the device's clock; empty where it has none."""
+    """Milliseconds of each kind of pass in ``steps`` by the device's clock; empty if the device has no clock."""
     import wgpu
 
     if not scene.gpu.timestamps:

@@ -50,27 +50,33 @@ class Stance(enum.Enum):
 
 @dataclass(frozen=True)
 class AckSample:
-    """One acknowledgement as a bandwidth estimator needs it. Times of the server's clock.
+    """What one acknowledgement says of the link. Times of the server's clock.
 
     ``delivery_rate_bps`` is the rate sample of draft-cheng-iccrg-delivery-rate-estimation (None: no new packet);
     ``app_limited`` says that the server had nothing to send during it, so the link may be faster than that.
-    ``window_limited`` says the same of the credit window.
     """
 
     now_us: int
     newly_delivered_bytes: int
     rtt_us: int
+    """Round trip of the newest packet, without the time that its acknowledgement waited at either end."""
     app_limited: bool
     delivery_rate_bps: float | None = None
-    window_limited: bool = False
     in_flight_bytes: int = 0
     queued_bytes: int = 0
+    undecoded_bytes: int = 0
+    """What the client holds and has not decoded yet."""
     shortest_rtt_us: int = 0
     """Shortest of the last ten seconds: the path's delay without queueing."""
-    received_us: int = 0
-    """When the newest packet arrived, by the client's clock."""
+    jitter_us: float = 0.0
+    """By how much a round trip may exceed the shortest without any queue."""
     stance: Stance = Stance.GIVE_WAY
     """How the connection responds to a queue."""
+
+    @property
+    def queue_us(self) -> int:
+        """What the newest packet waited in front of the link; with it, whatever round trips jump about by."""
+        return self.rtt_us - self.shortest_rtt_us
 
 
 # ------------------------------------------------------------------------------------------------- server's events
@@ -94,10 +100,9 @@ class PosesReceived:
 
 @dataclass(frozen=True)
 class Acknowledged:
-    """An acknowledgement; ``buffered_bytes`` is what the client holds undecoded."""
+    """An acknowledgement of new packets."""
 
     sample: AckSample
-    buffered_bytes: int
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ log = logging.getLogger(__name__)
 EXAMPLES = """\
   cags-server --bundle out/monkey
   cags-server --bundle out                               # every bundle in a folder, with a gallery
-  cags-server --bundle out/monkey --port 0 --json        # a free port, told on stdout
-  cags-server --bundle s3://bucket/monkey --predictor linear --fov-margin 0.2 --abr utility
+  cags-server --bundle out/monkey --port 0 --json        # a free port, printed on stdout
+  cags-server --bundle s3://bucket/monkey --reference-share 0.1 --session-logs logs
   cags-server --bundle out/monkey --host 0.0.0.0 --token SECRET --tls-cert cert.pem --tls-key key.pem
 """
 
@@ -33,8 +33,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _serve(argv: Sequence[str]) -> None:
     parser = command_parser("cags-server", "Serve a bundle, or a folder of bundles, over HTTP and WebSocket.", EXAMPLES)
     add_settings(parser, ServeSettings)
-    parser.add_argument("--json", action="store_true", help="print the ready line as JSON")
-    parser.add_argument("--headless", action="store_true", help="no live table, even in a terminal")
+    parser.add_argument("--json", action="store_true", help="print the line that says the server is ready as JSON")
+    parser.add_argument("--headless", action="store_true", help="print no live table, even in a terminal")
     arguments = parser.parse_args(_spelt_out(argv))
     settings = load_settings(ServeSettings, arguments)
     _start_logging(settings)

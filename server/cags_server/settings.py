@@ -15,22 +15,31 @@ CLIENT, PLAIN = "client", "plain"
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """What one server does for each of its clients."""
+    """What a server does for each client."""
 
     SECTION: ClassVar[str] = "server"
 
-    predictor: str = setting("autoregressive", "how the viewer's pose is predicted")
-    fov: str = setting("lstm", "how the field of view of the reference is chosen")
-    fov_margin: float = setting(0.1, "margin of the fixed field of view, share of the client's", low=0.0, high=4.0)
-    fov_quantile: float = setting(
-        0.9, "quantile of prediction errors that the quantile field of view covers", low=0.01, high=0.9999
+    predictor: str = setting(
+        "autoregressive", "predictor of the viewer's pose: autoregressive, linear, kalman or hold", research=True
     )
-    fov_gain: float = setting(0.7, "factor on the margins of the LSTM field of view", low=0.0, high=10.0)
-    abr: str = setting("utility", "rate policy: utility sends the layers with the largest gain a byte first")
+    fov: str = setting("lstm", "margins of the reference's field of view: lstm, quantile or fixed", research=True)
+    fov_margin: float = setting(
+        0.1, "margin of --fov fixed, as a share of the client's field of view", low=0.0, high=4.0, research=True
+    )
+    fov_quantile: float = setting(
+        0.9, "share of prediction errors that --fov quantile covers", low=0.01, high=0.9999, research=True
+    )
+    fov_gain: float = setting(0.7, "factor on the margins of --fov lstm", low=0.0, high=10.0, research=True)
+    abr: str = setting(
+        "utility",
+        "rate policy: utility sends the layers with the largest gain per byte first; others are paper, buffer, even "
+        "and none",
+        research=True,
+    )
     lead_frames: int = setting(4, "frames between planning a frame and its display", low=1, high=60)
     references: str = setting(
         "auto",
-        "content of references: difference to the client's splats, picture of the scene, auto: the better of both, "
+        "content of references: difference to the client's splats, picture of the scene, auto (the better of the two) "
         "or none",
         choices=("auto", "difference", "picture", "none"),
     )
@@ -43,8 +52,8 @@ class ServerSettings:
     reference_every: int = setting(
         1, "media frames per reference; larger values save rendering time and reduce quality", low=1, high=30
     )
-    reference_width: int = setting(400, "width of reference pictures, pixels (even for yuv420p)", low=16, high=4096)
-    reference_height: int = setting(300, "height of reference pictures, pixels (even for yuv420p)", low=16, high=4096)
+    reference_width: int = setting(400, "width of references, pixels (even for yuv420p)", low=16, high=4096)
+    reference_height: int = setting(300, "height of references, pixels (even for yuv420p)", low=16, high=4096)
     reference_crf: float = setting(
         20.0, "best H.264 quality (CRF) of references, lower is better; the rate control may raise it", low=0.0, high=51
     )
@@ -67,15 +76,15 @@ class ServerSettings:
         high=1,
     )
     tiles_ahead: int = setting(
-        3, "frames by which tiles are sent ahead of the references that assume them", low=1, high=30
+        3, "frames by which tiles precede the references that assume them", low=1, high=30, research=True
     )
-    opening_tiles: bool = setting(True, "send the base layers of the first frame before the play begins")
+    opening_tiles: bool = setting(True, "send the base layers of the first frame before playback begins", research=True)
     rasteriser: str = setting(
-        "auto", "rendering backend: auto (gpu where there is one, else cpu), reference, cpu or gpu"
+        "auto", "rasteriser: auto (gpu if there is a graphics processor, else cpu), gpu, cpu or reference (slow, exact)"
     )
-    render_threads: int = setting(2, "threads of one reference render", low=1, high=256)
+    render_threads: int = setting(2, "threads per reference render", low=1, high=256)
     visible_px: float = setting(
-        0.02, "smallest contribution of a visible splat, in reference pixels", low=0.0, high=1e6
+        0.02, "smallest contribution of a visible splat, in reference pixels", low=0.0, high=1e6, research=True
     )
     queue_ms: float = setting(150.0, "largest queueing delay of data in flight, ms", low=0.0, high=10_000.0)
     reference_deadline_ms: float = setting(
@@ -83,12 +92,14 @@ class ServerSettings:
         "time after its frame's display at which an unsent or half-sent reference is discarded, ms",
         low=0.0,
         high=10_000.0,
+        research=True,
     )
     tile_deadline_ms: float = setting(
         1000.0,
         "time after its frame's display at which a half-sent tile is discarded, ms; unsent tiles are chosen anew",
         low=0.0,
         high=60_000.0,
+        research=True,
     )
 
     def __post_init__(self) -> None:
@@ -99,23 +110,21 @@ class ServerSettings:
 
 @dataclass(frozen=True)
 class ServeSettings(ServerSettings):
-    """The whole command: what is served, where the server listens, and what each client gets."""
+    """All settings of the command: bundle, address, limits, and what a server does for each client."""
 
-    bundle: str = setting(
-        "", "bundle to serve: a folder or an fsspec URL; or a folder of bundles, all of which are served"
-    )
+    bundle: str = setting("", "bundle to serve (a folder or an fsspec URL), or a folder of bundles; required")
     host: str = setting("127.0.0.1", "address to listen on")
     port: int = setting(8765, "TCP port to listen on; 0 picks a free one", low=0, high=65_535)
-    workers: int = setting(2, "references rendered in parallel", low=1, high=256)
+    workers: int = setting(2, "number of references rendered in parallel", low=1, high=256)
     max_clients: int = setting(
         32,
-        "largest number of clients; further ones are refused; auto (or 0): as many as the renderer can serve, measured",
+        "largest number of clients; further ones are refused; auto (or 0) measures how many the renderer can serve",
         low=0,
         high=100_000,
     )
     token: str = setting(
         "",
-        "access token, or several separated by commas; anyone may watch when empty",
+        "access token, or several separated by commas; when empty, anyone may watch",
     )
     tls_cert: str = setting("", "PEM file of the TLS certificate; enables HTTPS and WSS")
     tls_key: str = setting("", "PEM file of the certificate's private key")
@@ -125,23 +134,21 @@ class ServeSettings(ServerSettings):
     hosts: str = setting("", "host names of this server, comma separated; required behind a proxy on the same machine")
     accept_uploads: bool = setting(
         False,
-        "encode files that visitors drop on the gallery into the folder of bundles; needs token unless on loopback",
+        "encode files that visitors drop on the gallery, into the folder of bundles; needs --token unless on loopback",
     )
     upload_mb: float = setting(500.0, "largest upload, MB; an archive may unpack to four times it", low=0.1, high=1e5)
-    upload_minutes: float = setting(60.0, "longest encoding of an upload, minutes", low=0.1, high=1e4)
+    upload_minutes: float = setting(60.0, "time limit for encoding an upload, minutes", low=0.1, high=1e4)
     max_pose_rate: float = setting(2000.0, "largest pose rate of a client, poses per second", low=1.0, high=1e6)
     max_message_rate: float = setting(
         1000.0, "largest message rate of a client, messages per second", low=1.0, high=1e6
     )
     max_queue_mb: float = setting(16.0, "largest send queue of one client, MB", low=0.1, high=4096.0)
-    idle_s: float = setting(
-        15.0, "time without a message after which a client is disconnected, seconds", low=0.5, high=3600.0
-    )
-    slow_s: float = setting(10.0, "longest time to write one packet to a client, seconds", low=0.5, high=3600.0)
-    session_logs: str = setting("", "folder for session logs, one JSON-lines file per session; off when empty")
-    event_traces: str = setting("", "folder for traces of all send events, one file per session; off when empty")
+    idle_s: float = setting(15.0, "silence after which a client is disconnected, seconds", low=0.5, high=3600.0)
+    slow_s: float = setting(10.0, "time limit for writing one packet to a client, seconds", low=0.5, high=3600.0)
+    session_logs: str = setting("", "folder for session logs, one JSON-lines file per session; none when empty")
+    event_traces: str = setting("", "folder for traces of all send events, one file per session; none when empty")
     log_format: str = setting("text", "format of the log on stderr", choices=("text", "json"))
-    drain_s: float = setting(2.0, "time for closing sessions at shutdown, seconds", low=0.0, high=600.0)
+    drain_s: float = setting(2.0, "time limit for closing sessions at shutdown, seconds", low=0.0, high=600.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

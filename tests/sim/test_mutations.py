@@ -149,7 +149,7 @@ FILE = "docs/evaluation/fixed.jsonl"
 LONG = 60
 
 FOUND: dict[str, Callable[[], None]] = {
-    "the published field of view has our gain": published_with("server", fov_gain=0.7),
+    "the published field of view is ours": published_with("server", fov="lstm"),
     "published references have the client's footprint": published_with("server", reference_footprint="client"),
     "the published client does not erode": published_with("client", erosion=False),
     "the published policy is ours": published_with("server", abr="utility"),

@@ -6,7 +6,7 @@ from cags_common.geometry import Pose
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import Control, Hello, Mark, PoseSample
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.streamer import Streamer
 from cags_server.settings import ServerSettings
@@ -33,7 +33,7 @@ class Rig:
     ) -> None:
         """``joins``: what the client says of itself; ``resumes``: what it holds, where it comes back."""
         self.library = served or library(**scene)
-        self.streamer = Streamer(self.library, settings, joins or hello(), estimator=MeasuredEstimator(initial_bps))
+        self.streamer = Streamer(self.library, settings, joins or hello(), link=MeasuredLink(initial_bps))
         if resumes is not None:
             self.streamer.resume(resumes)
         self.now_us = OFFSET_US

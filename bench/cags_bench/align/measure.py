@@ -28,16 +28,16 @@ RASTER, DIFFERENCE, PICTURE, CORRECT = "raster", "raster, difference", "raster, 
 GPU_RASTER, GPU_DIFFERENCE = "gpu raster", "gpu raster, difference"
 
 CORRECT_MS = {"1600x1200": 6.0, "800x600": 3.0}
-"""What the correction may take, of a difference that is new in the frame."""
+"""Time limit for correcting a frame whose difference is new, milliseconds."""
 
 FRAME_MS = {"800x600": 20.0}
-"""What the whole frame may take with it."""
+"""Time limit for the whole frame with it, milliseconds."""
 
 Works = Mapping[str, Callable[[], F32]]
 
 
 def measure(settings: AlignBenchSettings) -> Iterator[JsonObject]:
-    """One line a size and way to work a frame out, one a number of clients, then the summary with its checks."""
+    """One line per size and method, one per number of clients, then the summary with its checks."""
     if settings.device == "gpu":
         raster.create("gpu")  # refuse a device that is not there before a scene is encoded
     bundle = cached_bundle(settings.scene, settings.cache, EncodeSettings(frames=settings.frames))
@@ -54,7 +54,7 @@ def measure(settings: AlignBenchSettings) -> Iterator[JsonObject]:
 
 
 def frame_lines(view: View, settings: AlignBenchSettings) -> list[JsonObject]:
-    """All ways of one size, interleaved: milliseconds by the clock and of the processor, and quality."""
+    """All methods at one size, interleaved: wall-clock and processor milliseconds, and quality."""
     works = _works(view, settings)
     if settings.device == "gpu":
         works = {**works, **_gpu_works(view, settings)}
@@ -96,7 +96,7 @@ def _works(view: View, settings: AlignBenchSettings) -> dict[str, Callable[[], F
 
 
 def _gpu_works(view: View, settings: AlignBenchSettings) -> dict[str, Callable[[], F32]]:
-    """The frame on the device, as bytes to be shown."""
+    """The frame made on the device, as bytes for display."""
     from cags_gpu.correct import shown
     from cags_gpu.raster import GpuScene
 
@@ -111,7 +111,7 @@ def _gpu_works(view: View, settings: AlignBenchSettings) -> dict[str, Callable[[
 
 
 def interleaved(works: Works, repetitions: int) -> dict[str, JsonObject]:
-    """Median and spread of every work in milliseconds, by the clock on the wall and of the processor."""
+    """Median and spread of each piece of work in milliseconds, of wall-clock and of processor time."""
     walls: dict[str, list[float]] = {name: [] for name in works}
     processor: dict[str, list[float]] = {name: [] for name in works}
     for repetition in range(WARM_UP + repetitions):
@@ -135,7 +135,7 @@ def interleaved(works: Works, repetitions: int) -> dict[str, JsonObject]:
 
 
 def checks_of(lines: Sequence[JsonObject]) -> list[JsonObject]:
-    """The targets of the client's frame, by the clock; sizes that were not measured are left out."""
+    """Targets for the wall-clock time of the client's frame; sizes that were not measured are left out."""
     by = {(line["size"], line["work"]): line for line in lines if line["part"] == "frame"}
     wanted = [(f"correct at {size}", by.get((size, CORRECT)), limit) for size, limit in CORRECT_MS.items()]
     wanted += [(f"whole frame at {size}", by.get((size, DIFFERENCE)), limit) for size, limit in FRAME_MS.items()]

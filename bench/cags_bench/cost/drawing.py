@@ -61,7 +61,7 @@ def _sh_degree(scene: RasterScene, camera: Camera, best: RenderedView) -> Stage:
 
 
 def _depth_kind(bench: Workbench) -> Stage:
-    """Depth is judged by what it is for: the picture corrected by way of it."""
+    """Depth is judged by its purpose: the quality of the picture corrected with it."""
     from cags_bench.cost.serving import Referring
 
     moment = bench.moment

@@ -61,13 +61,19 @@ def _content(lines: list[JsonObject]) -> list[JsonObject]:
     return out + _policies(lines)
 
 
+FIRST_LIMITS_MS = {f"{STEADY}10": 500.0, f"{STEADY}2": 500.0}
+RECOGNISABLE_LPIPS = 0.3
+
+
 def _first(lines: list[JsonObject]) -> list[JsonObject]:
-    limits = {f"{STEADY}10": 1000.0, f"{STEADY}2": 2000.0}
-    return [
-        _most(f"first picture at {line['trace'].removeprefix(STEADY)} Mbps, ms", [line], "first_picture_ms", limit_ms)
-        for line in lines
-        if (limit_ms := limits.get(line["trace"])) is not None
-    ]
+    out = []
+    for line in lines:
+        link = f"at {line['trace'].removeprefix(STEADY)} Mbps"
+        if (limit_ms := FIRST_LIMITS_MS.get(line["trace"])) is not None:
+            out.append(_most(f"first picture {link}, ms", [line], "first_picture_ms", limit_ms))
+        if "first_lpips_restored" in line:
+            out.append(_most(f"LPIPS of the first picture {link}", [line], "first_lpips_restored", RECOGNISABLE_LPIPS))
+    return out
 
 
 def _policies(lines: list[JsonObject]) -> list[JsonObject]:

@@ -43,6 +43,7 @@ class NetworkSettings:
         high=100_000_000,
     )
     first_scene: str = setting("procedural:size=160000,frames=6", "scene whose first picture is waited for")
+    lpips: str = setting("", "weights of LPIPS (.npz), by which the first picture is judged; empty: it is not")
     workers: int = setting(0, "processes of the content and cross parts; 0: one a core", low=0, high=256)
     frames: int = setting(210, "media frames to play", low=2, high=1_000_000)
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")

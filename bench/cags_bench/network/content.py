@@ -24,6 +24,11 @@ BLACK_SHARE = 0.1
 SCORE_EVERY = 3
 """Every so many-th frame is compared with the truth."""
 
+NONE_BUT_THE_FIRST = 1_000_000
+"""Frames from one that is compared with the truth to the next, where only the first picture is asked for."""
+
+FIRST_FIGURES = ("first_picture_ms", "first_psnr_restored_db", "first_lpips_restored")
+
 SPARE_S = 30.0
 """Trace beyond the clip's length, for what starts late."""
 
@@ -75,11 +80,14 @@ def content_lines(
 
 
 def first_picture_lines(base: Scenario, traces: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """One line a trace, which is not scaled: when the first picture of a scene of full size stands."""
+    """One line a trace, which is not scaled: when the first picture of a scene of full size stands, and how good it is.
+
+    Its LPIPS is there where ``base`` names the weights.
+    """
     for spec in traces:
-        summary = simulate(replace(base, trace=spec, scored=False)).summary
-        splats = splats_of(base.bundle)
-        yield {"case": "first", "trace": spec, "splats": splats, "first_picture_ms": summary["first_picture_ms"]}
+        summary = simulate(replace(base, trace=spec, score_every=NONE_BUT_THE_FIRST)).summary
+        figures = {name: summary[name] for name in FIRST_FIGURES if name in summary}
+        yield {"case": "first", "trace": spec, "splats": splats_of(base.bundle), **figures}
 
 
 def scenario(bundle: Path, settings: Any, trace: str = "") -> Scenario:
@@ -87,7 +95,15 @@ def scenario(bundle: Path, settings: Any, trace: str = "") -> Scenario:
     client = ClientSettings(width=settings.width, height=settings.height, restore=settings.restore)
     delay_us = round(settings.delay_ms * 1000)
     return Scenario(
-        bundle, trace, settings.poses, ServerSettings(), client, settings.estimator, delay_us, score_every=SCORE_EVERY
+        bundle,
+        trace,
+        settings.poses,
+        ServerSettings(),
+        client,
+        settings.estimator,
+        delay_us,
+        score_every=SCORE_EVERY,
+        lpips=settings.lpips,
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from cags_bench.network.load import Arrivals, advance, load_world
 from cags_bench.sim.world import World
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_shaper.link import LinkSettings
 from cags_shaper.trace import open_trace
 
@@ -23,7 +23,7 @@ def crowd_line(sessions: int, duration_us: int, delay_us: int) -> dict[str, Any]
     started = time.perf_counter()
     worlds: list[tuple[World, Arrivals]] = []
     for _ in range(sessions):
-        worlds.append(load_world(trace, MeasuredEstimator(initial_bps=2e6), LinkSettings(delay_us=delay_us), FPS))
+        worlds.append(load_world(trace, MeasuredLink(initial_bps=2e6), LinkSettings(delay_us=delay_us), FPS))
     for now_us in range(STEP_US, duration_us + 1, STEP_US):
         for world, _ in worlds:
             advance(world, now_us)

@@ -1,6 +1,6 @@
-"""Sessions under load without content: the real sessions and estimator between peers that only count bytes.
+"""Sessions under load without content: the real sessions and link state between peers that only count bytes.
 
-The server plans at the frame rate what its estimator allows, as tiles with a deadline and one reference picture; the
+The server plans at the frame rate what its link state allows, as tiles with a deadline and one reference picture; the
 client notes when each arrives. What is measured is the sending alone, and a thousand sessions fit in a minute.
 """
 
@@ -14,7 +14,7 @@ from cags_common.geometry import Intrinsics, Pose
 from cags_protocol import PROTOCOL_VERSION, ClientSession, Outgoing, ServerSession
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
-from cags_server.ratecontrol.bandwidth import BandwidthEstimator
+from cags_server.link import LinkState
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import Trace
 
@@ -49,7 +49,7 @@ class LoadServer:
 
     def __init__(
         self,
-        estimator: BandwidthEstimator,
+        link_state: LinkState,
         log: Arrivals,
         fps: float,
         kernel_bps: Callable[[], float | None] = lambda: None,
@@ -57,7 +57,7 @@ class LoadServer:
         """``kernel_bps`` is asked at every plan what the operating system takes the path to carry."""
         self.session = ServerSession(now_us=0)
         self._kernel_bps = kernel_bps
-        self._estimator, self._log, self._fps = estimator, log, fps
+        self._link_state, self._log, self._fps = link_state, log, fps
         self._frame = 0
         self._due_us: int | None = None
 
@@ -87,11 +87,11 @@ class LoadServer:
         self._settle(now_us)
 
     def _plan(self, now_us: int) -> None:
-        self._log.estimates.append((now_us, self._estimator.estimate_bps(now_us)))
+        self._log.estimates.append((now_us, self._link_state.estimate_bps(now_us)))
         kernel_bps = self._kernel_bps()
         if kernel_bps is not None:
             self._log.kernel.append((now_us, kernel_bps))
-        allowed_bps = self._estimator.allowance_bps(now_us)
+        allowed_bps = self._link_state.allowance_bps(now_us)
         self._frame += 1
         budget = int(allowed_bps / self._fps / 8) - REFERENCE_BYTES - self.session.queued_bytes
         self._queue(ReferenceFrame(now_us, self._frame, Pose.identity(), INTRINSICS), REFERENCE_BYTES, 0, now_us)
@@ -111,8 +111,8 @@ class LoadServer:
                     self.session.accept(Welcome("load", self._fps, 2**31 - 1), now_us=now_us)
                     self._due_us = now_us
                 case ev.Acknowledged(sample):
-                    self._estimator.on_ack(sample)
-                    self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
+                    self._link_state.on_ack(sample)
+                    self.session.rate_hint_bps = self._link_state.allowance_bps(now_us)
                 case ev.Dropped(_, _, sent_bytes):
                     self._log.dropped += 1
                     self._log.wasted_bytes += sent_bytes
@@ -154,20 +154,18 @@ class LoadClient:
             self._pose_us = now_us + POSE_INTERVAL_US
 
 
-def load_world(
-    trace: Trace, estimator: BandwidthEstimator, settings: LinkSettings, fps: float = FPS
-) -> tuple[World, Arrivals]:
+def load_world(trace: Trace, link_state: LinkState, settings: LinkSettings, fps: float = FPS) -> tuple[World, Arrivals]:
     """A session over ``trace`` (towards the client; the other way has no rate limit), and what arrives over it."""
     log = Arrivals()
-    server, client = LoadServer(estimator, log, fps), LoadClient(log)
+    server, client = LoadServer(link_state, log, fps), LoadClient(log)
     down = Direction(Link(trace, settings), client.receive)
     up = Direction(Link(None, LinkSettings(delay_us=settings.delay_us)), server.receive)
     return World(server, client, down, up, lambda _: False), log
 
 
-def run_load(trace: Trace, estimator: BandwidthEstimator, duration_us: int, settings: LinkSettings) -> Arrivals:
+def run_load(trace: Trace, link_state: LinkState, duration_us: int, settings: LinkSettings) -> Arrivals:
     """Run one session for ``duration_us``."""
-    world, log = load_world(trace, estimator, settings)
+    world, log = load_world(trace, link_state, settings)
     advance(world, duration_us)
     return log
 

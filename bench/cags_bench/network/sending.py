@@ -8,46 +8,46 @@ from typing import Any
 import numpy as np
 
 from cags_bench.network.load import REFERENCE_BYTES, Arrivals, run_load
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_shaper.generate import MODELS, STEADY_MBPS
 from cags_shaper.link import LinkSettings
 from cags_shaper.trace import Trace, open_trace, trace_of_rates
 
 SHIPPED = (*(f"generated:steady-{rate}" for rate in STEADY_MBPS), *(f"generated:{name}" for name in MODELS))
 INCIDENTS = {"5g-mmwave": 7, "lte-driving": 10, "step": 12, "sawtooth": 17, "blackout": 8}
-"""Second of a trace at which a clip of seven seconds begins, so that the fall, or the outage, is in it."""
+"""Start of a seven-second clip within a trace, in seconds, so that it contains the fall or the outage."""
 
 CLIPS = tuple(
     f"{spec}:start_s={INCIDENTS[name]}" if (name := spec.removeprefix("generated:")) in INCIDENTS else spec
     for spec in SHIPPED
 )
-"""The shipped traces, each from shortly before what is special about it."""
+"""The shipped traces, each from shortly before its fall or outage."""
 
 SLOW = ("generated:steady-2", "generated:steady-10")
 """Links on which the first picture must still come soon."""
 
 SETTLE_US = 2_000_000
-"""Figures leave out the first two seconds of a session, and of a fall."""
+"""Figures exclude the first two seconds of a session, and those after a fall."""
 
 AHEAD_US = 300_000
-"""The true link, to an estimator, is its capacity over this long from now."""
+"""An estimate is compared with the link's mean capacity over this time ahead."""
 
 FALL_US = 8_000_000
 
 
 def sending_lines(duration_us: int, delay_us: int) -> Iterator[dict[str, Any]]:
-    """One line a shipped trace, and one of a fall from 20 to 1.5 Mbps."""
+    """One line per shipped trace, and one for a fall from 20 to 1.5 Mbps."""
     for spec in SHIPPED:
         trace = open_trace(spec)
-        log = run_load(trace, MeasuredEstimator(), duration_us, LinkSettings(delay_us=delay_us))
+        log = run_load(trace, MeasuredLink(), duration_us, LinkSettings(delay_us=delay_us))
         yield {"case": "sending", "trace": spec, **figures(log, trace, SETTLE_US, duration_us)}
     fall = trace_of_rates("fall", [0.0, FALL_US / 1e6], [20.0, 1.5], 60.0)
-    log = run_load(fall, MeasuredEstimator(), 20_000_000, LinkSettings(delay_us=delay_us))
+    log = run_load(fall, MeasuredLink(), 20_000_000, LinkSettings(delay_us=delay_us))
     yield {"case": "sending", "trace": "20 to 1.5 Mbps", **figures(log, fall, FALL_US + SETTLE_US, 20_000_000)}
 
 
 def figures(log: Arrivals, trace: Trace, start_us: int, end_us: int) -> dict[str, Any]:
-    """What a session showed between two times."""
+    """Figures of a session between two times."""
     tiles = [(latency, size) for arrived, latency, size in log.tiles if start_us < arrived <= end_us]
     references = [latency for arrived, latency in log.references if start_us < arrived <= end_us]
     received = sum(size for _, size in tiles) + REFERENCE_BYTES * len(references)

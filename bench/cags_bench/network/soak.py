@@ -18,7 +18,7 @@ from cags_protocol import PROTOCOL_VERSION, ClientSession, Outgoing, ServerSessi
 from cags_protocol import events as ev
 from cags_protocol.wire.inventory import pack_inventory, unpack_inventory
 from cags_protocol.wire.messages import Control, FrameEnd, Hello, PoseSample, ReferenceFrame, TileLayers, Welcome
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_shaper.link import Link, LinkSettings, tcp_wire_bytes
 from cags_shaper.trace import Trace
 
@@ -115,7 +115,7 @@ class _Soak:
     def _connect(self) -> None:
         self.result.connections += 1
         self.server, self.client = ServerSession(now_us=self.now_us), ClientSession(now_us=self.now_us)
-        self.estimator = MeasuredEstimator()
+        self.link_state = MeasuredLink()
         self.queued = 0
         self.known: dict[tuple[int, int], int] = {}  # the server's idea of the store
         self.frame, self.playing, self.reference = self.rng.randrange(FRAMES), True, 0
@@ -218,8 +218,8 @@ class _Soak:
                 if control.action == "seek":
                     self.server.cancel(lambda _: True, now_us=self.now_us)
             case ev.Acknowledged(sample):
-                self.estimator.on_ack(sample)
-                self.server.rate_hint_bps = self.estimator.allowance_bps(self.now_us)
+                self.link_state.on_ack(sample)
+                self.server.rate_hint_bps = self.link_state.allowance_bps(self.now_us)
             case ev.Evicted(tiles):
                 for tile in tiles:
                     self.known[tile.frame, tile.tile] = tile.lods

@@ -23,7 +23,7 @@ from cags_common.errors import NetworkError
 from cags_common.transport import ConnectionEndedError, Transport
 from cags_common.transport.websocket import ServerWebSocket, connect
 from cags_protocol.wire.limits import MAX_CLIENT_MESSAGE_BYTES, MAX_MESSAGE_BYTES, SUBPROTOCOL
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_shaper.link import Link, LinkSettings
 from cags_shaper.trace import Trace, open_trace
 from cags_shaper.tun import TunNames, run_behind, why_unavailable
@@ -51,7 +51,7 @@ def socket_lines(duration_us: int, delay_us: int) -> Iterator[dict[str, Any]]:
 
 def _compare(name: str, spec: str, duration_us: int, start_us: int, delay_us: int) -> dict[str, Any]:
     trace = open_trace(spec)
-    virtual = run_load(trace, MeasuredEstimator(), duration_us, LinkSettings(delay_us=delay_us))
+    virtual = run_load(trace, MeasuredLink(), duration_us, LinkSettings(delay_us=delay_us))
     real = asyncio.run(run_sockets(spec, duration_us, delay_us))
     totals = [sum(size for _, _, size in log.tiles) for log in (real, virtual)]
     return {
@@ -81,7 +81,7 @@ async def serving(host: str, log: Arrivals, clock: Callable[[], int], duration_u
         transport = await ServerWebSocket.accept(
             request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
         )
-        server = LoadServer(MeasuredEstimator(), log, FPS, lambda: kernel_bps(transport))
+        server = LoadServer(MeasuredLink(), log, FPS, lambda: kernel_bps(transport))
         await drive(server, transport, clock, duration_us)
         return transport.response
 

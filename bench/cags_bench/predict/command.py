@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """One line a predictor and horizon, a policy, a scene, and the targets last."""
-    from cags_bench.jsonl import summary
+    """One line per predictor and horizon, per policy and per scene; the targets last."""
+    from cags_bench.jsonl import provenance, summary
     from cags_common.poses.walks import read_walks
 
     held_out, fitted_on = split(read_walks(args.poses))
@@ -48,12 +48,13 @@ def run(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for people, walks in (("held-out", held_out), ("fitted-on", fitted_on)):
         if walks and (people == "held-out" or args.people == "all"):
             for line in (*_precision(args, walks), *_coverage(args, walks), *_table(walks)):
-                lines.append({"people": people, "walks": len(walks), **line})
+                lines.append({"benchmark": "predict", "people": people, "walks": len(walks), **line, **provenance()})
                 yield lines[-1]
     if args.bundle:
         from cags_bench.predict.end_to_end import stream_all
 
-        yield from stream_all(args.bundle, (held_out or fitted_on)[0], args.trace, args.frames)
+        played = stream_all(args.bundle, (held_out or fitted_on)[0], args.trace, args.frames)
+        yield from ({"benchmark": "predict", **line, **provenance()} for line in played)
     yield summary("predict", checks(lines))
 
 
@@ -81,7 +82,7 @@ def _precision(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict
         raise ConfigError(f"horizons-ms = {args.horizons_ms!r} must be whole numbers, such as 100,200") from error
     if not horizons or min(horizons) < 0 or max(horizons) > 1_000_000 or args.every_ms < 1:
         raise ConfigError(f"horizons-ms = {args.horizons_ms} must lie in [0, 1000] and every-ms above 0")
-    predictors = {"pooled-ar10": PooledAr10(), **{name: create_predictor(name) for name in PREDICTORS}}
+    predictors = {"pooled-ar10": PooledAr10(), **{name: create_predictor(name) for name in PREDICTORS.names()}}
     for name, horizon, errors in measure(walks, predictors, horizons, args.every_ms * 1000):
         yield {"case": "predictor", "predictor": name, "horizon_ms": horizon // 1000, **errors.figures()}
 
@@ -91,7 +92,7 @@ def _coverage(args: argparse.Namespace, walks: Sequence[Walk]) -> Iterator[dict[
     from cags_server.fov import FOV_POLICIES, create_fov_policy
     from cags_server.predict import create_predictor
 
-    make = {name: (lambda name=name: create_fov_policy(name)) for name in FOV_POLICIES}
+    make = {name: (lambda name=name: create_fov_policy(name)) for name in FOV_POLICIES.names()}
     for name, curve in measure(walks, create_predictor("autoregressive"), make, LEAD_US, args.seconds).items():
         yield {"case": "fov", "policy": name, "lead_ms": LEAD_US // 1000, **curve.figures(AREAS)}
     some = walks[:: max(1, len(walks) // 4)]

@@ -1,4 +1,4 @@
-"""What is timed: the backend at each level of exactness, and the prototype where its source is at hand."""
+"""The renderers to compare: the backend at each level of exactness, and the prototype if its source is available."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Frame: TypeAlias = Callable[[], F32]
 """Renders one frame; returns its colours [H, W, 3]."""
 
 PROTOTYPE_FLAGS = "-DPFD=24 -DEXPDEG=3"
-"""As its notes say; its block of 16 lanes suits AVX-512, elsewhere 8 are faster and are what it is timed with."""
+"""Compiler flags from the prototype's notes, but with blocks of 8 lanes: 16 are faster on AVX-512 only."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """Something that renders a scene's frames; ``frame`` prepares one view."""
+    """A renderer of one scene; ``frame`` prepares one view."""
 
     name: str
     frame: Callable[[Camera, int], Frame]  # camera, threads
@@ -46,7 +46,7 @@ def backend_contenders(splats: Splats) -> list[Contender]:
 
 
 def prototype_contender(splats: Splats, shared: Path) -> Contender | None:
-    """The speed prototype, compiled into the temporary folder; None where its source or a compiler is missing."""
+    """The speed prototype, compiled into the temporary folder; None if its source or a compiler is missing."""
     module = _prototype_module(shared)
     if module is None:
         return None

@@ -1,4 +1,4 @@
-"""The state before: equal cases played by an earlier installation, or read from what such a run wrote."""
+"""An earlier state to compare with: the same cases played by an earlier installation, or read from an earlier run."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from cags_server.settings import ServerSettings
 
 
 def played_before(python: str, case: Case) -> JsonObject:
-    """``case`` by ``cags-bench stream`` of the installation of ``python``, restored by its own default.
+    """Play ``case`` with ``cags-bench stream`` of another installation (its ``python``), with its default restoration.
 
-    Bundles are shared with it where the format is the same, so that both send the same splats. Raises
-    :class:`ConfigError` where it cannot be run.
+    Both use the same bundle if the format is the same, so that both send the same splats. Raises
+    :class:`ConfigError` if the other installation cannot run.
     """
     server = ServerSettings()
     with tempfile.TemporaryDirectory(prefix="cags-before-") as out:
@@ -50,7 +50,7 @@ def played_before(python: str, case: Case) -> JsonObject:
 
 
 def read_baseline(path: Path) -> list[JsonObject]:
-    """Lines of an earlier run: those of the installation that it compared with, else its own default method's.
+    """Lines of an earlier run: those marked ``before``, or else those of its own default method.
 
     Raises :class:`ConfigError` for a file that holds none.
     """

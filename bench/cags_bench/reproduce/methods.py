@@ -27,9 +27,9 @@ OURS_AND_RIVALS: dict[str, Method] = {
     "cags-paper": Method(
         "CAGS (as published)",
         "66-bit SVQ in the printed order of layers, with one code for each band of harmonics; the four-step rate "
-        "policy; the LSTM's field of view as the network answers, which is trained here to cover nine frames in ten "
-        "and not by the mean error; references are pictures drawn as any of their size, aligned and eroded (PRPA), "
-        "restored by the paper's network, which is trained here: its weights are not public",
+        "policy; the LSTM's field of view, trained by mean absolute error; references are pictures drawn as any of "
+        "their size, aligned and eroded (PRPA), restored by the paper's network. Both networks are trained here, "
+        "because the authors' weights are not public",
         encode=PUBLISHED.encode,
         server=PUBLISHED.server,
         client=PUBLISHED.client,

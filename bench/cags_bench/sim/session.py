@@ -26,7 +26,7 @@ from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 from cags_common.poses import Focus
 from cags_protocol.sessions.client import ClientSession
-from cags_server.ratecontrol.bandwidth import BandwidthEstimator, MeasuredEstimator, OracleEstimator
+from cags_server.link import LinkState, MeasuredLink, OracleLink
 from cags_server.scene.library import SceneLibrary
 from cags_server.settings import ServerSettings
 from cags_shaper.link import Link, LinkSettings
@@ -193,9 +193,9 @@ class _Simulation:
         return SessionResult(self.frames, self._summary(), self.spent)
 
     def _connection(self, now_us: int) -> MeteredConnection:
-        estimator = make_estimator(self.scenario.estimator, self.trace)
+        link = make_link_state(self.scenario.estimator, self.trace)
         settings = self.scenario.server
-        made = MeteredConnection(self.library, settings, name="simulated", now_us=now_us, estimator=estimator)
+        made = MeteredConnection(self.library, settings, name="simulated", now_us=now_us, link=link)
         made.spent = self.spent
         return made
 
@@ -327,6 +327,6 @@ def _lpips(scenario: Scenario) -> Lpips | None:
     return Lpips(scenario.lpips)
 
 
-def make_estimator(name: str, trace: Trace) -> BandwidthEstimator:
+def make_link_state(name: str, trace: Trace) -> LinkState:
     """``oracle`` knows the trace, as in the paper; ``measured`` learns from acknowledgements."""
-    return OracleEstimator(trace) if name == "oracle" else MeasuredEstimator()
+    return OracleLink(trace) if name == "oracle" else MeasuredLink()

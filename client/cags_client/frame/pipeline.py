@@ -1,8 +1,8 @@
-"""From messages to pictures: the client without sockets, threads or clocks.
+"""The client's pipeline from messages to pictures, without sockets, threads or clocks.
 
-Shared by real time (``app.py`` calls it from executors) and virtual time (the simulator calls it inline). ``on_*``
-decode and store; :meth:`ClientPipeline.present` draws one frame: commit what its reference assumes, rasterise, add what
-the reference says is lacking. One thread may decode while another presents.
+Real time (``app.py``, from executors) and virtual time (the simulator, inline) share it. Methods ``on_*`` decode and
+store. :meth:`ClientPipeline.present` draws one frame: it commits what the reference assumes, rasterises, and adds what
+the client lacks. One thread may decode while another presents.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol.wire.messages import FrameEnd, Mark, ReferenceFrame, ReferenceKind, TileLayers
 
 PATIENCE_FRAMES = 3
-"""Frames for which a late reference is waited for before more is shown than the one before it assumes."""
+"""Frames to wait for a late reference before showing more than the previous one assumes."""
 
 
 class ClientPipeline:
-    """Decodes, stores and draws. ``info`` is the manifest's public part."""
+    """Decodes, stores and draws; ``info`` is the public part of the manifest."""
 
     def __init__(
         self,
@@ -52,22 +52,22 @@ class ClientPipeline:
         live: LiveSettings | None = None,
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        """Tiles can be decoded once :meth:`on_codebooks` was called; references at once."""
+        """References can be decoded at once, tiles after :meth:`on_codebooks`."""
         self.info = info
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self._clock = clock
         self._opener = TileOpener(None, settings.threads)
         self._store = TileStore(info, None, opener=self._opener)
-        self._marked = self._marked_before = 0  # newest mark of the store; that of connections before this one
+        self._marked = self._marked_before = 0  # newest mark of the store; newest mark of earlier connections
         self._references = References(info.near)
         self._rasteriser = raster.create(settings.raster)
         self._scene: RasterScene | None = None
         self._scene_store: GofBuffer | None = None
-        self._sh_degree = 0  # highest band with anything in it since the group's first frame
+        self._sh_degree = 0  # highest nonzero band since the group's first frame
         self._shown_frame = 0
         self._committed_mark = 0
-        self._used = 0  # order of the newest reference that was shown
+        self._used = 0  # order of the newest displayed reference
         self._changes = Changes()
         self._scene_changes = 0
         self._painter = Painter(settings.threads)
@@ -81,28 +81,28 @@ class ClientPipeline:
     # -------------------------------------------------------------------------------------------------------- decoding
 
     def on_codebooks(self, data: bytes) -> None:
-        """What tiles need to be decoded. Raises :class:`DecodeError`."""
+        """Receive the codebooks that tiles need for decoding. Raises :class:`DecodeError`."""
         self._opener.codec = tile_codec(self.info, data)
 
     def on_tiles(self, tiles: Sequence[tuple[TileLayers, memoryview]]) -> list[DecodeError]:
-        """Decode layers of tiles; what is wrong with those that are left out. What was held stays."""
+        """Decode layers of tiles and return the errors of skipped ones. Held levels stay."""
         return self._store.add_all([Arrival(m.frame, m.tile, m.from_lod, m.split(payload)) for m, payload in tiles])
 
     def flush(self) -> list[DecodeError]:
-        """After :meth:`on_tiles`: dequantise what they touched, each tile once, off the display path.
+        """After :meth:`on_tiles`: dequantise the touched tiles, each once, off the display path.
 
-        What is wrong with tiles that are left out.
+        Returns the errors of skipped tiles.
         """
         return self._store.flush()
 
     def take_dropped(self) -> list[InventoryEntry]:
-        """Tiles of which layers had come and were given up since the last call, for want of memory."""
+        """Tiles with layers that were discarded for lack of memory since the last call."""
         return self._store.take_dropped()
 
     def on_mark(self, mark: Mark) -> list[DecodeError]:
-        """What came before this is the basis of references that name it; what is wrong with tiles that are left out.
+        """Everything received before the mark is the basis of references that name it. Returns errors of skipped tiles.
 
-        Raises :class:`DecodeError` for marks that do not rise.
+        Raises :class:`DecodeError` unless marks rise.
         """
         number = self._marked_before + mark.number
         if number <= self._marked:
@@ -114,18 +114,18 @@ class ClientPipeline:
         return self._store.mark(number)
 
     def on_reference(self, message: ReferenceFrame, payload: memoryview) -> bool:
-        """Decode a reference; False asks for an IDR picture. Raises :class:`DecodeError`."""
+        """Decode a reference; returns False to request an IDR picture. Raises :class:`DecodeError`."""
         return self._references.add(message, payload, self._marked_before + message.basis)
 
     def on_frame_end(self, message: FrameEnd, payload: memoryview) -> None:
-        """The frame is whole. Raises :class:`DecodeError`."""
+        """The frame is complete. Raises :class:`DecodeError`."""
         capacity = self._store.capacity(message.frame)
         what = f"removed ids of frame {message.frame}"
         removed = decode_ids(payload, what=what, limit=max(capacity, 1)) if len(payload) else np.zeros(0, np.int32)
         self._store.end(message.frame, removed)
 
     def on_weights(self, data: bytes) -> None:
-        """Weights of a restorer trained for this content; without one they are left. Raises :class:`DecodeError`."""
+        """Receive weights of a restorer trained for this content; ignored without one. Raises :class:`DecodeError`."""
         wanted = self.settings.restore
         if wanted in (CORRECT, NONE):
             return
@@ -134,37 +134,37 @@ class ClientPipeline:
         except ConfigError as error:
             raise DecodeError(str(error)) from error
         self._weights = data
-        self._restorer_wanted = ""  # made anew before the next frame
+        self._restorer_wanted = ""  # recreated before the next frame
 
     @property
     def last_reference_seq(self) -> int:
-        """The last reference picture that was decoded; 0 before any."""
+        """Number of the last decoded reference picture; 0 before any."""
         return self._references.last_decoded
 
     @property
     def on_display(self) -> GofBuffer | None:
-        """What is held of the group of frames on display; None before any."""
+        """The buffer of the displayed group of frames; None before any."""
         return self._store.on_display
 
     def keeps(self, frame: int) -> bool:
-        """Whether a jump to ``frame`` can go on from what is held, of whatever quality."""
+        """Whether playback can continue at ``frame`` from held tiles, at any quality."""
         return self._store.keeps and self._store.in_group(frame)
 
     def holds(self, frame: int) -> bool:
-        """Whether ``frame`` can be drawn whole without anything from the network."""
+        """Whether ``frame`` can be drawn completely without further data."""
         return self._store.holds(frame)
 
     def restarted(self, inventory: Sequence[InventoryEntry]) -> None:
-        """What follows comes over another connection, which was told that ``inventory`` is held.
+        """Continue with another connection, whose server knows that ``inventory`` is held.
 
-        References that are there stay in use.
+        Received references stay in use.
         """
         self._references.restart()
         self._marked_before = self._marked
         self._store.restarted(inventory)
 
     def held(self) -> list[InventoryEntry]:
-        """The tiles that are decoded, for a server that takes the session over."""
+        """The decoded tiles, for a server that takes the session over."""
         return self._store.held()
 
     def reset(self, frame: int) -> None:
@@ -176,16 +176,16 @@ class ClientPipeline:
 
     @property
     def references_received(self) -> int:
-        """How many have come so far."""
+        """Number of references received so far."""
         return self._references.count
 
     def forget_references(self, until: int | None = None) -> None:
-        """References that have come are of no use any more: all, or the first ``until``."""
+        """Discard received references: all, or the first ``until``."""
         self._references.reset(until)
 
     def visible_lods(self, camera: Camera) -> dict[tuple[int, int], int]:
-        """LoDs shown of each tile (source frame, tile) on which the picture from ``camera`` depends: looks, motion and
-        updates. Draws it.
+        """Displayed LoDs of the tiles (source frame, tile) that the picture from ``camera`` depends on: looks, motion,
+        updates. Renders that picture.
         """
         if self._scene is None or self._scene_store is None:
             return {}
@@ -201,10 +201,10 @@ class ClientPipeline:
         return Camera(self.settings.intrinsics, pose, self.info.near)
 
     def present(self, frame: int, camera: Camera, share: float = 0.0, *, timed: bool = True) -> PresentedFrame:
-        """Draw media frame ``frame`` from ``camera``; with ``share``, after that, what moves so many frames later.
+        """Draw media frame ``frame`` from ``camera``, with splats moved to ``share`` frames after it.
 
-        A picture that is not ``timed``, before the play, cannot be late. While everything is decoded for the first
-        time, it says nothing of what the machine keeps up with.
+        A picture before playback is not ``timed``: it cannot be late, and its time does not tell how fast the machine
+        is, because everything is decoded for the first time.
         """
         started_s = self._clock()
         watch = Stopwatch(self._clock)
@@ -252,7 +252,7 @@ class ClientPipeline:
         )
 
     def _committed(self, frame: int, share: float, reference: Received | None) -> tuple[GofBuffer, Committed]:
-        """Show what came up to the mark that is right for the frame."""
+        """Commit the frame up to the right mark."""
         moved = self._store.move(frame, share) if share else None
         if moved is not None:
             return moved
@@ -265,12 +265,11 @@ class ClientPipeline:
         return store, committed
 
     def _basis_at(self, frame: int, reference: Received | None) -> int | None:
-        """The mark up to which ``frame`` is shown; None: all that has come.
+        """The mark up to which ``frame`` is shown; None for everything received.
 
-        That which the frame's own reference assumes. A picture assumes none: it is compared with what is shown, and as
-        much is shown as no coming reference falls behind: up to what the next of those that are there assumes, or to
-        the newest mark. While an own reference is late, what is shown stays as the one before assumes. Without any
-        reference there are no marks.
+        With a difference this is the mark that it assumes. A picture assumes none, because it is compared with the
+        displayed splats; the frame is then shown up to the mark of the next received reference, or to the newest mark.
+        While the frame's reference is late, the mark of the previous one stays. Without references there are no marks.
         """
         if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
             self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
@@ -302,11 +301,11 @@ class ClientPipeline:
         )
 
     def _outdated(self, reference: Received) -> bool:
-        """Whether splats have changed other than ``reference`` assumes."""
+        """Whether splats have changed in a way that ``reference`` does not assume."""
         return reference.assumes and self._changes.since(reference.basis)
 
     def _made_restorer(self) -> Restorer | None:
-        """The restorer of aligned pictures that the viewer wants; None where it is another thing that is wanted."""
+        """The restorer of aligned pictures that the viewer chose; None for another choice."""
         if self._restorer_wanted in (CORRECT, NONE):
             return None
         return restore.create(self._restorer_wanted, threads=self.settings.threads, weights=self._weights)
@@ -314,7 +313,7 @@ class ClientPipeline:
     def _correction(
         self, plan: PassPlan, canvas: Canvas, store: GofBuffer, reference: Received, frame: int
     ) -> Correction:
-        """What ``reference`` says is lacking in the frame, and where it is not to be believed."""
+        """What the client lacks in the frame according to ``reference``, and where the reference is not valid."""
         changed = None
         if Pass.VETO in plan:
             since = reference.frame, reference.basis if reference.assumes else None
@@ -325,7 +324,7 @@ class ClientPipeline:
     def _restored(
         self, plan: PassPlan, canvas: Canvas, reference: Received, watch: Stopwatch, *, freshness: float, level: float
     ) -> tuple[Aligned | None, StagedPictures]:
-        """The aligned picture, and what the restorer makes of it."""
+        """The aligned picture and the restorer's result."""
         view, picture = self._painter.view(canvas, watch), reference.picture
         made = StagedPictures.of(view)
         if picture is None or view.depth is None or self._restorer is None:
@@ -362,7 +361,7 @@ class ClientPipeline:
         )
 
     def _freshness(self, reference: Received, frame: int) -> float:
-        """1 for references up to half as old as is allowed, falling to 0 past the oldest: none goes at a stroke."""
+        """Weight of a reference: 1 up to half of the allowed age, then falling to 0, so that none vanishes at once."""
         allowed = self.settings.reference_age + 1
         return min(1.0, 2.0 * (1.0 - (frame - reference.frame) / allowed))
 

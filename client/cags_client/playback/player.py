@@ -1,16 +1,16 @@
-"""The client's behaviour in time, without sockets or clocks: session in, work out.
+"""The client's behaviour over time, without sockets or clocks.
 
-A shell moves bytes (``receive``, ``data_to_send``), sleeps until ``next_timer_us``, and does the work it is handed:
+A shell moves bytes (``receive``, ``data_to_send``), sleeps until ``next_timer_us``, and does the work it is given:
 
     while (action := player.next_action(now_us)) is not None:
         player.done(action, action.run(), now_us)      # inline, or in an executor
 
-A dropped connection does not end the play: the picture is held and re-projected while the shell, asked by
-``wants_connection``, opens another and says ``connected`` (or ``lost``, and is asked again after a while). The new
-session is told what the client holds, so that nothing of it is sent again, and where the play stands.
+A dropped connection does not end playback. The picture is held and re-projected while ``wants_connection`` asks the
+shell to open another; the shell answers by ``connected``, or by ``lost``, and is asked again later. The new session
+learns what the client holds, so that nothing is sent twice, and where playback stands.
 
-``Decode`` actions must run one after another; ``Present`` actions too, but beside the decoding. All times are the
-client's clock, which is the session's master clock.
+``Decode`` actions must run one after another, and so must ``Present`` actions, but the two kinds run in parallel. All
+times are those of the client's clock, which is the session's master clock.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ from cags_protocol.wire.limits import PROTOCOL_VERSION
 from cags_protocol.wire.messages import Control, Hello, Welcome
 
 KEYFRAME_RETRY_US = 250_000
-"""A lost reference video is asked for again after this long."""
+"""Interval between requests for an IDR picture, microseconds."""
 
 RESUMING = ClientSessionSettings(SessionTimers(handshake_us=3_000_000))
-"""A server that takes over must answer soon, for there may be another."""
+"""Time limit for the answer of a server that takes over; another one may be available."""
 
 
 class Player:
-    """Joins, waits for the first key frame, plays to the end of the clip and leaves."""
+    """Plays a clip: joins, waits for the first key frame, plays to the end and leaves."""
 
     def __init__(
         self,
@@ -65,13 +65,13 @@ class Player:
         clock: Callable[[], float] = lambda: 0.0,
         rng: random.Random | None = None,
     ) -> None:
-        """``session`` is the first one; ``rng`` spreads the attempts to come back after a loss."""
+        """``session`` is the first one; ``rng`` randomises the intervals between attempts to reconnect."""
         self.settings = settings
         self.live = live or LiveSettings(settings)
         self.pipeline: ClientPipeline | None = None
         self.info: Manifest | None = None
         self.error: CagsError | None = None
-        """Why it ended early, if it did."""
+        """The reason for an early end, if any."""
         self.finished = False
         self.stats = PlayStats()
         self._session, self._clock = session, clock
@@ -85,10 +85,10 @@ class Player:
         self._codebooks: bytes | None = None
         self._weights: bytes | None = None
         self._decode_queue = DecodeQueue()
-        self._restarts_due = 0  # jumps by which everything was forgotten, and of which the server has not heard
-        self._timeline: Timeline  # once the manifest is there; so are the ticks to display next, and to end before
+        self._restarts_due = 0  # jumps that discarded everything and that the server does not know of yet
+        self._timeline: Timeline  # set with the manifest, like the next tick to display and the tick to end before
         self._presenting, self._next_tick, self._end_tick = False, 0, 1
-        self._preview_due = False  # there is more of the picture before the start than was shown
+        self._preview_due = False  # more of the first frame has arrived than was shown
         self._startup = Startup(settings.startup_ms * 1000, now_us)
         self._cadence = Cadence()
         self._interpolation = Interpolation(settings.interpolate, settings.display_rate)
@@ -112,16 +112,16 @@ class Player:
 
     @property
     def backed_up(self) -> bool:
-        """Whether so much waits for its decoder that nothing more should be read from the connection."""
+        """Whether so much data waits for the decoder that the shell should stop reading from the connection."""
         return self._decode_queue.undecoded_bytes > MAX_UNDECODED_BYTES
 
     def data_to_send(self, now_us: int) -> list[bytes]:
-        """Messages to write now."""
+        """Messages to send now."""
         self._session.buffered_bytes = self._decode_queue.undecoded_bytes
         return self._session.data_to_send(now_us)
 
     def next_timer_us(self) -> int | None:
-        """When :meth:`handle_timer` and :meth:`next_action` want to be called at the latest; None: not by time."""
+        """Latest time to call :meth:`handle_timer` and :meth:`next_action`; None for no time limit."""
         if self.finished:
             return None
         times = [self._session.next_timer_us(), self._viewpoint.next_us, self._reconnect.next_timer_us()]
@@ -132,7 +132,7 @@ class Player:
         return min((t for t in times if t is not None), default=None)
 
     def handle_timer(self, now_us: int) -> None:
-        """Do what is due: keep-alive, acknowledgements, poses."""
+        """Send what is due: keep-alive, acknowledgements, poses."""
         if self.stats.started_us is None and now_us - self._made_us > self.settings.join_timeout * 1e6:
             self._fail(NetworkError(f"no first frame within {self.settings.join_timeout:g} s; is the link too slow?"))
         if self._reconnect.expired(now_us):
@@ -144,29 +144,29 @@ class Player:
         self._pump(now_us)
 
     def lost(self, reason: str, now_us: int) -> None:
-        """The connection went away, or the one that :meth:`wants_connection` asked for could not be opened."""
+        """The connection was lost, or the one that :meth:`wants_connection` asked for could not be opened."""
         attempt = self._reconnect.trying
         self._session.connection_lost(reason, now_us=now_us)
         self._pump(now_us)
-        if attempt and self._reconnect.trying:  # there was no session yet whose end would tell
+        if attempt and self._reconnect.trying:  # there was no session yet to report the end
             self._reconnect.lost(now_us)
 
     @property
     def away(self) -> bool:
-        """Whether the connection is lost and not yet restored: nothing can be sent."""
+        """Whether the connection is lost and not yet restored, so that nothing can be sent."""
         return self._reconnect.away
 
     @property
     def attempts(self) -> int:
-        """Attempts to come back since the connection was lost, the one under way included."""
+        """Attempts to reconnect since the connection was lost, including the current one."""
         return self._reconnect.attempts
 
     def wants_connection(self, now_us: int) -> bool:
-        """Whether a connection is to be opened now. Answer by :meth:`connected` or :meth:`lost`."""
+        """Whether to open a connection now. Answer by :meth:`connected` or :meth:`lost`."""
         return not self.finished and self._reconnect.begin(now_us)
 
     def connected(self, now_us: int) -> None:
-        """There is a connection again: say Hello with what is held."""
+        """A new connection is open: send a Hello with the inventory of held tiles."""
         self._session = ClientSession(RESUMING, now_us=now_us)
         self._restarts_due = 0
         self._resume_at, self._asked_by = self._state_of_play(now_us), self._timeline
@@ -176,14 +176,14 @@ class Player:
         self._session.hello(hello, now_us=now_us)
 
     def leave(self, now_us: int) -> None:
-        """End the play here, with a goodbye."""
+        """End playback now, with a goodbye."""
         if not self.finished:
             self._finish(now_us)
 
     # ------------------------------------------------------------------------------------------------------------- work
 
     def next_action(self, now_us: int) -> Decode | Present | None:
-        """Work to do now, or None. At most one Decode and one Present are out at a time."""
+        """Work to do now, or None. At most one Decode and one Present are outstanding."""
         if self.finished or self.pipeline is None:
             return None
         if batch := self._decode_queue.take(tiles=self._codebooks is not None):
@@ -218,7 +218,7 @@ class Player:
     # ---------------------------------------------------------------------------------------------------------- details
 
     def _presented(self, action: Present, result: PresentedFrame, now_us: int) -> None:
-        """Count a picture; those between media frames apart."""
+        """Count a picture, with separate counts for interpolated ones."""
         self._presenting = False
         if self.stats.first_picture_us is None:
             self.stats.first_picture_us = now_us
@@ -269,7 +269,7 @@ class Player:
                 self._on_closed(code, reason, now_us)
 
     def _take(self, event: DataEvent) -> None:
-        """Media, unless it was sent before the server heard of a jump by which everything was forgotten."""
+        """Handle media, unless it was sent before the server learned of a jump that discarded everything."""
         if not self._restarts_due:
             self._decode_queue.add(event)
 
@@ -294,7 +294,7 @@ class Player:
             return
         if self._reconnect.away:
             self._reconnect.restored(now_us)
-            if not welcome.resumed:  # everything comes again
+            if not welcome.resumed:  # everything is sent again
                 self._decode_queue.add(Restarted())
             self.stats.reconnects += 1
             self.stats.away_us += now_us - self._lost_us
@@ -307,7 +307,7 @@ class Player:
                 return
             self._open(now_us)
         if self._resume_at is not None:
-            if self._timeline is not self._asked_by:  # the viewer wished for something meanwhile
+            if self._timeline is not self._asked_by:  # the viewer requested something meanwhile
                 self._resume_at = self._state_of_play(now_us) or self._resume_at
             self._session.control(self._resume_at, now_us=now_us)
             self._go_on_by(self._resume_at)
@@ -325,7 +325,7 @@ class Player:
             self._take_weights()
 
     def _hello(self, frame: int, pose: Pose) -> Hello:
-        """With what is held, once there is a decoder for it."""
+        """Start a session with the inventory, once there is a decoder for it."""
         resume, held = "", b""
         if self.pipeline is not None and self._welcome is not None and self._codebooks is not None:
             resume, held = self._welcome.session, pack_inventory(self._decode_queue.held(self.pipeline.held()))
@@ -334,7 +334,7 @@ class Player:
         return Hello(PROTOCOL_VERSION, view, pose, self._near, frame, token, agent, resume, wanted, chroma, held)
 
     def _state_of_play(self, now_us: int) -> Control | None:
-        """Where the play will stand once a server has taken the session over; None before it has begun."""
+        """The playback position when a server will have taken the session over; None before playback."""
         if self.stats.started_us is None:
             return None
         soon = self._timeline.first_tick(now_us + self.settings.start_delay_ms * 1000)
@@ -342,14 +342,14 @@ class Player:
         return Control("play", self._media_frame(tick), self._timeline.display_us(tick))
 
     def _open(self, now_us: int) -> None:
-        """Make the pipeline once the manifest is there; the codebooks follow."""
+        """Create the pipeline when the manifest arrives; the codebooks follow."""
         if self.info is None or self.pipeline is not None:
             return
         self.pipeline = ClientPipeline(self.info, self.settings, live=self.live, clock=self._clock)
         self._timeline = Timeline(self.info.fps, self.info.frames, min(self.settings.start_frame, self.info.frames - 1))
 
     def _take_weights(self) -> None:
-        """Hand the content's own weights to the pipeline, once both are there; damaged ones are only reported."""
+        """Pass the content's own weights to the pipeline when both exist; damaged weights are only reported."""
         if self.pipeline is None or self._weights is None:
             return
         data, self._weights = self._weights, None
@@ -360,7 +360,7 @@ class Player:
             self.stats.notices.append(str(error))
 
     def _hold(self, now_us: int) -> None:
-        """The first frame is there: let the server refine it before it is played."""
+        """The first frame has arrived: let the server refine it before playback."""
         assert self.pipeline is not None
         if self.settings.startup_ms:
             self._startup.greeting = self.pipeline.references_received
@@ -372,7 +372,7 @@ class Player:
         return self._startup.ends_us is not None and self.stats.started_us is None and not self.away
 
     def _play_if_due(self, now_us: int) -> None:
-        """When the first frame was held for long enough: fix when it is shown, and tell the server."""
+        """When the first frame was held for long enough, fix its display time and tell the server."""
         ends_us = self._startup.ends_us
         if not self._waits_to_start or ends_us is None or now_us < ends_us:
             return
@@ -389,7 +389,7 @@ class Player:
             self._end_tick = min(self._end_tick, max(1, round(self.settings.duration * self._timeline.fps)))
 
     def _control(self, control: Control, now_us: int) -> None:
-        """Count ticks anew, as ``control`` says, and tell the server."""
+        """Restart the count of ticks by ``control``, and tell the server."""
         self._timeline = self._timeline.controlled(control)
         self._next_tick, self._end_tick, self._due_us = 0, self._timeline.round_end(0), control.at_us
         self._cadence.restart()
@@ -397,7 +397,7 @@ class Player:
         self._session.control(control, now_us=now_us)
 
     def _go_on_by(self, control: Control) -> None:
-        """A server that took over counts from ``control``, a place of the timeline: what is displayed stays."""
+        """A server that took over counts from ``control``, a position on the timeline; the display does not change."""
         if control.action == "play":
             passed = self._timeline.first_tick(control.at_us)
             self._next_tick, self._end_tick = self._next_tick - passed, self._end_tick - passed
@@ -427,14 +427,14 @@ class Player:
         return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._decode_queue.traffic())
 
     def _present_first(self, now_us: int) -> Present:
-        """A picture before the play: at first of a reference, and of what there is besides."""
+        """A picture before playback: from a reference at first, and from the tiles received so far."""
         assert self.pipeline is not None
         self._presenting, self._preview_due = True, False
         frame, pose = self.settings.start_frame, self._viewpoint.pose_at(now_us)
         return Present(frame, now_us, pose, self.pipeline, Traffic(), first=True)
 
     def _present_between(self, moment: Moment, now_us: int) -> Present:
-        """A picture of what moves, before the next media frame is due."""
+        """An interpolated picture, before the next media frame is due."""
         assert self.pipeline is not None
         self._presenting = True
         self._interpolation.drawing(now_us)

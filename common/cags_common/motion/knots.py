@@ -1,9 +1,9 @@
-"""Trajectories as knots: the ends of a span first, then the middle of every interval against the line through its ends.
+"""Trajectories as knots: both ends of a span first, then the middle of each interval, predicted by interpolation.
 
-Linear motion has no middles; smooth motion has small ones, a quarter a level. Where motion is smooth and little noise
-is in it, middles are told against the curve through the knots around instead: the cubic through the ends of the
-interval and those of its neighbours (the parabola at an end of the span). Samples are integers in 1/64 of the layer's
-unit, so that a line is followed to 1/64 and every decoder gives the same bits.
+Residuals of middles are zero for linear motion; for smooth motion they shrink by a factor of four per level. Chunks of
+smooth motion predict middles from the cubic through the ends of the interval and of those beside it (at the ends of the
+span, the parabola) instead of the line; it amplifies noise. Samples are integers in 1/64 of the layer's unit, so every
+decoder computes the same bits.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cags_common.geometry import F64
 I32 = NDArray[np.int32]
 
 FRACTION_BITS = 6
-"""Samples are fixed-point numbers of so many fractional bits."""
+"""Fractional bits of the fixed-point samples."""
 
 START, END, MIDDLE = 0, 1, 2
 
@@ -30,27 +30,27 @@ WEIGHT_BITS = 12
 
 @dataclass(frozen=True, slots=True)
 class Knot:
-    """One sample of a span that is coded: ``at`` between the samples ``left`` and ``right``, which come before it."""
+    """One coded sample of a span: ``at``, between the samples ``left`` and ``right``, which are coded earlier."""
 
     kind: int
     at: int
     left: int
     right: int
     parent: int
-    """The sample whose residuals tell most of this one's size; -1 for none."""
+    """The sample whose residuals best predict the size of this one's; -1 for none."""
     before: int = -1
-    """The sample to the left of ``left`` that a curve goes through; -1 for none."""
+    """The sample left of ``left`` on the predicting curve; -1 for none."""
     after: int = -1
-    """That to the right of ``right``."""
+    """The sample right of ``right`` on the predicting curve; -1 for none."""
     weights: tuple[int, int] = (0, 0)
-    """Of what ``before`` and ``after`` are off the line through ``left`` and ``right``."""
+    """Weights of the distances of ``before`` and ``after`` from the line through ``left`` and ``right``."""
 
 
 @cache
 def knots(span: int, *, start: bool, curved: bool = False) -> tuple[Knot, ...]:
-    """The knots of ``span`` + 1 samples in coding order; sample 0 is coded only with ``start``, else it is zero.
+    """The knots of ``span`` + 1 samples in coding order. Without ``start``, sample 0 is not coded and is zero.
 
-    ``curved`` ones are told against curves, others against lines.
+    With ``curved``, middles are predicted from curves instead of lines.
     """
     first = [Knot(START, 0, 0, 0, -1)] if start else []
     return (*first, Knot(END, span, 0, 0, 0 if start else -1), *_middles(span, curved))
@@ -95,7 +95,7 @@ def _weight(knot: Knot, of: int, other: int) -> int:
 
 
 def predicted(samples: I32, knot: Knot) -> I32:
-    """What ``samples`` [span + 1, ...] before ``knot`` lead to expect of it: rounded down, the same everywhere."""
+    """Prediction of ``knot`` from the ``samples`` [span + 1, ...] coded before it, rounded down on every machine."""
     if knot.kind == START:
         return np.zeros_like(samples[0])
     left: I32 = samples[knot.left]
@@ -117,7 +117,7 @@ def _rise(samples: I32, knot: Knot, at: int) -> NDArray[np.int64]:
 
 
 def quantised(wanted: F64, guess: I32, deadzone: F64 | float) -> I32:
-    """Residuals of ``wanted`` (units) against a ``guess`` (fixed point); within half a unit and ``deadzone``: none."""
+    """Residuals of ``wanted`` (units) against a ``guess`` (fixed point); 0 within half a unit plus ``deadzone``."""
     off = wanted - guess / (1 << FRACTION_BITS)
     size = np.floor(np.abs(off) + (0.5 - deadzone))
     residual: I32 = (np.sign(off) * size).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Views of half the pixels a side, and pictures brought up from them to the whole."""
+"""Half resolution: cameras with half the width and height, and pictures enlarged to full size."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from cags_common.geometry import F32, Camera, Intrinsics
 
 
 def halved(camera: Camera) -> Camera:
-    """The same view on half the pixels a side; an odd last one is halved too, so that all pixels are of one size."""
+    """The same view with half the width and height, rounded up; all pixels keep one size."""
     i = camera.intrinsics
     width, height = (i.width_px + 1) // 2, (i.height_px + 1) // 2
     return replace(camera, intrinsics=Intrinsics(width, height, i.fx_px / 2, i.fy_px / 2, i.cx_px / 2, i.cy_px / 2))
 
 
 def enlarged(picture: F32, whole: Camera, threads: int) -> F32:
-    """``picture`` [h, w, 3] in [0, 1] of the :func:`halved` camera, by cubic convolution (Keys 1981, a = -3/4).
+    """Enlarge ``picture`` [h, w, 3] of the :func:`halved` camera by cubic convolution (Keys 1981, a = -3/4).
 
-    [H, W, 3] in [0, 1], of ``whole``. Raises ``ValueError`` where the picture is of another size.
+    Returns [H, W, 3] for camera ``whole``; both lie in [0, 1]. Raises ``ValueError`` for a picture of another size.
     """
     width, height = whole.width_px, whole.height_px
     if cags_kernels.native_available():

@@ -1,11 +1,10 @@
-"""What is held of one group of frames: tiles at any depth, in any order of arrival.
+"""The buffer of one group of frames: tiles at any depth, in any order of arrival.
 
-Tiles are decoded when they arrive (:mod:`cags_common.store.gof_tiles`); :meth:`GofBuffer.commit` makes them visible,
-all of a frame at once, when that frame is shown (:mod:`cags_common.tiles.splat_buffer` has the rules by which looks,
-updates and motion become one array of splats). What is shown depends on what came up to a mark and on the frame alone:
-not on how arrivals were batched, nor on what was committed before. Each group of frames has ids, and a store, of its
-own.
-Showing an earlier frame of the group replays what is held, so a loop or a jump back asks the network for nothing.
+Tiles are decoded on arrival (:mod:`cags_common.store.gof_tiles`). :meth:`GofBuffer.commit` makes all tiles of a frame
+visible at once when that frame is shown; :mod:`cags_common.tiles.splat_buffer` combines looks, updates and motion into
+one array of splats. The result is a function of the frame and of what arrived up to a mark. It does not depend on how
+arrivals were batched or on earlier commits. Each group of frames has its own ids and its own store. Showing an earlier
+frame of the group replays held tiles, so a loop or a jump back needs no data from the network.
 """
 
 from __future__ import annotations
@@ -37,26 +36,26 @@ from cags_common.tiles.splat_buffer import Slot, SplatBuffer
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What a commit did."""
+    """Result of a commit."""
 
     rows: NDArray[np.intp]
-    """[M] whose splats changed."""
+    """[M] rows whose splats changed."""
     moved: NDArray[np.intp]
-    """[K] further ones, of which only position, rotation and opacity did."""
+    """[K] further rows, of which only position, rotation and opacity changed."""
     whole: bool
-    """Whether the end of the frame was there."""
+    """Whether the end of the frame had arrived."""
 
 
 @dataclass(frozen=True, slots=True)
 class Committed:
-    """What became visible: the rows that changed [M] or only moved [K]; all of them where the group is new."""
+    """Rows that became visible: those that changed [M] or only moved [K]; all rows of a new group."""
 
     gof: int
     rows: NDArray[np.intp]
     moved: NDArray[np.intp]
     fresh: bool
     missed: bool
-    """The end of this frame was not there: something older is shown."""
+    """The end of this frame had not arrived, so an older frame is shown."""
 
     @property
     def changed(self) -> bool:
@@ -76,7 +75,7 @@ class GofBuffer:
     """One group of frames. One thread may add and flush while another commits, which never waits for a decoder."""
 
     def __init__(self, manifest: Manifest, gof: int, opener: Opener, mark: int = 0) -> None:
-        """``mark`` is the last that came."""
+        """``mark`` is the last mark received."""
         self._manifest, self._gof, self._opener = manifest, gof, opener
         self.capacity = manifest.capacity[gof]
         frames, self._top_lod = manifest.gof_frames(gof), manifest.lods - 1
@@ -90,16 +89,16 @@ class GofBuffer:
         self._coarse: dict[Key, StoredMotion | StoredUpdate] = {}  # shown below its highest level
         self._shown_frame = self._horizon = -1
         self.whole = False
-        """Whether the end of the frame on display had come when it was committed."""
+        """Whether the end of the displayed frame had arrived at its commit."""
         self.begun = False
-        """Whether looks of any frame up to the one on display have been shown."""
+        """Whether looks of any frame up to the displayed one have been shown."""
         self._rewound = False
         self._ends: set[int] = set()  # not yet shown
         self._ended: dict[int, _End] = {}
         self._lock = threading.Lock()
 
     def resumed(self, inventory: Mapping[Key, int] | None) -> GofBuffer:
-        """Another store, of so many LoDs of each tile (None: of what :meth:`held` says), without ends of frames."""
+        """A new store with the LoDs of an inventory (None: that of :meth:`held`), without ends of frames."""
         other = GofBuffer(self._manifest, self._gof, self._opener, self._tiles.mark)
         other._tiles = self._tiles.resumed(inventory)
         return other
@@ -116,27 +115,25 @@ class GofBuffer:
 
     @property
     def keeps(self) -> bool:
-        """Whether earlier frames of the group can be shown again from what is held."""
+        """Whether the held tiles suffice to show earlier frames of the group again."""
         return self._tiles.keeps
 
     # ------------------------------------------------------------------------------------------ arrival (decode thread)
 
     def add(self, arrivals: Sequence[Arrival]) -> list[DecodeError]:
-        """Decode tiles' layers; what is wrong with those that are left out. Duplicates change nothing."""
+        """Decode layers of tiles and return the errors of skipped ones. Duplicates change nothing."""
         return self._tiles.add(arrivals)
 
     def flush(self) -> list[DecodeError]:
-        """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that are
-        left out.
-        """
+        """Dequantise and stage the tiles that :meth:`add` touched, each once; returns the errors of skipped ones."""
         return self._tiles.flush()
 
     def mark(self, number: int) -> None:
-        """What comes from now on belongs to later marks. After :meth:`flush`, in the same thread."""
+        """What arrives from now on belongs to later marks. Call after :meth:`flush`, in the same thread."""
         self._tiles.mark = number
 
     def take_dropped(self) -> list[InventoryEntry]:
-        """What had come and was given up since the last call, for want of memory: the server may send it again."""
+        """Tiles discarded for lack of memory since the last call; the server may send them again."""
         return self._tiles.take_dropped()
 
     def end(self, frame: int, removed: Ids) -> None:
@@ -150,10 +147,10 @@ class GofBuffer:
     # ----------------------------------------------------------------------------------------- display (display thread)
 
     def commit(self, frame: int, basis: int | None = None) -> Changes:
-        """Show what has come up to mark ``basis`` (None: everything) for frames up to ``frame``, where it is then.
+        """Show frame ``frame`` with everything that arrived up to mark ``basis`` (None: everything).
 
-        What a frame at or before it showed of later marks stays; a frame before the one on display shows the basis
-        alone.
+        Tiles of later marks that an earlier frame showed stay visible. A frame before the displayed one shows the
+        basis alone.
         """
         limit = math.inf if basis is None else basis
         horizon = self._newest_end(frame, limit)
@@ -178,13 +175,13 @@ class GofBuffer:
         return Changes(np.nonzero(touched)[0], np.nonzero(only & ~touched)[0], self.whole)
 
     def move(self, time: float) -> NDArray[np.intp]:
-        """Show the splats on display where they are at ``time``, after the frame that was committed; the rows [K] that
-        moved. Nothing else of them changes.
+        """Move the displayed splats to ``time``, after the committed frame; returns the moved rows [K]. Only position,
+        rotation and opacity change.
         """
         return np.sort(self._buffer.move(time))
 
     def _show(self, staged: Staged) -> NDArray[np.integer]:
-        """The rows that change by it; motion changes none before all of it is evaluated."""
+        """Apply motion and return the changed rows; no row changes before all motion is evaluated."""
         held, value = staged.held, staged.value
         if isinstance(held, StoredLooks):
             assert isinstance(value, LooksValue)
@@ -211,19 +208,19 @@ class GofBuffer:
         return rows
 
     def _newest_end(self, frame: int, limit: float) -> int:
-        """The newest frame up to ``frame`` whose end came before mark ``limit``; -1 where none did."""
+        """The newest frame up to ``frame`` whose end arrived before mark ``limit``; -1 for none."""
         with self._lock:
             return max((f for f, end in self._ended.items() if f <= frame and end.mark < limit), default=-1)
 
     def _due(self, horizon: int, limit: float) -> list[tuple[int, Ids]]:
-        """Removals to be shown, of frames up to ``horizon`` whose ends came before mark ``limit``."""
+        """Pending removals of frames up to ``horizon`` whose ends arrived before mark ``limit``."""
         with self._lock:
             frames = sorted(f for f in self._ends if f <= horizon and self._ended[f].mark < limit)
             self._ends.difference_update(frames)
             return [(f, self._ended[f].removed) for f in frames]
 
     def _rewind(self, horizon: int, limit: float) -> None:
-        """Back to an empty picture; everything held waits to be shown again, in order."""
+        """Start from an empty picture, with all held tiles queued for display again in order."""
         self._buffer.clear()
         for looks in self._tiles.rewind(horizon, limit):
             self._buffer.drop_motion(looks)
@@ -233,7 +230,7 @@ class GofBuffer:
         self._rewound, self.begun, self._horizon = True, False, -1
 
     def _replaced(self, slot: Slot) -> None:
-        """Nothing of a tile is shown any more."""
+        """A tile is no longer shown."""
         assert isinstance(slot, StoredLooks)
         if slot.replaced or slot.grows:
             return
@@ -241,7 +238,7 @@ class GofBuffer:
         self._forget(self._tiles.replaced(slot))
 
     def _forget_past(self, frame: int, *, changed: bool) -> None:
-        """Chunks of motion that later ones followed; once nothing is kept, updates too of which nothing is left."""
+        """Expire replaced chunks of motion and, once nothing is kept, updates that no longer show anything."""
         self._forget(self._tiles.past(self._buffer.drop_past(frame)))
         if changed and not self.keeps:
             for update in self._tiles.updates():
@@ -260,12 +257,12 @@ class GofBuffer:
 
     @property
     def newest(self) -> int:
-        """The newest frame that has come whole; -1 before any."""
+        """The newest complete frame; -1 before any."""
         with self._lock:
             return max(self._ended, default=-1)
 
     def holds(self, frame: int) -> bool:
-        """Whether ``frame`` can be shown whole at once."""
+        """Whether ``frame`` can be shown completely at once."""
         with self._lock:
             return self._tiles.keeps and frame in self._ended
 
@@ -277,8 +274,8 @@ class GofBuffer:
         return Shown(self._buffer.owner, tuple(self._shown))
 
     def visible_lods(self, contribution: F32) -> dict[Key, int]:
-        """LoDs shown of each tile that makes a splat with a ``contribution`` [capacity] to the picture what it is: its
-        looks, the motion that it follows, and updates.
+        """LoDs of all tiles that determine a splat with a ``contribution`` [capacity] to the picture: its looks, its
+        current motion, and updates.
         """
         out = self.shown.visible_lods(contribution)
         for looks in list(out):
@@ -293,16 +290,16 @@ class GofBuffer:
         return out
 
     def held(self) -> list[InventoryEntry]:
-        """The tiles of which splats are shown, wait to be, or are kept for a replay; motion and updates like looks."""
+        """Held tiles of all kinds: those shown, waiting to be shown, or kept for a replay."""
         return self._tiles.held()
 
     @property
     def full(self) -> bool:
-        """Whether everything shown is at its highest LoD, motion and updates too: nothing is left to restore."""
+        """Whether all displayed tiles, motion and updates included, are at their highest LoD."""
         return self.shown.full(self._top_lod) and not any(map(self._counts, list(self._coarse.values())))
 
     def _counts(self, held: StoredMotion | StoredUpdate) -> bool:
-        """Whether ``held`` makes anything that is shown what it is."""
+        """Whether ``held`` determines any displayed splat."""
         if isinstance(held, StoredUpdate):
             return self._buffer.uses(held.key[0], held.ids_of, shown=True)
         looks = self._tiles.looks(held.looks)

@@ -1,7 +1,7 @@
-"""What has come of one group of frames: tiles of any kind at any depth, in any order of arrival.
+"""The received tiles of one group of frames, of any kind and depth, in any order of arrival.
 
-Tiles are decoded when they arrive, off the display path and several at a time, and then *staged*: dequantised, for the
-display to take. What is replaced or past stays for showing earlier frames again, within bounds.
+Tiles are decoded on arrival, off the display path and in batches, and then *staged*: dequantised, ready for display.
+Replaced and expired tiles are kept, within bounds, so that earlier frames can be shown again.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ from cags_common.store.versions import Versions
 from cags_common.tiles.inventory import InventoryEntry
 
 MAX_LATE_BYTES = 8 << 20
-"""Bound on layers of replaced tiles that are kept for showing earlier frames again; past it none are."""
+"""Largest number of layers of replaced tiles kept for replays; beyond it none are kept."""
 
 MAX_TILES_PER_GOF = 1 << 17
-"""Bound on the tiles of one group of frames."""
+"""Largest number of tiles in one group of frames."""
 
 MAX_KEPT_SPLATS = 1 << 22
-"""Splats of replaced tiles and of updates that are kept for showing earlier frames again; past it none are."""
+"""Largest number of splats of replaced tiles and updates kept for replays; beyond it none are kept."""
 
 KEPT_SPLAT_BYTES = 40
-"""What a kept splat takes; payloads of motion count as so many splats."""
+"""Memory of a kept splat, bytes; payloads of motion are converted to splats by it."""
 
 REPLAY_AHEAD = 8
-"""Frames ahead of the display whose kept tiles are dequantised off the display path."""
+"""Number of frames ahead of the display for which kept tiles are dequantised off the display path."""
 
 Layers: TypeAlias = list[tuple[int, memoryview]]
 Ahead: TypeAlias = "dict[Key, tuple[memoryview, Opened | DecodeError]]"
-"""Tiles that are opened already, and by which payload."""
+"""Tiles that are open already, and the payload that opened each."""
 
 
 class GofTiles:
-    """Tiles of one group of frames. One thread may add and flush while another takes what is staged."""
+    """Tiles of one group of frames. One thread may add and flush while another takes staged tiles."""
 
     def __init__(
         self,
@@ -66,16 +66,16 @@ class GofTiles:
         in_motion: bool = False,
         mark: int = 0,
     ) -> None:
-        """Of media ``frames`` and ids below ``capacity``; ``layered`` unless any payload is a whole tile, ``in_motion``
-        where the bundle has motion. ``mark`` is the last that came.
+        """Tiles of media ``frames`` with ids below ``capacity``. ``layered`` is false if any payload is a whole tile;
+        ``in_motion`` is true if the bundle has motion; ``mark`` is the last mark received.
         """
         self._frames, self._capacity, self._opener = frames, capacity, opener
         self._layered, self._in_motion = layered, in_motion
         self.mark = mark
-        """What comes belongs to every mark after this one. Set by the thread that adds, after a flush."""
+        """New tiles belong to all marks after this one. Set by the adding thread, after a flush."""
         self.keeps = True
-        """Whether earlier frames of the group can be shown again from what is held."""
-        self._tiles: dict[Key, StoredTile | None] = {}  # None: nothing of it is shown any more, and it is not kept
+        """Whether the held tiles suffice to show earlier frames of the group again."""
+        self._tiles: dict[Key, StoredTile | None] = {}  # None: no longer shown, and not kept
         self._motions = Motions()
         self._late: dict[Key, list[tuple[int, int, bytes | memoryview]]] = {}  # of kept tiles, by mark and level
         self._replay: dict[Key, StoredTile] = {}
@@ -94,10 +94,10 @@ class GofTiles:
     # ------------------------------------------------------------------------------------------ arrival (decode thread)
 
     def add(self, arrivals: Sequence[Arrival]) -> list[DecodeError]:
-        """Decode tiles' layers; what is wrong with those that are left out. Duplicates change nothing.
+        """Decode layers of tiles and return the errors of skipped ones. Duplicates change nothing.
 
-        Damaged payloads, ids beyond the group's capacity and motion that does not fit its looks are left out; what was
-        held stays. What comes of it does not depend on how arrivals are batched.
+        Damaged payloads, ids beyond the group's capacity and motion that does not fit its looks are skipped; earlier
+        levels stay. The result does not depend on how arrivals are batched.
         """
         errors = []
         with self._decoding:
@@ -110,10 +110,10 @@ class GofTiles:
         return errors
 
     def flush(self) -> list[DecodeError]:
-        """Dequantise the tiles that :meth:`add` touched, each once, and stage them; what is wrong with those that have
-        grown ids beyond the capacity, or waited for looks that they do not fit, and are left out.
+        """Dequantise and stage the tiles that :meth:`add` touched, each once, and return the errors of skipped ones.
 
-        Of what is to be shown again only what is shown, or soon will be, is staged.
+        Skipped are tiles whose ids grew beyond the capacity and motion that does not fit the looks it waited for. In a
+        replay, only tiles that are shown, or soon will be, are staged.
         """
         with self._decoding:
             self._stage(math.inf, self._horizon + REPLAY_AHEAD)
@@ -121,15 +121,15 @@ class GofTiles:
         return errors
 
     def take_dropped(self) -> list[InventoryEntry]:
-        """What had come and was given up since the last call, for want of memory: the server may send it again."""
+        """Tiles discarded for lack of memory since the last call; the server may send them again."""
         with self._decoding:
             dropped, self._dropped = self._dropped, []
         return dropped
 
     def resumed(self, inventory: Mapping[Key, int] | None) -> GofTiles:
-        """Another store of so many LoDs, from 0 on, of each tile, and of nothing else; None: of what :meth:`held` says.
+        """A new store with the LoDs of ``inventory`` (None: those of :meth:`held`) and nothing else.
 
-        That is where a connection begins, whatever was shown over the one before; half-come levels are forgotten.
+        A new connection begins from it, whatever the previous one has shown; incomplete levels are forgotten.
         """
         layered, in_motion = self._layered, self._in_motion
         other = GofTiles(
@@ -157,7 +157,7 @@ class GofTiles:
 
     def _hand_over_looks(self, held: StoredLooks, lods: int, other: GofTiles) -> None:
         state = held.versions.newest.fork()
-        late = self._late.get(held.key, []) if lods > held.lods else []  # of whole tiles nothing can be taken back
+        late = self._late.get(held.key, []) if lods > held.lods else []  # levels of whole tiles cannot be removed
         for _, lod, payload in late:
             with suppress(DecodeError):
                 state.add_layer(lod, payload)
@@ -170,7 +170,7 @@ class GofTiles:
         return self._opener.looks_of(First(key, lod, payload)) if self._in_motion else None
 
     def _open_ahead(self, arrivals: Sequence[Arrival]) -> Ahead:
-        """The new tiles that arrivals bring, opened together; not motion of looks that are yet to come."""
+        """Open the new tiles among the arrivals together, except motion of looks that have not arrived."""
         coming = {arrival.key for arrival in arrivals if arrival.from_lod == 0}
         firsts: dict[Key, First] = {}
         for arrival in arrivals:
@@ -183,7 +183,7 @@ class GofTiles:
         return {key: (first.payload, tile) for (key, first), tile in zip(firsts.items(), opened, strict=True)}
 
     def _opens(self, lod: int) -> bool:
-        """Whether a payload of ``lod`` opens a tile of which nothing is held: its base, or the whole of it."""
+        """Whether a payload of ``lod`` opens a new tile: it is a base layer or a whole tile."""
         return lod == 0 or not self._layered
 
     def _add(self, key: Key, layers: Layers, ahead: Ahead) -> None:
@@ -191,7 +191,7 @@ class GofTiles:
         if key in self._tiles and self._tiles[key] is None:
             return
         held = self._tiles.get(key)
-        if isinstance(held, StoredLooks) and held.replaced:  # of use once earlier frames are shown again
+        if isinstance(held, StoredLooks) and held.replaced:  # useful when earlier frames are shown again
             self._keep_late(key, layers)
             return
         if held is None:
@@ -212,7 +212,7 @@ class GofTiles:
 
     @staticmethod
     def _taken(ahead: Ahead, key: Key, payload: memoryview) -> Opened | DecodeError | None:
-        """The tile that ``payload`` opens, if it was opened ahead: one that had waited may have come again, damaged."""
+        """The tile that ``payload`` opened ahead, if any. A waiting tile may have arrived a second time, damaged."""
         if key not in ahead or ahead[key][0] is not payload:
             return None
         return ahead.pop(key)[1]
@@ -226,7 +226,7 @@ class GofTiles:
         try:
             if versions is not None and lod > versions.newest.lod:
                 changed = versions.writable(self.mark).add_layer(lod, payload)
-        except DecodeError:  # of this level, or of one that had to wait for it
+        except DecodeError:  # error of this level, or of one that waited for it
             if isinstance(held, StoredMotion):
                 self._drop_levels(held)
             raise
@@ -240,7 +240,7 @@ class GofTiles:
         return changed
 
     def _waits(self, key: Key, lod: int, payload: memoryview) -> bool:
-        """Whether ``key`` moves looks that have not come. Raises :class:`DecodeError`."""
+        """Whether ``key`` moves looks that have not arrived. Raises :class:`DecodeError`."""
         looks = self._looks_of(key, lod, payload)
         if looks is None or looks in self._tiles:
             return False
@@ -255,7 +255,7 @@ class GofTiles:
             self._dropped.append(InventoryEntry(*gone, 0))
 
     def _take(self, key: Key, payload: memoryview, tile: Opened | DecodeError, ahead: Ahead) -> StoredTile | None:
-        """A tile that is new; None where what it moves is not kept. Raises :class:`DecodeError`."""
+        """A new tile; None if the looks that it moves are not kept. Raises :class:`DecodeError`."""
         if isinstance(tile, DecodeError):
             raise tile
         if len(self._tiles) >= MAX_TILES_PER_GOF:
@@ -272,7 +272,7 @@ class GofTiles:
         return held
 
     def _bring(self, waiting: list[Key], ahead: Ahead) -> None:
-        """Looks have come: take the motion that waited for them. Errors wait for the next :meth:`flush`."""
+        """Looks have arrived: add the motion that waited for them. Errors are returned by the next :meth:`flush`."""
         for key in waiting:
             for layer in sorted(self._waiting.take(key), key=lambda layer: layer[0]):
                 try:
@@ -327,7 +327,7 @@ class GofTiles:
                 self._bound_kept()
 
     def _drop_levels(self, held: StoredMotion) -> None:
-        """Forget levels of motion that were not decoded: they do not count as held."""
+        """Forget levels of motion that were not decoded; they do not count as held."""
         with self._lock:
             decoded = held.versions.newest.lod if held.versions is not None else 0
             for level in [level for level in held.payloads if level > decoded]:
@@ -341,8 +341,8 @@ class GofTiles:
     # ---------------------------------------------------------------------------------------------------------- staging
 
     def stage_unless_decoding(self, horizon: int) -> None:
-        """Dequantise what nobody flushed. While a batch is being decoded nothing of a frame that has ended is missing:
-        its tiles are flushed before its end. Only what is replayed must be waited for.
+        """Dequantise tiles that were not flushed. Tiles of a frame are flushed before its end, so a batch that is being
+        decoded misses nothing of it; only replays must wait.
         """
         wait = any(key[0] <= horizon for key in list(self._replay))
         if not self._decoding.acquire(blocking=wait):
@@ -353,9 +353,9 @@ class GofTiles:
             self._decoding.release()
 
     def _stage(self, horizon: float, replayed: int) -> None:
-        """Dequantise touched tiles of frames up to ``horizon``, and those to be replayed of frames up to ``replayed``.
+        """Dequantise touched tiles of frames up to ``horizon``, and tiles to replay of frames up to ``replayed``.
 
-        Errors wait for the next :meth:`flush`.
+        Errors are returned by the next :meth:`flush`.
         """
         self._reopen([k for k in self._replay if k[0] <= replayed])
         fresh = [make for held in self._take_touched(horizon).values() for make in to_stage(held)]
@@ -367,7 +367,7 @@ class GofTiles:
                 of.append(item)
 
     def _reopen(self, keys: list[Key]) -> None:
-        """Touch what is to be replayed; of the motion that is shown only what counts there is decoded again."""
+        """Mark tiles to replay as touched; only the motion in effect there is decoded again."""
         motions = []
         for key in keys:
             held = self._touched[key] = self._replay.pop(key)
@@ -386,7 +386,7 @@ class GofTiles:
         return held.opened(self._opener, self._floor)
 
     def _is_followed(self, held: StoredMotion) -> bool:
-        """Whether a later chunk of the same looks is shown in its place."""
+        """Whether a later chunk of the same looks has replaced it."""
         others = [other for other in self._motions.of(held.looks) if held.key[0] < other.key[0] <= self._horizon]
         return any(other.payloads[0].since < self._basis for other in others)
 
@@ -405,7 +405,7 @@ class GofTiles:
     # ----------------------------------------------------------------------------------------- display (display thread)
 
     def due(self, horizon: int, basis: float) -> list[Staged]:
-        """Take what is staged of frames up to ``horizon`` and came before mark ``basis``, in order."""
+        """Take staged tiles of frames up to ``horizon`` that arrived before mark ``basis``, in order."""
         with self._lock:
             self._horizon, self._basis = max(self._horizon, horizon), basis
             due = []
@@ -420,7 +420,7 @@ class GofTiles:
             return due
 
     def _trim(self, basis: float) -> None:
-        """Later marks alone are asked for from now on; nobody asked for one where everything is shown."""
+        """From now on only later marks are requested; none is requested while everything is shown."""
         if basis == math.inf:
             return
         self._floor = max(self._floor, basis)
@@ -431,8 +431,8 @@ class GofTiles:
                 del self._several[key]
 
     def rewind(self, horizon: int, basis: float) -> list[Key]:
-        """Everything held waits to be shown again, in order, what came before mark ``basis`` up to ``horizon`` first;
-        the looks that move.
+        """Queue all held tiles for display again in order, first those up to ``horizon`` that arrived before mark
+        ``basis``. Returns the looks that move.
         """
         with self._decoding, self._lock:
             self._horizon, self._basis = horizon, basis
@@ -453,12 +453,12 @@ class GofTiles:
 
     def _take_late(self, held: StoredLooks) -> None:
         for mark, lod, payload in self._late.pop(held.key, []):
-            with suppress(DecodeError):  # damaged on the way: the tile stays as good as it was
+            with suppress(DecodeError):  # a damaged level: the tile keeps its quality
                 held.versions.writable(mark).add_layer(lod, payload)
                 self._several[held.key] = held
 
     def replaced(self, held: StoredLooks) -> list[StoredMotion]:
-        """Nothing of a tile is shown any more: it is kept for a replay while there is room. Its motion, now past."""
+        """A tile is no longer shown: keep it for a replay while there is room. Returns its expired motion."""
         with self._lock:
             self._staged.pop(held.key, None)
             held.replaced = True
@@ -472,7 +472,7 @@ class GofTiles:
             return past
 
     def past(self, chunks: list[tuple[Key, int]]) -> list[StoredMotion]:
-        """Later chunks of motion have followed these, each named by its looks and first frame: the tiles."""
+        """Expire replaced chunks of motion, each named by its looks and first frame; returns their tiles."""
         with self._lock:
             past = [held for looks, start in chunks if (held := self._motions.at(looks, start)) is not None]
             for held in past:
@@ -480,12 +480,12 @@ class GofTiles:
             return past
 
     def forget(self, update: StoredUpdate) -> None:
-        """Nothing of an update is shown any more, and nothing is kept."""
+        """An update is no longer shown, and not kept."""
         with self._lock:
             self._give_up(update)
 
     def chunk(self, looks: Key, start: int) -> StoredMotion | None:
-        """What moves tile ``looks`` from media frame ``start`` on, if it came."""
+        """The motion of tile ``looks`` from media frame ``start`` on, if it has arrived."""
         with self._lock:
             return self._motions.at(looks, start)
 
@@ -500,12 +500,12 @@ class GofTiles:
         return held if isinstance(held, StoredLooks) else None
 
     def held(self) -> list[InventoryEntry]:
-        """The tiles of which splats are shown, wait to be, or are kept for a replay; motion and updates like looks."""
+        """Held tiles of all kinds: those shown, waiting to be shown, or kept for a replay."""
         with self._decoding, self._lock:
             return [InventoryEntry(*key, h.lods) for key, h in self._tiles.items() if h is not None]
 
     def _retire(self, held: StoredMotion) -> None:
-        """A tile of motion is past, or nothing is left of what it moves: only its payloads stay."""
+        """A tile of motion has expired, or its looks are gone: keep only its payloads."""
         held.versions = None
         self._staged.pop(held.key, None)
         if not self.keeps:

@@ -1,7 +1,7 @@
-"""What is held of a scene: a :class:`GofBuffer` a group of frames.
+"""The store of a scene: one :class:`GofBuffer` per group of frames.
 
-The old group is dropped when something of the next is shown. *Marks* cut what comes into what a reference knows of and
-what comes after it: server and client number them alike, so that each can show what the other does.
+A group is dropped when the next one is first shown. *Marks* divide the stream into what a reference assumes and what
+comes later. Server and client number them alike, so both can show the same splats.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cags_common.tiles.inventory import InventoryEntry
 
 
 class TileStore:
-    """The groups of frames that are held: the one on display and those that arrive ahead.
+    """The held groups of frames: the displayed one and those that arrive ahead.
 
     One thread may add, end, flush and mark while another commits and moves.
     """
@@ -29,8 +29,8 @@ class TileStore:
     def __init__(
         self, manifest: Manifest, codec: TileCodec | None, threads: int = 1, *, opener: Opener | None = None
     ) -> None:
-        """``threads`` of decoding; what is shown does not depend on their number. ``opener`` makes other decoders than
-        those of ``codec``.
+        """Decode with ``threads`` threads, whose number does not change results. ``opener`` replaces the decoders of
+        ``codec``.
         """
         self._manifest, self._opener = manifest, opener or TileOpener(codec, threads)
         self._gofs: dict[int, GofBuffer] = {}
@@ -42,12 +42,12 @@ class TileStore:
     # ------------------------------------------------------------------------------------------ arrival (decode thread)
 
     def add(self, frame: int, tile: int, from_lod: int, payloads: list[memoryview]) -> None:
-        """Take layers of a tile; those of groups that are past are ignored. Raises :class:`DecodeError`."""
+        """Add layers of a tile; those of past groups are ignored. Raises :class:`DecodeError`."""
         for error in self.add_all([Arrival(frame, tile, from_lod, payloads)]):
             raise error
 
     def add_all(self, arrivals: Sequence[Arrival]) -> list[DecodeError]:
-        """As :meth:`add`, for many at once; what is wrong with those that are left out."""
+        """As :meth:`add`, for many at once; returns the errors of skipped ones."""
         errors: list[DecodeError] = []
         by_gof: dict[int, tuple[GofBuffer, list[Arrival]]] = {}
         for arrival in arrivals:
@@ -63,16 +63,16 @@ class TileStore:
         return errors
 
     def flush(self) -> list[DecodeError]:
-        """Dequantise what :meth:`add` touched, each tile once. Else :meth:`commit` does it, on the display path.
+        """Dequantise the tiles that :meth:`add` touched, each once, and return the errors of skipped ones.
 
-        What is wrong with tiles that are left out.
+        Without it, :meth:`commit` does the same on the display path.
         """
         return [error for store in self._stores() for error in store.flush()]
 
     def mark(self, number: int) -> list[DecodeError]:
-        """All that has come so far, ends of frames too, belongs to basis ``number``, and what comes next does not.
+        """Everything received so far, ends of frames included, belongs to basis ``number``; what follows does not.
 
-        As :meth:`flush`, whose errors it returns. Raises ``ValueError`` where numbers do not rise.
+        Flushes, and returns the errors of that. Raises ``ValueError`` unless numbers rise.
         """
         if number <= self._mark:
             raise ValueError(f"mark {number} came after mark {self._mark}: marks rise")
@@ -90,14 +90,14 @@ class TileStore:
             store.end(frame, removed)
 
     def take_dropped(self) -> list[InventoryEntry]:
-        """What was given up for want of memory since the last call."""
+        """Tiles discarded for lack of memory since the last call."""
         return [tile for store in self._stores() for tile in store.take_dropped()]
 
     def restarted(self, inventory: Iterable[InventoryEntry] | None = None) -> None:
-        """From here on another connection brings what comes; it begins from ``inventory`` (None: what :meth:`held`
-        says), of which nothing is shown before an end of a frame has come. What is on display stays until then.
+        """Continue with another connection, which begins from ``inventory`` (None: that of :meth:`held`).
 
-        Levels beyond the inventory, half-come ones and ends of frames are forgotten; marks go on to rise.
+        The displayed picture stays until the first end of a frame arrives. Levels beyond the inventory, incomplete
+        levels and ends of frames are forgotten; marks continue to rise.
         """
         levels = None if inventory is None else {(tile.frame, tile.tile): tile.lods for tile in inventory}
         with self._lock:
@@ -115,10 +115,10 @@ class TileStore:
     # ----------------------------------------------------------------------------------------- display (display thread)
 
     def commit(self, frame: int, basis: int | None = None) -> tuple[GofBuffer, Committed]:
-        """Make what came up to mark ``basis`` (None: everything) for ``frame`` visible.
+        """Show what arrived for ``frame`` up to mark ``basis`` (None: everything).
 
-        While nothing of its group is whole, the group before stays on display as of its last frame (``missed``).
-        What an earlier commit showed stays, though it came later, unless the play went back to an earlier frame.
+        Until a frame of its group is complete, the last frame of the group before stays on display (``missed``).
+        Tiles shown by an earlier commit stay even if they arrived after ``basis``, unless playback went back.
         """
         gof = self._manifest.gof_of(frame)
         made: dict[GofBuffer, Changes] = {}
@@ -144,8 +144,8 @@ class TileStore:
                 del self._gofs[old]
 
     def move(self, frame: int, share: float) -> tuple[GofBuffer, Committed] | None:
-        """Show the splats on display where they are ``share`` frames after ``frame``, the last that was committed; None
-        where another is.
+        """Move the displayed splats to their place ``share`` frames after ``frame``; None unless ``frame`` was the last
+        committed one.
         """
         store = self._shown
         if store is None or store.shown_frame != frame:
@@ -162,7 +162,7 @@ class TileStore:
 
     @property
     def keeps(self) -> bool:
-        """Whether every frame of the group on display that was sent once can be shown again."""
+        """Whether every frame of the displayed group that was sent once can be shown again."""
         return self._shown is None or self._shown.keeps
 
     def capacity(self, frame: int) -> int:
@@ -176,24 +176,24 @@ class TileStore:
 
     @property
     def nbytes(self) -> int:
-        """What the splats by id take."""
+        """Memory of the splats by id, bytes."""
         return sum(store.nbytes for store in self._stores())
 
     def in_group(self, frame: int) -> bool:
-        """Whether ``frame`` is of the group on display."""
+        """Whether ``frame`` belongs to the displayed group."""
         return self._manifest.gof_of(frame) == self._oldest
 
     def holds(self, frame: int) -> bool:
-        """Whether ``frame`` can be shown whole without anything from the network."""
+        """Whether ``frame`` can be shown completely without further data."""
         store = self._gofs.get(self._manifest.gof_of(frame))
         return store is not None and store.holds(frame)
 
     def ahead(self, frame: int) -> int:
-        """Frames after ``frame`` up to the newest that has come whole."""
+        """Number of frames after ``frame`` up to the newest complete one."""
         return max(max((store.newest for store in self._stores()), default=-1) - frame, 0)
 
     def held(self) -> list[InventoryEntry]:
-        """Every tile that would not have to be sent again."""
+        """All tiles that need not be sent again."""
         return [tile for store in self._stores() for tile in store.held()]
 
     def _check(self, frame: int) -> None:
@@ -205,7 +205,7 @@ class TileStore:
             return list(self._gofs.values())
 
     def _by_number(self, last: int) -> list[tuple[int, GofBuffer]]:
-        """Groups up to ``last``."""
+        """Forget groups up to ``last``."""
         with self._lock:
             return [(gof, store) for gof, store in self._gofs.items() if gof <= last]
 

@@ -1,4 +1,4 @@
-"""One frame of a bundle as a file that other viewers open."""
+"""Export of one frame of a bundle to a file format of other viewers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cags_encoder.formats.registry import format_of_name
 
 
 def parse_place(text: str) -> tuple[int, int | None]:
-    """``FRAME`` or ``FRAME:LOD``. Raises :class:`ConfigError`."""
+    """Parse ``FRAME`` or ``FRAME:LOD``. Raises :class:`ConfigError`."""
     match = re.fullmatch(r"(\d{1,9})(?::(\d{1,3}))?", text, re.ASCII)
     if match is None:
         raise ConfigError(f"{text!r} must be FRAME or FRAME:LOD, such as 0 or 12:3")
@@ -20,10 +20,10 @@ def parse_place(text: str) -> tuple[int, int | None]:
 
 
 def export(url: str, place: str, out: Path) -> tuple[int, str]:
-    """Write ``FRAME[:LOD]`` of the bundle at ``url``, in the format of ``out``'s suffix; splats written and the format.
+    """Write ``FRAME[:LOD]`` of the bundle at ``url`` in the format of ``out``'s suffix; the splat count and format.
 
-    The highest LoD unless another is named. Raises :class:`BundleError`, :class:`DecodeError`, :class:`SceneError` for
-    a suffix or place that cannot be written, or :class:`ConfigError`.
+    The default is the highest LoD. Raises :class:`BundleError`, :class:`DecodeError`, :class:`ConfigError`, or
+    :class:`SceneError` if the suffix is unknown or the file cannot be written.
     """
     frame, lod = parse_place(place)
     format_of_name(out)  # before the work

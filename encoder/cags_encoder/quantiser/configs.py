@@ -10,11 +10,11 @@ from cags_common.errors import ConfigError
 from cags_common.geometry import F32
 
 RAW_LIMIT = 30.0
-"""Log scales and opacity logits beyond this are clamped: exp(30) metres and 1 - 1e-13 show nothing more."""
+"""Largest magnitude of log scales and opacity logits; beyond exp(30) metres and 1 - 1e-13 nothing changes visibly."""
 
 LOGIT_RANGE = (-5.6, 5.0)
-"""Opacity logits clustered as they are: below 1/255 nothing is drawn, and clusters spent above 0.993, where captures
-keep logits of 20, are missing where opacities differ (measured in docs/codec.md)."""
+"""Range of opacity logits for clustering. Below 1/255 nothing is drawn; above 0.993, where captures have logits of 20,
+clusters would be wasted (measured in docs/lab/codec.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +23,11 @@ class AttributeQuantiser:
 
     attribute: str
     tree_bits: int
-    """2**tree_bits clusters in the tree."""
+    """Bits of the tree, which has 2**tree_bits clusters."""
     activated: bool = False
-    """Cluster what is drawn (metres of scale, opacity in 0..1) rather than the stored logarithm or logit."""
+    """Whether to cluster drawn values (scale in metres, opacity in 0..1) instead of the stored logarithm or logit."""
     refine_bits: int = 0
-    """Bits of the second tree, which refines the first one's leaves."""
+    """Bits of the second tree, which refines the leaves of the first."""
 
     def to_space(self, values: F32) -> F32:
         """Values [n, dim] as clustered."""
@@ -60,7 +60,7 @@ class QuantiserConfig:
     name: str
     attributes: tuple[AttributeQuantiser, ...]
     as_printed: bool = False
-    """k-means and merging by the paper's distance, instead of splitting."""
+    """Whether to use k-means and merging by the paper's distance instead of splitting."""
     base_bits: int = 4
     """Bits of the base layer."""
     layer_bits: int = 2
@@ -82,8 +82,8 @@ def layered(name: str, bits: dict[str, tuple[int, int]], position_step: float = 
     return QuantiserConfig(name, parts, position_step=position_step)
 
 
-# One code a splat and attribute, as the paper's text counts bits; the authors' code spends an SH code a colour channel.
-# How the ten bits more of the second configuration are spent is not published: geometry gets most of them here.
+# One code per splat and attribute, as the paper's text counts; the authors' code has one SH code per colour channel.
+# The paper does not say where the ten additional bits of the second configuration go: geometry gets most of them here.
 _CONFIGS = {
     config.name: config
     for config in (

@@ -1,4 +1,4 @@
-"""How much each splat counts when codebooks are trained: more where more of it is seen."""
+"""Weights of splats in codebook training: the larger a splat's contribution to pictures, the larger its weight."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cags_encoder.views import contributions
 VIEWS = 16
 
 EXPONENT = 0.5
-"""Of the contribution: its full weight would spend the codes on a few large splats (docs/codec.md has the table)."""
+"""Exponent of the contribution: with 1, a few large splats would take most codes (table in docs/lab/codec.md)."""
 
 _FLOOR = 0.01
-"""Mean contributions that are added to every splat's: one that no view shows counts too."""
+"""Added to every splat's contribution, in mean contributions, so that splats in no view count too."""
 
 
 def importance(samples: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> F64:
-    """Weights [n] > 0 of ``samples`` [n] drawn by themselves: a subset of a scene shows about what the scene does."""
+    """Weights [n] > 0 of ``samples`` [n], from renders of the samples alone, which resemble the scene."""
     seen = contributions(samples, cameras, rasteriser)
     mean = float(seen.mean())
     if mean <= 0:

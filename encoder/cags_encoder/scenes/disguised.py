@@ -1,6 +1,6 @@
-"""A scene as a capture's tool chain hands it on: rows in a new order in every frame, attributes coarsely quantised.
+"""A scene as a capture tool chain delivers it: rows shuffled in every frame, attributes coarsely quantised.
 
-What an encoder must cope with, made from scenes of which everything is known.
+Used to test encoders on such input with a known ground truth.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ QUANTISED = {"sog": quantised_as_sog, "spz": quantised_as_spz}
 
 @dataclass(frozen=True)
 class DisguiseOptions:
-    """What is done to the frames of any scene; the defaults do nothing."""
+    """Changes to the frames of a scene; the defaults change nothing."""
 
     shuffle: int = setting(0, "1: rows in a new order in every frame, and identities withheld", low=0, high=1)
     quantise: str = setting(
@@ -33,7 +33,7 @@ class DisguiseOptions:
 
 
 class DisguisedScene:
-    """The frames of ``base``, shuffled and quantised."""
+    """Frames of ``base``, shuffled and quantised."""
 
     def __init__(self, base: FrameSource, options: DisguiseOptions) -> None:
         self._base, self._options = base, options
@@ -69,11 +69,11 @@ class DisguisedScene:
         return splats.take(self.order(index, len(splats))) if self._options.shuffle else splats
 
     def ids(self, index: int) -> Ids | None:
-        """None where rows are shuffled, else the scene's."""
+        """The scene's; None if rows are shuffled."""
         return None if self._options.shuffle else self._base.ids(index)
 
     def order(self, index: int, count: int) -> Ids:
-        """The row of the scene's frame ``index`` that each of ``count`` rows is."""
+        """For each of ``count`` rows, its row in the scene's frame ``index``."""
         if not self._options.shuffle:
             return np.arange(count, dtype=np.int32)
         return np.random.default_rng([index, count]).permutation(count).astype(np.int32)

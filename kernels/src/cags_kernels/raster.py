@@ -36,7 +36,7 @@ SPLAT_SHAPES: dict[str, tuple[int, ...]] = {
     "sh0": (3,),
     "sh_rest": (3,),
 }
-"""What each array holds of a splat; ``sh_rest`` so many times as there are coefficients."""
+"""Columns of each array per splat; those of ``sh_rest`` per coefficient."""
 
 _pictures = BufferPool()
 
@@ -101,7 +101,7 @@ class RasterCamera:
 
 @dataclass(frozen=True)
 class RasterOptions:
-    """What ``cags_common.raster.RenderOptions`` says, as numbers; variances in squared pixels."""
+    """``cags_common.raster.RenderOptions`` as numbers; variances in squared pixels."""
 
     dilation: float
     filter: float
@@ -111,12 +111,12 @@ class RasterOptions:
     max_sh_degree: int
     threads: int
     brightest: float = BRIGHTEST
-    """No colour comes out above it."""
+    """Upper limit of colours."""
 
 
 @dataclass(frozen=True)
 class RasterStatistics:
-    """Where a frame's time went, and how much there was to do."""
+    """Times and amounts of work of one frame."""
 
     project_ms: float
     bin_ms: float
@@ -131,7 +131,7 @@ class RasterStatistics:
 
 @dataclass(frozen=True, eq=False)
 class RasterImage:
-    """The arrays that :meth:`NativeScene.render` filled; None for what was not asked."""
+    """Output arrays of :meth:`NativeScene.render`; None for those that were not requested."""
 
     rgb: F32  # [H, W, 3]
     alpha: F32  # [H, W]
@@ -141,7 +141,7 @@ class RasterImage:
 
 
 class NativeScene:
-    """Splats held by the native library. Renders may run beside each other; updates may not run beside a render.
+    """Splats held by the native library. Renders may run concurrently; an update must not run during a render.
 
     ``splats`` is the six arrays means [N, 3], quats [N, 4], log_scales [N, 3], logit_opacities [N], sh0 [N, 3] and
     sh_rest [N, K, 3], all finite; they are copied. Raises :class:`cags_kernels.KernelError`.
@@ -171,7 +171,7 @@ class NativeScene:
         check(status, "raster_scene_update")
 
     def _rows(self, rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """``rows``, of which there must be ``count``, each of this scene."""
+        """Check ``rows``: there must be ``count`` of them, all within the scene."""
         if rows.shape != (count,) or not np.issubdtype(rows.dtype, np.integer):
             raise ValueError(f"rows of shape {rows.shape} and type {rows.dtype} for {count} splats")
         if count and not 0 <= int(rows.min()) <= int(rows.max()) < self.count:
@@ -179,10 +179,10 @@ class NativeScene:
         return np.ascontiguousarray(rows, dtype=np.int64)
 
     def move(self, rows: NDArray[np.int64], splats: tuple[F32, ...], threads: int = 1) -> None:
-        """Take position, rotation and opacity at rising ``rows`` [M] from ``splats``, arrays [N] of the whole scene.
+        """Take position, rotation and opacity at ascending ``rows`` [M] from ``splats``, arrays [N] of the whole scene.
 
-        The others of their columns must be those that the scene holds. Raises :class:`cags_kernels.KernelError` for
-        splats that cannot be drawn, and then nothing is changed.
+        Their other attributes must equal those of the scene. Raises :class:`cags_kernels.KernelError` if a splat
+        cannot be drawn; the scene is then unchanged.
         """
         given, rows = _splats(splats), self._rows(rows, len(rows))
         if (len(splats[0]), splats[5].shape[1]) != (self.count, self._coefficients):
@@ -193,7 +193,7 @@ class NativeScene:
         check(move(self._handle, *sized(rows), ctypes.byref(given), threads), "raster_scene_move")
 
     def render(self, camera: RasterCamera, options: RasterOptions, *, contribution: bool = False) -> RasterImage:
-        """Render one view over black; depth as ``options.depth`` says."""
+        """Render one view over black, with depth of kind ``options.depth``."""
         shape = _size(camera.width, camera.height)
         rgb, alpha = self._buffers.empty((*shape, 3)), self._buffers.empty(shape)
         depth = None if options.depth == DEPTH_NONE else self._buffers.empty(shape)
@@ -209,7 +209,7 @@ class NativeScene:
 
 
 def enlarge(picture: F32, width: int, height: int, threads: int) -> F32:
-    """``picture`` [(height + 1) // 2, (width + 1) // 2, 3] brought up to [height, width, 3] by cubic convolution.
+    """Enlarge ``picture`` [(height + 1) // 2, (width + 1) // 2, 3] to [height, width, 3] by cubic convolution.
 
     Both in [0, 1]. Raises ``KernelError`` and, for a picture of another size, ``ValueError``.
     """

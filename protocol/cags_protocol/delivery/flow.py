@@ -18,7 +18,7 @@ from math import ceil, inf
 
 from cags_common.errors import ProtocolError
 from cags_protocol.delivery.competition import Competition
-from cags_protocol.delivery.round_trips import MIN_RTT_WINDOW_US, Lowest, RoundTrips
+from cags_protocol.delivery.round_trips import RoundTrips
 from cags_protocol.delivery.send_queue import Entry
 from cags_protocol.events import Stance
 from cags_protocol.wire import limits
@@ -56,7 +56,6 @@ class Flight:
     delivered_bytes: int
     delivered_us: int
     app_limited: bool
-    window_limited: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +64,8 @@ class AckResult:
 
     acked: list[tuple[int, Flight]]
     lost: list[tuple[int, Flight]]
-    rtt_us: int
-    """Round trip of the newest packet, without the time that its acknowledgement waited at either end."""
     delivery_rate_bps: float | None
     app_limited: bool
-    window_limited: bool
 
 
 class FlowControl:
@@ -83,11 +79,8 @@ class FlowControl:
         self._next_seq = 1
         self._app_limited_until = 0
         self._delivered_us = self._first_sent_us = now_us
-        self._round_trips = RoundTrips()
-        self._one_way = Lowest(MIN_RTT_WINDOW_US)  # from the server's clock to the client's: of any sign
+        self.round_trips = RoundTrips()
         self._competition = Competition()
-        self._rtt_us = 0
-        self._window_full = False
         self._ahead_bytes, self._ahead_us = 0.0, now_us - window_us  # more than the pace allows, and since when
         self.in_flight_bytes = 0
         self.delivered_bytes = 0
@@ -98,11 +91,6 @@ class FlowControl:
     def next_seq(self) -> int:
         """Number of the next packet."""
         return self._next_seq
-
-    @property
-    def min_rtt_us(self) -> int:
-        """Shortest round trip seen of late; 0 before the first."""
-        return self._round_trips.shortest_us
 
     @property
     def stance(self) -> Stance:
@@ -117,24 +105,23 @@ class FlowControl:
         queue that another flow holds counts as the link's own content; otherwise the longer it is, the less of the
         link this connection could use.
         """
+        trips = self.round_trips
         if self.stance is Stance.GIVE_WAY:
-            return self._bytes_in(self._window_us + self.min_rtt_us + self._round_trips.jitter_us)
-        return limits.PACKET_BYTES + self._bytes_in(self._window_us + self._rtt_us + self._round_trips.jitter_us)
+            return self._bytes_in(self._window_us + trips.shortest_us + trips.jitter_as_read_us)
+        return limits.PACKET_BYTES + self._bytes_in(self._window_us + trips.newest_us + trips.jitter_as_read_us)
 
     def _own_queue_us(self) -> tuple[float, float]:
         """The longest queue that connections of this kind usually make, and what the least credit may add to it."""
         if self.rate_bps < SLOW_BPS:
             return inf, 0.0
-        return OWN_QUEUES * self._window_us + self._round_trips.jitter_us, MIN_WINDOW_BYTES * 8e6 / self.rate_bps
+        return OWN_QUEUES * self._window_us + self.round_trips.jitter_as_read_us, MIN_WINDOW_BYTES * 8e6 / self.rate_bps
 
     def _bytes_in(self, time_us: float) -> int:
         return max(MIN_WINDOW_BYTES, int(self.rate_bps * time_us / 8e6))
 
     def has_credit(self, extra_bytes: int = 0) -> bool:
         """Whether another packet may be sent now; ``extra_bytes`` widens the window."""
-        open_ = self.in_flight_bytes + limits.PACKET_BYTES <= self.window_bytes + extra_bytes
-        self._window_full = self._window_full or not open_
-        return open_
+        return self.in_flight_bytes + limits.PACKET_BYTES <= self.window_bytes + extra_bytes
 
     @property
     def paced_until_us(self) -> int:
@@ -161,7 +148,7 @@ class FlowControl:
             self._first_sent_us = self._delivered_us = now_us
         self._flights[self._next_seq] = Flight(
             entry, size, now_us, self._first_sent_us, self.delivered_bytes, self._delivered_us,
-            self._app_limited_until > self.delivered_bytes, self._window_full,
+            self._app_limited_until > self.delivered_bytes,
         )  # fmt: skip
         self._next_seq += 1
         self.in_flight_bytes += size
@@ -170,7 +157,6 @@ class FlowControl:
     def on_idle(self) -> None:
         """The queue ran dry with credit left: what is in flight now does not show what the link can do."""
         self._app_limited_until = self.delivered_bytes + self.in_flight_bytes + 1
-        self._window_full = False
 
     def on_ack(self, ranges: Iterable[SeqRange], received_us: int, delay_us: int, now_us: int) -> AckResult | None:
         """Take the acknowledged packets out; None if there are no new ones. Raises :class:`ProtocolError`.
@@ -186,25 +172,14 @@ class FlowControl:
             return None
         self.delivered_bytes += sum(flight.size for _, flight in acked)
         newest = acked[-1][1]
-        rtt_us = self._round_trip_us(newest.sent_us, received_us, delay_us, now_us)
+        self.round_trips.note(now_us, max(now_us - newest.sent_us - delay_us, 0), received_us - newest.sent_us)
+        rtt_us = self.round_trips.newest_us
         arrived_us = max(newest.sent_us + rtt_us, self._delivered_us)
         rate = self._rate_sample(newest, arrived_us)
-        self._rtt_us = rtt_us
         own_us, least_us = self._own_queue_us()
         self._competition.note(now_us, rtt_us, own_us, sure_us=own_us + least_us)
         self._delivered_us, self._first_sent_us = arrived_us, newest.sent_us
-        return AckResult(acked, self._take_lost(largest), rtt_us, rate, newest.app_limited, newest.window_limited)
-
-    def _round_trip_us(self, sent_us: int, received_us: int, delay_us: int, now_us: int) -> int:
-        """Round trip of a packet: the shortest one, plus the excess of its one-way delay over the shortest.
-
-        No more than the time until now: a client's clock that was set counts for nothing.
-        """
-        until_now_us = max(now_us - sent_us - delay_us, 0)
-        self._round_trips.note(now_us, until_now_us)
-        one_way_us = received_us - sent_us
-        self._one_way.note(now_us, one_way_us)
-        return min(until_now_us, self._round_trips.shortest_us + one_way_us - self._one_way.value)
+        return AckResult(acked, self._take_lost(largest), rate, newest.app_limited)
 
     def drain(self) -> list[Flight]:
         """Take out everything that is in flight: the connection is over."""

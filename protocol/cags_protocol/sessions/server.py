@@ -121,11 +121,6 @@ class ServerSession(Session[ev.ServerEvent]):
         """Bytes sent and not acknowledged."""
         return self._flow.in_flight_bytes
 
-    @property
-    def min_rtt_us(self) -> int:
-        """Shortest round trip of the last ten seconds; 0 before the first acknowledgement."""
-        return self._flow.min_rtt_us
-
     def data_to_send(self, now_us: int, max_bytes: int | None = None) -> list[bytes]:
         """Packets that may be written now, most valuable first; about ``max_bytes`` of data if given.
 
@@ -209,22 +204,23 @@ class ServerSession(Session[ev.ServerEvent]):
             self._emit(ev.Evicted(ack.evicted))
         if result is None:
             return
+        trips = self._flow.round_trips
         sample = ev.AckSample(
             now_us=now_us,
             newly_delivered_bytes=sum(flight.size for _, flight in result.acked),
-            rtt_us=result.rtt_us,
+            rtt_us=trips.newest_us,
             app_limited=result.app_limited,
             delivery_rate_bps=result.delivery_rate_bps,
-            window_limited=result.window_limited,
             in_flight_bytes=self._flow.in_flight_bytes,
             queued_bytes=self._queue.queued_bytes,
-            shortest_rtt_us=self._flow.min_rtt_us,
-            received_us=ack.received_us,
+            undecoded_bytes=ack.buffered_bytes,
+            shortest_rtt_us=trips.shortest_us,
+            jitter_us=trips.jitter_us,
             stance=self._flow.stance,
         )
         if self._trace is not None:
-            self._trace.acknowledged(sample, self._flow.min_rtt_us)
-        self._emit(ev.Acknowledged(sample, ack.buffered_bytes))
+            self._trace.acknowledged(sample)
+        self._emit(ev.Acknowledged(sample))
         for seq, flight in result.acked:
             self._on_packet_acked(seq, flight, now_us)
         for _, flight in result.lost:

@@ -51,12 +51,12 @@ class EventTrace:
         limits = {"in_flight_bytes": in_flight, "window_bytes": flow.window_bytes}
         self._message(now_us, "sent", entry.outgoing, seq=seq, bytes=size, **limits)
 
-    def acknowledged(self, sample: AckSample, min_rtt_us: int) -> None:
+    def acknowledged(self, sample: AckSample) -> None:
         """New packets were acknowledged."""
         record = {
             "bytes": sample.newly_delivered_bytes,
             "rtt_us": sample.rtt_us,
-            "min_rtt_us": min_rtt_us,
+            "min_rtt_us": sample.shortest_rtt_us,
             "delivery_rate_bps": sample.delivery_rate_bps,
             "app_limited": sample.app_limited,
             "in_flight_bytes": sample.in_flight_bytes,

@@ -47,11 +47,11 @@ _CRC_MARK = b"\xa3crc\xce"
 
 
 class DamagedError(ProtocolError):
-    """A message was damaged on its way, or is not a message: its CRC is missing or does not match."""
+    """The CRC of a message is missing or wrong: the message was damaged, or is none."""
 
 
 class VersionError(ProtocolError):
-    """A Hello of a protocol version that this package does not speak."""
+    """A Hello of a protocol version that this package does not support."""
 
     def __init__(self, theirs: int) -> None:
         ours = ", ".join(map(str, limits.SUPPORTED_VERSIONS))
@@ -62,12 +62,12 @@ class VersionError(ProtocolError):
 
 
 def encode(message: Message, payload: Buffer = b"") -> bytes:
-    """The wire form of ``message`` and its payload. Raises :class:`ProtocolError` for values that must not travel."""
+    """Encode ``message`` with its payload. Raises :class:`ProtocolError` for invalid values."""
     return b"".join(encode_parts(message, payload))
 
 
 def encode_parts(message: Message, payload: Buffer = b"") -> tuple[bytes, Buffer]:
-    """Header and payload of the wire form; the payload is not copied. Raises :class:`ProtocolError`."""
+    """Encode ``message`` as header and payload; the payload is not copied. Raises :class:`ProtocolError`."""
     spec = _SPECS[type(message)]
     kind = spec.cls.PAYLOAD
     if kind == OPAQUE:
@@ -90,9 +90,9 @@ def encode_parts(message: Message, payload: Buffer = b"") -> tuple[bytes, Buffer
 
 
 def decode(data: Buffer) -> tuple[Message, memoryview]:
-    """Message and payload (a view into ``data``) of one wire message. Raises :class:`ProtocolError`, and nothing else.
+    """Decode one wire message into message and payload (a view into ``data``). Raises :class:`ProtocolError` only.
 
-    A :class:`Hello` of another version raises :class:`VersionError` whatever else it holds.
+    A :class:`Hello` of another version raises :class:`VersionError`, whatever its other fields are.
     """
     view = memoryview(data)
     header, end = _header(view)
@@ -115,7 +115,7 @@ def decode(data: Buffer) -> tuple[Message, memoryview]:
 
 
 def printable(text: str) -> str:
-    """``text`` as a text field may carry it: control characters replaced, cut to length."""
+    """``text`` made valid for a text field: control characters replaced, truncated."""
     clean = "".join(c if c.isprintable() else "?" for c in text)
     return clean.encode()[: limits.MAX_TEXT_BYTES].decode(errors="ignore")
 
@@ -160,7 +160,7 @@ def _build(spec: _Spec, header: dict[str, Any], payload: memoryview) -> Message:
 
 
 def _check_payload(message: Message, size: int) -> None:
-    """Lengths that a header promises must be the payload's."""
+    """Check that the lengths in a header add up to the payload's."""
     if isinstance(message, TileLayers):
         count = message.to_lod - message.from_lod
         if count < 1 or len(message.sizes) != count or len(message.crcs) != count:

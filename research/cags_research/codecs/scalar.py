@@ -1,4 +1,4 @@
-"""Attributes as bytes: 8 bits a number between a clip's smallest and largest value, for codecs without codebooks."""
+"""Scalar quantisation for codecs without codebooks: 8 bits per number, between a clip's smallest and largest value."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ STEPS = 255
 MAX_BOOK_BYTES = 1 << 16
 
 ATTRIBUTES = ("scale", "rotation", "alpha", "sh0", "sh1", "sh2", "sh3")
-"""What is coded, in order; SH bands only up to the scene's degree."""
+"""Coded attributes in order; SH bands up to the scene's degree."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScalarBook:
-    """The range of every number of every attribute: all that a decoder of bytes must know."""
+    """Ranges of all numbers of all attributes, which is everything that a decoder needs."""
 
     ranges: Mapping[str, tuple[F32, F32]]  # attribute -> smallest [dim], largest [dim]
 
     @classmethod
     def over(cls, values: Mapping[str, F32]) -> ScalarBook:
-        """The ranges of ``values`` (attribute -> [n, dim], n >= 1), of those attributes that are coded."""
+        """Ranges of the coded attributes in ``values`` (attribute -> [n, dim], n >= 1)."""
         return cls(
             {name: (values[name].min(axis=0), values[name].max(axis=0)) for name in ATTRIBUTES if name in values}
         )
@@ -40,17 +40,17 @@ class ScalarBook:
 
     @property
     def dims(self) -> tuple[int, ...]:
-        """Numbers a splat of each attribute, in coding order."""
+        """Numbers per splat of each attribute, in coding order."""
         return tuple(len(low) for low, _ in self.ranges.values())
 
     def quantise(self, name: str, values: F32) -> U8:
-        """``values`` [n, dim] as bytes [n, dim]; those outside the range become its ends."""
+        """Quantise ``values`` [n, dim] to bytes [n, dim]; values outside the range are clamped."""
         low, high = (end.astype(np.float64) for end in self.ranges[name])
         share = (values - low) / np.where(high > low, high - low, 1.0)
         return np.rint(np.clip(share, 0.0, 1.0) * STEPS).astype(np.uint8)
 
     def dequantise(self, name: str, codes: NDArray[np.integer]) -> F32:
-        """Inverse of :meth:`quantise`, off by half a step at most."""
+        """Inverse of :meth:`quantise`, with an error of half a step at most."""
         low, high = (end.astype(np.float64) for end in self.ranges[name])
         values: F32 = (low + codes / STEPS * (high - low)).astype(np.float32)
         return values

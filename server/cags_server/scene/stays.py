@@ -1,4 +1,4 @@
-"""For how long what is there at a frame stays, before the media replaces it."""
+"""Lifetimes of attributes: for how many frames each splat's values stay before the media replaces them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from cags_server.scene.ownership import Owners
 from cags_server.scene.tile_map import Numbers
 
 LOOK_AHEAD = 8
-"""Frames looked ahead for what the media will replace."""
+"""Frames of lookahead for replacements."""
 
 LONGEST_STAY = 60
-"""The longest stay, frames, that a tile is credited with."""
+"""Upper limit of a tile's lifetime, frames."""
 
 UNCHANGED = 255
-"""Of what does not change in the frames looked ahead."""
+"""Lifetime of values that do not change within the lookahead."""
 
 Frames = NDArray[np.uint8]
 
@@ -35,8 +35,8 @@ class Changes:
 
     @staticmethod
     def of(owners: Sequence[Owners], before: Changes | None) -> Changes:
-        """At the frame of the first of ``owners``, which are those of the frames up to :data:`LOOK_AHEAD` after it, as
-        far as its group goes. ``before``, of the frame before, spares all but what changes.
+        """Changes at the frame of the first of ``owners``, which are those of the following frames, :data:`LOOK_AHEAD`
+        at most and within the group. ``before``, of the frame before, saves recomputing what stays.
         """
         looks = _changes([each.looks for each in owners], None if before is None else before.looks)
         updates = [each.updates for each in owners if each.updates is not None]
@@ -47,18 +47,18 @@ class Changes:
 
 @dataclass(frozen=True, eq=False)
 class Stays:
-    """Frames until the media replaces what is there at one frame."""
+    """Frames until the media replaces the values of one frame."""
 
     looks: Frames  # [capacity]
     updates: Frames | None  # [attributes, capacity]
     end: int
     """The last frame of the group."""
     changes: Changes
-    """What was looked up for it."""
+    """Results of the lookups for it."""
 
     @staticmethod
     def of(changes: Changes, looks: Numbers, frame: int, end: int) -> Stays:
-        """At ``frame`` of a group that ends with frame ``end``; ``looks`` [capacity] owns the splats there."""
+        """Lifetimes at ``frame`` of a group that ends with ``end``; ``looks`` [capacity] names each splat's owner."""
         most = min(end - frame + 1, LONGEST_STAY)
         updates = None if changes.updates is None else np.minimum(changes.updates, np.uint8(most))
         return Stays(_extrapolated(changes.looks, looks, most), updates, end, changes)
@@ -84,7 +84,7 @@ def _changes(owners: Sequence[NDArray[np.int32]], before: Frames | None) -> Fram
 
 
 def _look_up(owners: Sequence[NDArray[np.int32]], out: Frames, rows: Any) -> None:
-    """Write to ``rows`` of ``out`` how long it takes until they change."""
+    """Write the number of frames until ``rows`` change to ``out``."""
     now, found = owners[0][rows], out[rows]
     for after in range(len(owners) - 1, 0, -1):
         if owners[after] is not owners[0]:
@@ -93,9 +93,9 @@ def _look_up(owners: Sequence[NDArray[np.int32]], out: Frames, rows: Any) -> Non
 
 
 def _extrapolated(changes: Frames, owners: Numbers, most: int) -> Frames:
-    """Splats that outlive the frames looked ahead go on to go at the rate at which those of their tile went in these.
+    """Extrapolate lifetimes beyond the lookahead by the rate at which the splats of a tile went within it.
 
-    Without any that went they stay for ``most`` frames, to the end of their group.
+    If none went, they stay for ``most`` frames, to the end of their group.
     """
     stays = np.minimum(changes, np.uint8(most))
     if most <= LOOK_AHEAD:

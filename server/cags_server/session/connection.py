@@ -18,7 +18,7 @@ from cags_protocol.sessions.tracing import EventTrace
 from cags_protocol.wire.inventory import unpack_inventory
 from cags_protocol.wire.messages import Buffer, Hello, RefusalCode
 from cags_server.fov.limits import undrawable
-from cags_server.ratecontrol.bandwidth import BandwidthEstimator, MeasuredEstimator
+from cags_server.link import LinkState, MeasuredLink
 from cags_server.records import StreamStats
 from cags_server.reference.job import FrameJob, FrameRender
 from cags_server.reference.render_slots import RenderSlots
@@ -41,7 +41,7 @@ class Connection:
         *,
         name: str,
         now_us: int,
-        estimator: BandwidthEstimator | None = None,
+        link: LinkState | None = None,
         session_settings: ServerSessionSettings | None = None,
         admit: Admission | None = None,
         quotas: Quotas | None = None,
@@ -60,7 +60,7 @@ class Connection:
         self.ending: ev.Closed | None = None
         """How the session ended; None while it goes on."""
         self._library, self._settings, self._admit = library, settings, admit
-        self._estimator = estimator or MeasuredEstimator()
+        self._link = link or MeasuredLink()
         self._render_slots, self._rendering = render_slots, False
         self._quota = ClientQuota(quotas or Quotas(), now_us)
         self._fetches, self._unopened = fetches, False
@@ -220,7 +220,7 @@ class Connection:
                     self._enforce(self._quota.poses(len(event.samples), now_us), now_us)
                 self.streamer.on_event(event, now_us)
                 if isinstance(event, ev.Acknowledged):
-                    self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
+                    self.session.rate_hint_bps = self._link.allowance_bps(now_us)
                 elif isinstance(event, ev.ControlReceived) and event.control.action == "seek":
                     self.session.cancel(lambda _: True, now_us=now_us)
                 self._queue_marks(self.streamer, now_us)
@@ -244,13 +244,11 @@ class Connection:
         except ProtocolError as error:
             self.session.refuse(RefusalCode.MALFORMED, "inventory", str(error), now_us=now_us)
             return
-        streamer = Streamer(
-            self._library, self._settings, hello, estimator=self._estimator, may_render=self._may_render
-        )
+        streamer = Streamer(self._library, self._settings, hello, link=self._link, may_render=self._may_render)
         if resumed:
             streamer.resume(inventory)
         self.streamer = streamer
-        self.session.rate_hint_bps = self._estimator.allowance_bps(now_us)
+        self.session.rate_hint_bps = self._link.allowance_bps(now_us)
         # Any server of this bundle can take a session over: its name says of which bundle the client holds tiles.
         session = f"{self._library.digest}-{self.name}"
         self.session.accept(streamer.welcome(session, resumed=resumed), now_us=now_us)

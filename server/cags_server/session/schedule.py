@@ -14,8 +14,9 @@ from dataclasses import replace
 from cags_protocol.cadence import EVERY_FRAME, last_displayed, next_displayed
 from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import Control
+from cags_server.link import LinkState
+from cags_server.link.pace import Pace
 from cags_server.session.clock import ClientClock
-from cags_server.session.pace import Pace
 from cags_server.settings import ServerSettings
 
 RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
@@ -34,7 +35,7 @@ JUMP_US = 1_000_000
 class Schedule:
     """The ticks of one client. Times are the server's clock unless named otherwise."""
 
-    def __init__(self, settings: ServerSettings, timeline: Timeline, clock: ClientClock) -> None:
+    def __init__(self, settings: ServerSettings, timeline: Timeline, clock: ClientClock, link: LinkState) -> None:
         self.timeline = timeline
         self.generation = 0
         """Counts controls: what was planned before one is void after it."""
@@ -42,7 +43,7 @@ class Schedule:
         """How many of 1,000 media frames the client displays (:mod:`cags_protocol.cadence`)."""
         self.rendering = False
         """Whether a reference render is out."""
-        self.pace = Pace()
+        self.pace = Pace(link)
         """How long reference renders take."""
         self._lead_frames, self._reference_every = settings.lead_frames, settings.reference_every
         self._tiles_ahead = settings.tiles_ahead
@@ -54,21 +55,22 @@ class Schedule:
         self._render_covers = 1
         self._served_ahead = 0  # newest tick whose tiles were chosen
 
-    def controlled(self, control: Control, now_us: int, rtt_us: int) -> None:
+    def controlled(self, control: Control, now_us: int) -> None:
         """The viewer plays, pauses, seeks or changes speed: ticks are counted anew."""
         # Until a pose tells the time: a frame is asked for about a lead before its display.
-        self._clock.guess(control.at_us - round(self.lead_us(rtt_us)), now_us)
+        self._clock.guess(control.at_us - round(self.lead_us), now_us)
         self.timeline = self.timeline.controlled(control)
         self._controlled = True
         self.generation += 1
         self._count_anew()
 
-    def lead_us(self, rtt_us: int) -> float:
+    @property
+    def lead_us(self) -> float:
         """The lead asked for, or what a frame takes from planning to arrival, if that is more; longer where references
         were late.
         """
         wanted_us = self._lead_frames * 1e6 / self.timeline.fps
-        needed_us = max(wanted_us, self.pace.needed_us(rtt_us)) + self.pace.caution_us
+        needed_us = max(wanted_us, self.pace.needed_us) + self.pace.caution_us
         return max(wanted_us, min(needed_us, LONGEST_LEAD_US))
 
     def follow_clock(self, now_us: int) -> None:
@@ -136,7 +138,7 @@ class Schedule:
         """Media frame of the tick to be served next; None while there is none."""
         return self.media_frame(self.serves) if self._controlled else None
 
-    def next_due_us(self, rtt_us: int, seen: Callable[[], bool]) -> int | None:
+    def next_due_us(self, seen: Callable[[], bool]) -> int | None:
         """When the next frame must be planned, or served blind; None while there is none.
 
         ``seen()``: whether the group of frames that it is of has been rendered.
@@ -144,7 +146,7 @@ class Schedule:
         if self.next_frame is None:
             return None
         tick = self.serves
-        lead_us = self.lead_us(rtt_us)
+        lead_us = self.lead_us
         due_us = self._clock.to_server(round(self.timeline.display_us(tick) - lead_us))
         if not self.rendering:
             return due_us

@@ -25,12 +25,13 @@ from cags_protocol.wire.messages import (
     Welcome,
 )
 from cags_server.fov import widened
+from cags_server.link import LinkState
+from cags_server.link.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
+from cags_server.link.pace import MARGIN_US
+from cags_server.link.reference_budget import ReferenceBudget
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
-from cags_server.ratecontrol.bandwidth.base import BandwidthEstimator
-from cags_server.ratecontrol.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
 from cags_server.ratecontrol.outlook import lacking_bytes
 from cags_server.records import Ahead, FrameRecord, StreamStats
-from cags_server.reference.budget import ReferenceBudget
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.mirror import Mirror
@@ -38,7 +39,6 @@ from cags_server.reference.video import ReferenceVideo
 from cags_server.reference.worth import Worth
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
-from cags_server.session.pace import MARGIN_US
 from cags_server.session.schedule import Schedule
 from cags_server.session.startup import Startup
 from cags_server.session.tile_sender import TileSender
@@ -76,13 +76,13 @@ class Streamer:
         settings: ServerSettings,
         hello: Hello,
         *,
-        estimator: BandwidthEstimator,
+        link: LinkState,
         may_render: Callable[[int], bool] = lambda now_us: True,
     ) -> None:
         """``may_render(now_us)``: whether the renderer has room for this client; asked when a reference is due."""
         self.stats = StreamStats()
         self._library, self._settings, self._hello = library, settings, hello
-        self._estimator, self._may_render = estimator, may_render
+        self._link, self._may_render = link, may_render
         self._viewer = Viewer(settings, hello)
         self._policy = create_rate_policy(settings.abr)
         self._coder = ReferenceCoder(settings, hello, library.manifest.fps)
@@ -90,11 +90,11 @@ class Streamer:
         self._tiles = TileSender(library, opening=settings.opening_tiles)
         start = min(hello.start_frame, library.manifest.frames - 1)
         timeline = Timeline(library.manifest.fps, library.manifest.frames, frame=start)
-        self._schedule = Schedule(settings, timeline, self._viewer.clock)
-        self._budget = ByteBudget(settings.queue_ms)
+        self._schedule = Schedule(settings, timeline, self._viewer.clock, link)
+        self._budget = ByteBudget(link, settings.queue_ms)
         self._startup = Startup(library, self._tiles)
         self._video = ReferenceVideo()
-        self._reference_budget = ReferenceBudget(settings.reference_most)
+        self._reference_budget = ReferenceBudget(link, settings.reference_most)
         self._worth = Worth()
         self._visibility = Visibility(library, settings.visible_px)
         self._rests_until_us = 0  # the renderer, after a job that took long
@@ -158,12 +158,9 @@ class Streamer:
                 self._viewer.observe(samples, arrival_us)
                 self._schedule.cadence_permille = cadence_permille
                 self._schedule.follow_clock(arrival_us)
-            case ev.Acknowledged(sample, buffered_bytes):
-                self._estimator.on_ack(sample)
-                self._budget.acknowledged(sample, buffered_bytes)
-                self.stats.rtt_us = sample.rtt_us
-                self._reference_budget.in_flight_bytes = sample.in_flight_bytes
-                self.stats.bandwidth_bps = self._estimator.estimate_bps(now_us)
+            case ev.Acknowledged(sample):
+                self._link.on_ack(sample)
+                self.stats.rtt_us, self.stats.bandwidth_bps = sample.rtt_us, self._link.estimate_bps(now_us)
             case ev.ControlReceived(control, arrival_us):
                 self._on_control(control, arrival_us)
             case ev.KeyframeRequested(reference_seq):
@@ -192,7 +189,7 @@ class Streamer:
                 self._mark(now_us)
 
     def _on_control(self, control: Control, now_us: int) -> None:
-        self._schedule.controlled(control, now_us, self.stats.rtt_us)
+        self._schedule.controlled(control, now_us)
         self._went_ahead = None
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
@@ -243,7 +240,7 @@ class Streamer:
         """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
         if self._greeting_due_us is not None:
             return self._greeting_due_us
-        return self._schedule.next_due_us(self.stats.rtt_us, self._next_is_seen)
+        return self._schedule.next_due_us(self._next_is_seen)
 
     def begin(self, now_us: int) -> FrameJob | None:
         """Plan the newest frame that is due: where the viewer will be, and how wide to look. None if none is due.
@@ -271,7 +268,7 @@ class Streamer:
         Where many join at once and the renderer has no place, it is tried again until the viewer says when to play.
         """
         self._greeting_due_us = None
-        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), GREETING_DEADLINE_US)
+        affordable = self._reference_budget.bears(now_us, GREETING_DEADLINE_US)
         if self._coder.kind is None or self._schedule.begun or not affordable:
             return None
         if not self._may_render(now_us):
@@ -301,7 +298,7 @@ class Streamer:
     def _job(self, plan: FramePlan, now_us: int) -> FrameJob:
         if plan.speaks:
             self._video.needs_idr = False
-            self._coder.follow(self._estimator.estimate_bps(now_us), self._schedule.reference_period_us)
+            self._coder.follow(self._link.estimate_bps(now_us), self._schedule.reference_period_us)
         size = self._coder.width_px, self._coder.height_px
         intrinsics = widened(self._hello.intrinsics, plan.margins, *size)
         return FrameJob(
@@ -370,7 +367,7 @@ class Streamer:
         """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
         seen = self._next_is_seen()
         spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
-        affordable = self._reference_budget.bears(now_us, self._estimator.estimate_bps(now_us), spare_us)
+        affordable = self._reference_budget.bears(now_us, spare_us)
         room = affordable and now_us >= self._rests_until_us
         if seen and not self._schedule.rendering and not (room and self._may_render(now_us)):
             return True
@@ -425,8 +422,8 @@ class Streamer:
         """Turn a finished job into messages: the reference, the tiles that the rate policy chose, the frame's end."""
         plan = render.plan
         self._schedule.rendering = False
-        work_us, rate_bps = now_us - plan.planned_us, self._estimator.estimate_bps(now_us)
-        self._schedule.pace.observe(work_us, len(render.coded.access_unit), rate_bps)
+        work_us = now_us - plan.planned_us
+        self._schedule.pace.observe(work_us, len(render.coded.access_unit), now_us)
         whole_us = work_us if plan.speaks else REFERENCE_WORK * work_us
         self._worth.made(slowly=whole_us > OVERLOAD * self._schedule.reference_period_us)
         # A job that takes longer than a frame takes the machine from everything else: tiles, and a client beside it.
@@ -474,7 +471,7 @@ class Streamer:
         coded = render.coded
         record.reference_bytes, record.reference_kind = len(coded.access_unit), coded.kind.value
         record.lacking, record.left = coded.before, coded.after
-        travels_us = self.stats.rtt_us / 2 + len(coded.access_unit) * 8e6 / self._estimator.estimate_bps(now_us)
+        travels_us = self._link.newest.rtt_us / 2 + self._link.through_us(len(coded.access_unit), now_us)
         late = now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us)
         rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
         self._coder.lateness.observe(late=late or rare)
@@ -517,22 +514,22 @@ class Streamer:
         return record
 
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
-        record.estimate_bps, allowed_bps = self._estimator.estimate_bps(now_us), self._estimator.allowance_bps(now_us)
+        record.estimate_bps = self._link.estimate_bps(now_us)
         frame, display_us = record.ahead.frame, record.ahead.display_us
-        lead_us = self._schedule.lead_us(self.stats.rtt_us)
+        lead_us = self._schedule.lead_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
         lead_frames = to_display_us / self._schedule.timeline.period_us
         views = (self._tiles.view(tile, frame, lead_frames) for tile in visible)
         tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
         period_us = self._schedule.planned_period_us
-        earned_bytes = self._budget.open(record, allowed_bps, self._schedule.timeline.period_us)
+        earned_bytes = self._budget.open(record, self._schedule.timeline.period_us, now_us)
         spare_us = float(to_display_us - MARGIN_US)
         if self._coder.kind is ReferenceKind.DIFFERENCE and spare_us > lead_us:
             spare_us -= lead_us  # what is to be shown is there when it is compared with, where it still can be
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
-        timely_bytes = self._budget.timely(spare_us, period_us, record.estimate_bps, max(fresh, default=0))
-        room_bytes = max(self._budget.room(record.estimate_bps, period_us), timely_bytes)
+        timely_bytes = self._budget.timely(spare_us, period_us, max(fresh, default=0), now_us)
+        room_bytes = max(self._budget.room(period_us, now_us), timely_bytes)
         record.budget_bytes = min(earned_bytes, room_bytes)
         observation = Observation(
             frame=frame,
@@ -548,7 +545,7 @@ class Streamer:
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
         self._worth.observe(coming_bytes, record.estimate_bps, self._schedule.timeline.period_us)
         record.tile_bytes = decision.bytes
-        self._budget.close(earned_bytes - decision.bytes, allowed_bps)
+        self._budget.close(earned_bytes - decision.bytes, now_us)
         record.visible_tiles, record.upgrades = len(visible), len(decision.upgrades)
         return decision
 

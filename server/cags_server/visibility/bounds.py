@@ -1,4 +1,4 @@
-"""Visibility before the first render for a client: tiles are selected by their bounds alone."""
+"""Visibility by bounds, used before the first render for a client."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from cags_server.scene.library import SceneLibrary
 from cags_server.scene.tile_map import Key, Numbers, TileMap
 
 VIEW_SLACK = 1.2
-"""How far outside the picture, in half widths, a tile still counts as in view: the viewer moves, splats have extent."""
+"""Margin around the picture, in half widths, within which tiles count as in view: viewers move, splats have extent."""
 
 
 def opening_tiles(library: SceneLibrary, frame: int, camera: Camera) -> tuple[list[Key], list[Key]]:
-    """(media frame, tile) of what makes the picture of ``frame``: in view of ``camera``, nearest first, and the others.
+    """Tiles (media frame, tile) needed for ``frame``: those in view of ``camera``, nearest first, and the others.
 
-    In view are looks, each followed by the motion that it follows now, then the updates in force of their splats. Of
-    the others there are looks alone: their motion may be another when somebody turns to them, which brings it.
+    Tiles in view are looks, each followed by its current motion, and then the updates of their splats. The others are
+    looks alone: by the time the viewer turns to them, other motion may apply, which is sent then.
     """
     tiles, owned = library.tile_map(frame), library.owned(frame)
     numbers = np.unique(owned.looks[owned.looks >= 0])
-    # A tile that its motion takes out of view is seen where its looks lie until that motion comes: both places count.
+    # Until its motion arrives, a tile is drawn where its looks lie, so both places count.
     places = _bounds(tiles, numbers, frame), np.asarray(tiles.bounds[numbers])
     distances = np.minimum(*(distances_in_view(place, camera) for place in places))
     order = np.argsort(distances, kind="stable")
@@ -35,15 +35,15 @@ def opening_tiles(library: SceneLibrary, frame: int, camera: Camera) -> tuple[li
 
 
 def _bounds(tiles: TileMap, looks: Numbers, frame: int) -> F64:
-    """[m, 2, 3] bounds of tiles of looks where they are at ``frame``."""
+    """Bounds [m, 2, 3] of tiles of looks at their place in ``frame``."""
     chunks = tiles.chunk_at(looks, frame)
     return np.asarray(tiles.bounds[np.where(chunks >= 0, chunks, looks)])
 
 
 def guessed_contribution(library: SceneLibrary, frame: int, camera: Camera, pixels: int) -> F32:
-    """[capacity] what each splat may contribute to a picture of ``pixels``, going by its tile's bounds alone.
+    """Estimated contribution [capacity] of each splat to a picture of ``pixels``, from tile bounds alone.
 
-    Splats of tiles in view share the pixels by the inverse square of their tile's distance; nothing hides another.
+    Splats of tiles in view share the pixels by the inverse square of their tile's distance; occlusion is ignored.
     """
     owners = library.owners(frame)
     numbers = np.unique(owners[owners >= 0])
@@ -57,7 +57,7 @@ def guessed_contribution(library: SceneLibrary, frame: int, camera: Camera, pixe
 
 
 def distances_in_view(bounds: F64, camera: Camera) -> F64:
-    """[n] distance of the nearest corner of each of ``bounds`` [n, 2, 3]; inf where no part of it can be in view.
+    """Distance [n] of the nearest corner of each of ``bounds`` [n, 2, 3]; inf if no part can be in view.
 
     Conservative: a tile is out of view only if all corners lie beyond the same side of the (slackened) frustum.
     """

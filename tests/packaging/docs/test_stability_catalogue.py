@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-CATALOGUE = (ROOT / "docs" / "stability.md").read_text(encoding="utf-8")
+CATALOGUE = (ROOT / "docs" / "hard-cases.md").read_text(encoding="utf-8")
 NAMED = re.findall(r"`(tests/[\w/.]+\.py)::(\w+)`", CATALOGUE)
 
 

@@ -20,7 +20,7 @@ from cags_common.tiles.inventory import InventoryEntry
 from cags_common.tiles.kinds import TileKind
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import Control, PoseSample, TileLayers
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_server.scene.library import SceneLibrary
 from cags_server.session.streamer import Streamer
 from support.moving_bundle import FRAMES, moving_library
@@ -49,7 +49,7 @@ class Viewer:
         self.client = held or ShadowClient(library.reader)
         start = int(self._random.integers(0, FRAMES)) if seed % 2 else 0
         self.streamer = Streamer(
-            library, settings, hello(self.pose, start_frame=start), estimator=MeasuredEstimator(UNLIMITED_BPS)
+            library, settings, hello(self.pose, start_frame=start), link=MeasuredLink(UNLIMITED_BPS)
         )
         if held is not None:
             self.streamer.resume(inventory_of(held))

@@ -4,49 +4,45 @@ import math
 
 import pytest
 
-from cags_protocol.events import AckSample
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator, OracleEstimator
+from cags_server.link import OracleLink
 from cags_server.session.clock import ClientClock
 from cags_shaper.link import Link
 from cags_shaper.trace import open_trace
-
-
-def sample(now_us: int, size: int, rtt_us: int, rate: float | None, *, app_limited: bool = False) -> AckSample:
-    return AckSample(now_us, size, rtt_us, app_limited, delivery_rate_bps=rate)
+from support.links import ToldLink
 
 
 @pytest.mark.parametrize("rate", [1.0, 64e3, 1e6, 1e9, 10e9, 1e15])
 def test_the_measured_rate_stays_finite_and_bounded_at_any_true_rate(rate):
-    estimator = MeasuredEstimator()
+    link = ToldLink()
     for i in range(300):
         size = max(1, min(int(rate / 8 / 100), 1 << 30))
-        estimator.on_ack(sample(i * 10_000, size, 40_000 if i else 10_000, rate))
-        for value in (estimator.estimate_bps(i * 10_000), estimator.allowance_bps(i * 10_000)):
+        link.ack(i * 10_000, size, 40_000 if i else 10_000, False, rate)
+        for value in (link.estimate_bps(i * 10_000), link.allowance_bps(i * 10_000)):
             assert math.isfinite(value)
             assert 0 < value <= 10e9
 
 
 @pytest.mark.parametrize("rate", [0.0, None, -1.0])
 def test_samples_that_say_nothing_change_nothing(rate):
-    estimator = MeasuredEstimator()
-    before = estimator.estimate_bps(0)
+    link = ToldLink()
+    before = link.estimate_bps(0)
     for i in range(50):
-        estimator.on_ack(sample(i, 0, 20_000, rate))
-    assert estimator.estimate_bps(50) == before
+        link.ack(i, 0, 20_000, False, rate)
+    assert link.estimate_bps(50) == before
 
 
 def test_a_dead_link_then_a_fast_one_is_followed():
-    estimator = MeasuredEstimator()
+    link = ToldLink()
     now = 0
     for rate in (1e5, 50e6):
         for _ in range(200):
             now += 10_000
-            estimator.on_ack(sample(now, int(rate / 800), 60_000 if now > 10_000 else 20_000, rate))
-        assert estimator.estimate_bps(now) == pytest.approx(rate, rel=0.1)
+            link.ack(now, int(rate / 800), 60_000 if now > 10_000 else 20_000, False, rate)
+        assert link.estimate_bps(now) == pytest.approx(rate, rel=0.1)
 
 
 def test_the_oracle_survives_a_blackout():
-    oracle = OracleEstimator(open_trace("generated:blackout"))
+    oracle = OracleLink(open_trace("generated:blackout"))
     rates = [oracle.estimate_bps(t) for t in range(0, 60_000_000, 100_000)]
     assert all(math.isfinite(rate) and rate >= 0 for rate in rates)
     assert 0 < min(rates) <= 1e3 < max(rates), "never zero: budgets divide by it"

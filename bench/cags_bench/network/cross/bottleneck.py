@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from cags_bench.network.cross.tcp import Flow, Segment
 from cags_bench.network.load import FPS, Arrivals, LoadClient, LoadServer
 from cags_common.errors import NetworkError
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_shaper.link import SEGMENT_OVERHEAD_BYTES, Link
 
 SAMPLE_US = 10_000
@@ -37,7 +37,7 @@ class Station(Rival):
         self.log = Arrivals()
         self.due_us: int | None = start_us
         """When :meth:`step` wants to be called; whatever reaches the station or its flow brings it forward."""
-        self.server, self.client = LoadServer(MeasuredEstimator(), self.log, FPS), LoadClient(self.log)
+        self.server, self.client = LoadServer(MeasuredLink(), self.log, FPS), LoadClient(self.log)
 
     def step(self, now_us: int) -> tuple[bool, list[bytes]]:
         """Do what is due; whether there was anything, and what the client says."""

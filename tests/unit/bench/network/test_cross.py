@@ -253,4 +253,6 @@ def test_checks_judge_the_worst() -> None:
 def test_the_page_s_table_is_that_of_the_committed_lines() -> None:
     docs = Path(__file__).parents[4] / "docs"
     lines = [json.loads(line) for line in (docs / "cross.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert cross_table([line for line in lines if "case" in line]) in (docs / "network.md").read_text(encoding="utf-8")
+    assert cross_table([line for line in lines if "case" in line]) in (docs / "lab/network.md").read_text(
+        encoding="utf-8"
+    )

@@ -1,33 +1,49 @@
-"""Knots: what the samples before one lead to expect of it."""
+"""Knots of a span: each sample once, after those that predict it, and the same bits from every decoder."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cags_common.motion.knots import END, MIDDLE, START, knots, predicted
+from cags_common.motion.knots import END, FRACTION_BITS, MIDDLE, knots, predicted, quantised
 
-SPANS = [2, 3, 5, 8, 13, 16, 64]
+SPANS = [1, 2, 3, 7, 16, 33]
 
 
-@pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize("span", SPANS)
-def test_every_sample_is_coded_once_after_those_that_it_is_told_against(span: int, curved: bool) -> None:
-    done: set[int] = set()
-    for knot in knots(span, start=True, curved=curved):
-        needed = {START: set(), END: {0}, MIDDLE: {knot.left, knot.right, knot.before, knot.after} - {-1}}[knot.kind]
-        assert needed <= done and knot.at not in done
-        done.add(knot.at)
-    assert done == set(range(span + 1))
+@pytest.mark.parametrize("start", [True, False])
+@pytest.mark.parametrize("curved", [True, False])
+def test_each_sample_is_coded_once_after_its_neighbours(span: int, start: bool, curved: bool) -> None:
+    known = set() if start else {0}
+    for knot in knots(span, start=start, curved=curved):
+        assert knot.at not in known
+        assert {knot.left, knot.right, knot.before, knot.after} - {knot.at, -1} <= known
+        assert knot.parent in known | {-1}
+        known.add(knot.at)
+    assert known == set(range(span + 1))
 
 
-@pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize("span", SPANS)
-def test_a_line_is_expected_as_it_is(span: int, curved: bool) -> None:
-    line = np.arange(span + 1, dtype=np.int32)[:, None] * np.array([[7, -640_001]], np.int32) + 5
-    for knot in knots(span, start=True, curved=curved):
-        if knot.kind == MIDDLE:
-            assert np.array_equal(predicted(line, knot), line[knot.at])
+@pytest.mark.parametrize("curved", [True, False])
+def test_a_line_needs_nothing_but_its_end(span: int, curved: bool) -> None:
+    rise = np.array([5 << FRACTION_BITS, -640_001], np.int32)
+    samples = np.arange(span + 1, dtype=np.int32)[:, None] * rise
+    for knot in knots(span, start=False, curved=curved):
+        guess = predicted(samples, knot)
+        assert (guess == samples[knot.at]).all() or knot.kind == END
+
+
+def test_a_guess_is_rounded_down_on_both_sides_of_zero() -> None:
+    middle = knots(2, start=False)[1]
+    samples = np.array([[0, 0], [0, 0], [1, -1]], np.int32)
+    assert predicted(samples, middle).tolist() == [0, -1]
+
+
+def test_residuals_round_to_the_nearest_unit_outside_of_the_dead_zone() -> None:
+    wanted, guess = np.array([0.49, 0.51, -0.51, 1.4, -1.6]), np.zeros(5, np.int32)
+    assert quantised(wanted, guess, 0.0).tolist() == [0, 1, -1, 1, -2]
+    assert quantised(wanted, guess, 0.25).tolist() == [0, 0, 0, 1, -1]
+    assert quantised(wanted, guess + (1 << FRACTION_BITS), 0.0).tolist() == [-1, 0, -2, 0, -3]
 
 
 @pytest.mark.parametrize("span", SPANS)

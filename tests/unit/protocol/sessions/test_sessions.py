@@ -224,7 +224,7 @@ def test_evictions_reach_the_server():
     pair.queue(tile(0, 0, 10))
     pair.run(200_000)
     assert sum((e.tiles for e in pair.server_events(ev.Evicted)), ()) == gone
-    assert pair.server_events(ev.Acknowledged)[0].buffered_bytes == 777
+    assert pair.server_events(ev.Acknowledged)[0].sample.undecoded_bytes == 777
 
 
 def test_an_idle_session_is_kept_alive():

@@ -10,7 +10,7 @@ from cags_common.geometry import Pose
 from cags_common.tiles.inventory import InventoryEntry
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import Control, ReferenceFrame
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
+from cags_server.link import MeasuredLink
 from cags_server.session.streamer import Streamer
 from support.server_scene import SETTINGS, FakeReader, hello, library
 from support.streamer_rig import OFFSET_US, Rig, of
@@ -20,7 +20,7 @@ ASIDE = Pose.looking_at((0, 0, 0), (-3, 0, 3))
 
 def joined(**options: object) -> Streamer:
     """A client that has been sent what opens the stream, and no more."""
-    streamer = Streamer(library(), SETTINGS, hello(), estimator=MeasuredEstimator(), **options)
+    streamer = Streamer(library(), SETTINGS, hello(), link=MeasuredLink(), **options)
     streamer.startup(OFFSET_US)
     return streamer
 

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 
 from cags_protocol.timeline import Timeline
 from cags_protocol.wire.messages import Control
+from cags_server.link import LinkState
 from cags_server.session.clock import ClientClock
 from cags_server.session.schedule import JUMP_US, LONGEST_LEAD_US, Schedule
 from cags_server.settings import ServerSettings
+from support.links import KnownLink
 
 FPS, FRAMES, AT_US = 50.0, 100, 1_000_000
 PERIOD_US = 20_000
@@ -20,13 +22,18 @@ SETTINGS = ServerSettings(lead_frames=6)
 
 
 def playing(
-    frames: int = FRAMES, frame: int = 0, *, loop: bool = False, settings: ServerSettings = SETTINGS
+    frames: int = FRAMES,
+    frame: int = 0,
+    *,
+    loop: bool = False,
+    settings: ServerSettings = SETTINGS,
+    link: LinkState | None = None,
 ) -> Schedule:
     """A client whose clock is the server's, and which plays from ``frame`` at ``AT_US``."""
     clock = ClientClock()
-    made = Schedule(settings, Timeline(FPS, frames), clock)
+    made = Schedule(settings, Timeline(FPS, frames), clock, link or KnownLink())
     clock.observe(0, 0)
-    made.controlled(Control("play", frame, AT_US, loop=loop), 0, 0)
+    made.controlled(Control("play", frame, AT_US, loop=loop), 0)
     return made
 
 
@@ -38,17 +45,17 @@ def planned(schedule: Schedule) -> int:
 
 
 def test_nothing_is_planned_before_the_viewer_says_when_to_play() -> None:
-    schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), ClientClock())
+    schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), ClientClock(), KnownLink())
     assert not schedule.begun
     assert schedule.next_frame is None
-    assert schedule.next_due_us(0, lambda: True) is None
+    assert schedule.next_due_us(lambda: True) is None
 
 
 def test_a_frame_is_due_a_lead_before_its_display() -> None:
     schedule = playing()
-    assert schedule.next_due_us(0, lambda: True) == AT_US - 6 * PERIOD_US
+    assert schedule.next_due_us(lambda: True) == AT_US - 6 * PERIOD_US
     assert planned(schedule) == 0
-    assert schedule.next_due_us(0, lambda: True) == AT_US - 5 * PERIOD_US
+    assert schedule.next_due_us(lambda: True) == AT_US - 5 * PERIOD_US
 
 
 @pytest.mark.parametrize(("permille", "shown"), [(1000, [0, 1, 2, 3]), (500, [0, 2, 4, 6]), (250, [0, 4, 8, 12])])
@@ -70,7 +77,7 @@ def test_frames_that_are_due_while_one_is_rendered_are_covered_by_the_newest() -
 def test_a_render_that_is_overdue_is_served_blind_and_then_the_frame_after_it() -> None:
     schedule = playing()
     schedule.begin_render(0)
-    due_us = schedule.next_due_us(0, lambda: True)
+    due_us = schedule.next_due_us(lambda: True)
     assert due_us is not None
     assert AT_US - 6 * PERIOD_US < due_us < AT_US, "it waits for the render, but not beyond the frame's display"
     assert schedule.serves == 0
@@ -83,7 +90,7 @@ def test_a_render_that_is_overdue_is_served_blind_and_then_the_frame_after_it() 
 def test_a_group_of_which_nothing_was_seen_waits_longer_for_its_render() -> None:
     schedule = playing()
     schedule.begin_render(0)
-    seen, unseen = (schedule.next_due_us(0, lambda answer=answer: answer) for answer in (True, False))
+    seen, unseen = (schedule.next_due_us(lambda answer=answer: answer) for answer in (True, False))
     assert seen is not None and unseen is not None
     assert unseen > seen
 
@@ -96,36 +103,41 @@ def test_after_a_jump_of_the_clock_one_frame_stands_for_all_before_it() -> None:
 
 def test_a_pause_plans_the_same_frame_again_and_again() -> None:
     schedule = playing(frame=30)
-    schedule.controlled(Control("pause", 30, AT_US), 0, 0)
+    schedule.controlled(Control("pause", 30, AT_US), 0)
     assert [planned(schedule) for _ in range(3)] == [30, 30, 30]
 
 
 def test_a_clock_that_was_set_back_in_a_pause_is_followed() -> None:
     clock = ClientClock()
-    schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), clock)
-    schedule.controlled(Control("pause", 0, 3_600_000_000), 0, 0)
+    schedule = Schedule(SETTINGS, Timeline(FPS, FRAMES), clock, KnownLink())
+    schedule.controlled(Control("pause", 0, 3_600_000_000), 0)
     clock.observe(0, 0)
-    assert (schedule.next_due_us(0, lambda: True) or 0) > 3_000_000_000
+    assert (schedule.next_due_us(lambda: True) or 0) > 3_000_000_000
     schedule.follow_clock(0)
-    assert (schedule.next_due_us(0, lambda: True) or 0) < JUMP_US
+    assert (schedule.next_due_us(lambda: True) or 0) < JUMP_US
 
 
 def test_a_control_makes_void_what_was_planned_before_it() -> None:
     schedule = playing()
     before = schedule.generation
     planned(schedule)
-    schedule.controlled(Control("play", 40, AT_US), 0, 0)
+    schedule.controlled(Control("play", 40, AT_US), 0)
     assert schedule.generation == before + 1
     assert schedule.next_frame == 40
 
 
 def test_a_slow_renderer_makes_the_lead_longer_up_to_a_bound() -> None:
-    schedule = playing()
-    asked = schedule.lead_us(0)
+    link = KnownLink()
+    schedule = playing(link=link)
+    asked = schedule.lead_us
     assert asked == 6 * PERIOD_US
-    schedule.pace.observe(200_000, 0, 1e6)
-    assert asked < schedule.lead_us(0) < schedule.lead_us(50_000) < LONGEST_LEAD_US
-    assert schedule.lead_us(10_000_000) == LONGEST_LEAD_US
+    schedule.pace.observe(200_000, 0, 0)
+    without = schedule.lead_us
+    assert asked < without
+    link.told(rtt_us=50_000)
+    assert without < schedule.lead_us < LONGEST_LEAD_US
+    link.told(rtt_us=10_000_000)
+    assert schedule.lead_us == LONGEST_LEAD_US
 
 
 def test_a_clip_ends_with_its_last_frame_and_a_loop_begins_again() -> None:

@@ -9,8 +9,8 @@ from cags_common.tiles.inventory import InventoryEntry
 from cags_common.video.h264 import H264Decoder
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import Blob, FrameEnd, ReferenceFrame, TileLayers
-from cags_server.ratecontrol.bandwidth import MeasuredEstimator
-from cags_server.ratecontrol.byte_budget import MESSAGE_OVERHEAD_BYTES
+from cags_server.link import MeasuredLink
+from cags_server.link.byte_budget import MESSAGE_OVERHEAD_BYTES
 from cags_server.session.streamer import Streamer
 from cags_server.settings import ServerSettings
 from support.server_scene import CLIENT, FPS, SETTINGS, FakeReader, hello, library
@@ -30,7 +30,7 @@ def test_the_opening_is_codebooks_then_base_layers_then_the_first_frames_end() -
 def test_what_is_out_of_view_comes_after_the_first_frames_end() -> None:
     scene = library()
     away = hello(Pose.looking_at((0, 0, 0), (-3, 0, 3)))
-    opening = Streamer(scene, SETTINGS, away, estimator=MeasuredEstimator()).startup(0)
+    opening = Streamer(scene, SETTINGS, away, link=MeasuredLink()).startup(0)
     ranked = sorted(range(len(opening)), key=lambda i: (opening[i].priority, i))
     kinds = [type(opening[i].message).__name__ for i in ranked]
     after_end = kinds[kinds.index("FrameEnd") + 1 :]
@@ -39,7 +39,7 @@ def test_what_is_out_of_view_comes_after_the_first_frames_end() -> None:
 
 
 def test_joining_within_a_group_brings_the_changes_so_far() -> None:
-    streamer = Streamer(library(), SETTINGS, hello(start_frame=9), estimator=MeasuredEstimator())
+    streamer = Streamer(library(), SETTINGS, hello(start_frame=9), link=MeasuredLink())
     opening = streamer.startup(0)
     assert [e.frame for e in of(FrameEnd, opening)] == [6, 7, 8, 9]
     assert {t.frame for t in of(TileLayers, opening)} == {6, 7, 8, 9}

@@ -6,7 +6,7 @@ import pytest
 
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame, ReferenceKind, TileLayers
-from cags_server.session.pace import MARGIN_US
+from cags_server.link.pace import MARGIN_US
 from cags_server.session.schedule import LONGEST_LEAD_US
 from support.server_scene import SETTINGS
 from support.streamer_rig import OFFSET_US, PERIOD_US, Rig, of
@@ -54,8 +54,8 @@ def test_a_late_reference_is_sent_as_long_as_it_serves_and_the_next_is_planned_e
 def test_a_slow_renderer_is_asked_earlier_but_not_ever_earlier(took_us: int, lead_us: float) -> None:
     rig = Rig()
     rig.play()
-    rig.streamer._schedule.pace.observe(took_us, 1000, 1e9)
-    assert rig.streamer._schedule.lead_us(rtt_us=0) == pytest.approx(lead_us, rel=1e-6)
+    rig.streamer._schedule.pace.observe(took_us, 0, 0)
+    assert rig.streamer._schedule.lead_us == pytest.approx(lead_us, rel=1e-6)
 
 
 def test_a_reference_too_late_for_anything_is_not_sent() -> None:

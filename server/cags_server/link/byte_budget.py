@@ -10,6 +10,7 @@ from math import ceil
 
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import ReferenceFrame, TileLayers
+from cags_server.link.state import LinkState
 from cags_server.ratecontrol.priorities import BASE_PRIORITY
 from cags_server.records import FrameRecord
 
@@ -40,20 +41,13 @@ class _PerFrame:
 class ByteBudget:
     """Account of one client's bytes: planned, not settled yet, and saved."""
 
-    def __init__(self, queue_ms: float) -> None:
+    def __init__(self, link: LinkState, queue_ms: float) -> None:
         """``queue_ms``: delay that planned but undelivered data may cause."""
-        self._queue_ms = queue_ms
+        self._link, self._queue_ms = link, queue_ms
         self._outstanding_bytes = self._detail_bytes = 0
-        self._undecoded_bytes = 0  # to wait at the client is no better than to wait on the link
         self._saved_bytes = 0
-        self._in_flight_bytes, self._path_us = 0, 0
         self._travelling: dict[int, int] = {}  # tiles queued and not settled: identity -> when, oldest first
         self._references = _PerFrame()
-
-    def acknowledged(self, sample: ev.AckSample, undecoded_bytes: int) -> None:
-        """The client told what has arrived, and how much of it waits there for its decoder."""
-        self._in_flight_bytes, self._path_us = sample.in_flight_bytes, sample.shortest_rtt_us
-        self._undecoded_bytes = undecoded_bytes
 
     def planned(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was handed to the session."""
@@ -80,29 +74,35 @@ class ByteBudget:
         """Planned, and not known to have arrived."""
         return self._outstanding_bytes
 
-    def open(self, record: FrameRecord, allowed_bps: float, period_us: float) -> int:
-        """What the tiles of ``record``'s frame may take; its reference is paid for first."""
+    def open(self, record: FrameRecord, period_us: float, now_us: int) -> int:
+        """What the tiles of ``record``'s frame may take; its reference is paid for first.
+
+        To wait at the client for its decoder is no better than to wait on the link.
+        """
+        allowed_bps = self._link.allowance_bps(now_us)
         seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * period_us / 1e6
-        waiting_bytes = self._outstanding_bytes + self._undecoded_bytes
+        waiting_bytes = self._outstanding_bytes + self._link.newest.undecoded_bytes
         excess = max(0.0, waiting_bytes - allowed_bps * self._queue_ms / 8e3)
         income = int(allowed_bps * seconds / 8 - record.reference_bytes - excess)
         return max(0, income + self._saved_bytes)
 
-    def room(self, link_bps: float, period_us: float) -> int:
+    def room(self, period_us: float, now_us: int) -> int:
         """What may be planned until as much waits as the link carries in the allowed delay and one frame's time."""
+        link_bps = self._link.estimate_bps(now_us)
         return max(int(self._delay_bytes(link_bps, period_us) - self._waiting_bytes(link_bps)), 0)
 
-    def timely(self, spare_us: float, period_us: float, link_bps: float, dearest_bytes: int) -> int:
+    def timely(self, spare_us: float, period_us: float, dearest_bytes: int, now_us: int) -> int:
         """What still arrives, planned ``spare_us`` before its display, if it overtakes the detail that waits.
 
         The references of the frames that are planned meanwhile overtake it, as large as they were of late. A new tile
         may be too large ever to arrive in time behind those: there is room for ``dearest_bytes``, the largest one's,
         when what waits is no more than would pass by the display. Late it is shown, too, until the next comes.
         """
-        within_us = max(spare_us - self._path_us, 0.0)
+        link_bps, newest = self._link.estimate_bps(now_us), self._link.newest
+        within_us = max(spare_us - newest.shortest_rtt_us, 0.0)
         delay_bytes = self._delay_bytes(link_bps, period_us)
         most = min(_carried(within_us, period_us, link_bps, self._references.mean_bytes), delay_bytes)
-        overtaken = max(self._detail_bytes - self._in_flight_bytes, 0)
+        overtaken = max(self._detail_bytes - newest.in_flight_bytes, 0)
         ahead = max(self._waiting_bytes(link_bps) - overtaken, 0.0)
         room = max(int(most - ahead), 0)
         late = dearest_bytes > most and ahead < min(link_bps * within_us / 8e6, delay_bytes)
@@ -113,12 +113,13 @@ class ByteBudget:
 
     def _waiting_bytes(self, link_bps: float) -> float:
         """All that is on its way, less what has passed the link: that is on the path, as far as that holds it."""
-        return max(self._outstanding_bytes - min(self._in_flight_bytes, link_bps * self._path_us / 8e6), 0.0)
+        newest = self._link.newest
+        return max(self._outstanding_bytes - min(newest.in_flight_bytes, link_bps * newest.shortest_rtt_us / 8e6), 0.0)
 
-    def close(self, left_bytes: int, allowed_bps: float) -> None:
+    def close(self, left_bytes: int, now_us: int) -> None:
         """The frame is planned; what it left is saved, up to a bound."""
         self._references.end()
-        most = max(allowed_bps * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
+        most = max(self._link.allowance_bps(now_us) * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
         self._saved_bytes = min(max(0, left_bytes), int(most))
 
 

@@ -11,7 +11,7 @@ from cags_common.poses.place import gravity_up
 
 HEADER = "time_s,px,py,pz,qw,qx,qy,qz\n"
 FOCUS = Focus((1.0, 2.0, 3.0), 0.8, (0.0, -1.0, 0.0))
-WALKS = Path(__file__).parents[3].parent / "shared" / "poses" / "eyenavgs_nthu"
+WALKS = Path(__file__).parents[4].parent / "shared" / "poses" / "eyenavgs_nthu"
 
 
 def trace(*rows: tuple[float, Pose]) -> PoseTrace:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from cags_server.link.state import LinkState
+
 SMOOTHING = 0.2
 """Weight of the newest frame in the means."""
 
@@ -18,16 +20,17 @@ MAX_CAUTION_US, CAUTION_LOST = 100_000, 0.05
 class Pace:
     """Running mean and spread of the time that references take, and by how much they were late nevertheless."""
 
-    def __init__(self) -> None:
+    def __init__(self, link: LinkState) -> None:
+        self._link = link
         self._mean_us = 0.0
         self._deviation_us = 0.0
         self._seen = False
         self.caution_us = 0.0
         """Added to the lead because references arrived late: the mean and the spread did not foresee a queue."""
 
-    def observe(self, work_us: int, size_bytes: int, rate_bps: float) -> None:
-        """A reference of ``size_bytes`` was ready ``work_us`` after its planning; the link carries ``rate_bps``."""
-        took = work_us + size_bytes * 8e6 / rate_bps
+    def observe(self, work_us: int, size_bytes: int, now_us: int) -> None:
+        """A reference of ``size_bytes`` is ready, ``work_us`` after its planning."""
+        took = work_us + self._link.through_us(size_bytes, now_us)
         if not self._seen:
             self._mean_us, self._deviation_us, self._seen = took, 0.0, True
             return
@@ -42,9 +45,12 @@ class Pace:
         else:
             self.caution_us -= CAUTION_LOST * self.caution_us
 
-    def needed_us(self, rtt_us: int) -> float:
+    @property
+    def needed_us(self) -> float:
         """Lead that makes the reference arrive in time, seen from the server's idea of the client's clock.
 
         That clock is late by the shortest way up, so the whole round trip counts.
         """
-        return self._mean_us + SPREAD * self._deviation_us + rtt_us + MARGIN_US if self._seen else 0.0
+        if not self._seen:
+            return 0.0
+        return self._mean_us + SPREAD * self._deviation_us + self._link.newest.rtt_us + MARGIN_US

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from cags_protocol.events import AckSample
+from cags_server.link.state import LinkState
 
 MIN_BPS = 1e3
 
@@ -17,17 +17,15 @@ class RateTrace(Protocol):
         ...
 
 
-class OracleEstimator:
+class OracleLink(LinkState):
     """Mean rate of ``trace`` over the next ``ahead_us``; ``origin_us`` is the server's clock where the trace starts."""
 
     def __init__(self, trace: RateTrace, *, origin_us: int = 0, ahead_us: int = 33_333, share: float = 1.0) -> None:
+        super().__init__()
         self._trace, self._origin_us, self._ahead_us, self._share = trace, origin_us, ahead_us, share
 
-    def on_ack(self, sample: AckSample) -> None:
-        """Acknowledgements say nothing that the trace does not know."""
-
     def estimate_bps(self, now_us: int) -> float:
-        """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
+        """See :class:`~cags_server.link.state.LinkState`."""
         start = max(0, now_us - self._origin_us)
         return max(MIN_BPS, self._share * self._trace.mean_bps(start, start + self._ahead_us))
 

@@ -22,9 +22,9 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from cags_protocol.delivery.round_trips import RoundTrips
 from cags_protocol.events import AckSample, Stance
 from cags_protocol.wire.limits import PACKET_BYTES
+from cags_server.link.state import LinkState
 
 INITIAL_BPS = 8e6
 """Planned for until the first acknowledgement."""
@@ -58,34 +58,30 @@ came while little was sent. The credit window never lets so much wait on a link 
 """
 
 
-class MeasuredEstimator:
-    """Estimate of one link from its acknowledgements."""
+class MeasuredLink(LinkState):
+    """One link, its rate estimated from its acknowledgements."""
 
     def __init__(self, initial_bps: float = INITIAL_BPS) -> None:
+        super().__init__()
         self._rate_bps = initial_bps
         self._startup = True
         self._loaded = False
         self._queued_us = 0  # when a queue was last seen
         self._samples: deque[tuple[int, int, float]] = deque()  # (time, bytes, rate) of samples that show the link
-        self._round_trips = RoundTrips()
         self._stance, self._tried_bps = Stance.GIVE_WAY, 0.0  # the rate before a trial
         self._tried_until_us = 0
-        self._newest: AckSample | None = None
 
     def on_ack(self, sample: AckSample) -> None:
-        """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
-        trips = self._round_trips
-        trips.note(sample.now_us, sample.rtt_us)
-        self._newest = sample
+        """See :class:`~cags_server.link.state.LinkState`."""
+        super().on_ack(sample)
         rate = sample.delivery_rate_bps
         if rate is None or rate <= 0 or sample.newly_delivered_bytes <= 0:
             return
-        queue_us = sample.rtt_us - trips.shortest_us
-        queued = queue_us > QUEUE_US + trips.jitter_us
+        queued = sample.queue_us > QUEUE_US + sample.jitter_us
         self._take_stance(sample)
-        backed_up = sample.app_limited and queue_us > BACKED_UP_US and sample.stance is Stance.GIVE_WAY
+        backed_up = sample.app_limited and sample.queue_us > BACKED_UP_US and sample.stance is Stance.GIVE_WAY
         if backed_up:  # the link was busy all that time, and may have been idle only before
-            rate = min(rate * sample.rtt_us / queue_us, max(rate, self._rate_bps))
+            rate = min(rate * sample.rtt_us / sample.queue_us, max(rate, self._rate_bps))
         self._loaded = shows_link = queued and (backed_up or not sample.app_limited)
         if shows_link:
             self._queued_us = sample.now_us
@@ -101,11 +97,11 @@ class MeasuredEstimator:
         self._rate_bps = total / sum(size / each for _, size, each in self._samples)
 
     def estimate_bps(self, now_us: int) -> float:
-        """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
+        """See :class:`~cags_server.link.state.LinkState`."""
         return min(max(min(self._rate_bps, self._silence_bps(now_us)), MIN_BPS), MAX_BPS)
 
     def allowance_bps(self, now_us: int) -> float:
-        """See :class:`~cags_server.ratecontrol.bandwidth.base.BandwidthEstimator`."""
+        """See :class:`~cags_server.link.state.LinkState`."""
         if self._loaded or self._stance is not Stance.GIVE_WAY:
             gain = LOADED_GAINS[self._stance]
         else:
@@ -128,8 +124,8 @@ class MeasuredEstimator:
 
     def _silence_bps(self, now_us: int) -> float:
         """The most that the link can carry if nothing has arrived since the newest acknowledgement."""
-        newest, trips = self._newest, self._round_trips
-        if newest is None or not newest.in_flight_bytes:
+        newest = self.newest
+        if not newest.in_flight_bytes:
             return MAX_BPS
-        silent_us = now_us - newest.now_us - trips.shortest_us - trips.jitter_us
+        silent_us = now_us - newest.now_us - newest.shortest_rtt_us - newest.jitter_us
         return PACKET_BYTES * 8e6 / silent_us if silent_us > 0 else MAX_BPS

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import FrameEnd, ReferenceFrame
-from cags_server.reference.budget import BURST_S, ReferenceBudget
+from cags_server.link.reference_budget import BURST_S, ReferenceBudget
+from support.links import KnownLink
 from support.server_scene import SETTINGS
 from support.streamer_rig import Rig, of
 
@@ -19,9 +20,9 @@ SIZES = st.lists(st.integers(500, 20_000), min_size=30, max_size=200)
 
 @given(SIZES, st.floats(1e5, 1e8), st.floats(0.1, 0.9), st.integers(5_000, 200_000))
 def test_what_is_spent_stays_within_the_share(sizes: list[int], link_bps: float, share: float, step_us: int) -> None:
-    budget, spent, largest = ReferenceBudget(share), 0, 0
+    budget, spent, largest = ReferenceBudget(KnownLink(link_bps), share), 0, 0
     for number, size in enumerate(sizes):
-        if budget.bears(number * step_us, link_bps, SPARE_US):
+        if budget.bears(number * step_us, SPARE_US):
             budget.spent(size)
             spent, largest = spent + size, max(largest, size)
     seconds = (len(sizes) - 1) * step_us / 1e6
@@ -29,21 +30,32 @@ def test_what_is_spent_stays_within_the_share(sizes: list[int], link_bps: float,
 
 
 def test_a_debt_is_worked_off_and_savings_are_bounded() -> None:
-    budget = ReferenceBudget(0.5)
-    assert budget.bears(0, 800_000, SPARE_US)  # 50,000 bytes a second
+    budget = ReferenceBudget(KnownLink(800_000), 0.5)
+    assert budget.bears(0, SPARE_US)  # 50,000 bytes a second
     budget.spent(37_500)  # a quarter of a second was saved: 12,500 bytes
-    assert not budget.bears(499_000, 800_000, SPARE_US)
-    assert budget.bears(501_000, 800_000, SPARE_US)
-    assert budget.bears(60_000_000, 800_000, SPARE_US)
+    assert not budget.bears(499_000, SPARE_US)
+    assert budget.bears(501_000, SPARE_US)
+    assert budget.bears(60_000_000, SPARE_US)
     budget.spent(12_501)
-    assert not budget.bears(60_000_000, 800_000, SPARE_US), "no more than the burst was saved in a minute"
+    assert not budget.bears(60_000_000, SPARE_US), "no more than the burst was saved in a minute"
 
 
 def test_all_of_the_link_is_no_bound() -> None:
-    budget = ReferenceBudget(1.0)
+    budget = ReferenceBudget(KnownLink(1e5), 1.0)
     for number in range(100):
-        assert budget.bears(number, 1e5, SPARE_US)
+        assert budget.bears(number, SPARE_US)
         budget.spent(10_000)
+
+
+def test_none_goes_that_what_is_in_flight_would_make_late() -> None:
+    link = KnownLink(8e6)
+    budget = ReferenceBudget(link, 1.0)
+    link.told(in_flight_bytes=SPARE_US - 1)  # a byte a microsecond
+    assert budget.bears(0, SPARE_US)
+    link.told(in_flight_bytes=SPARE_US)
+    assert not budget.bears(1, SPARE_US)
+    link.rate_bps = 9e6
+    assert budget.bears(2, SPARE_US)
 
 
 def played(link_bps: float, most: float) -> list[ev.Outgoing]:

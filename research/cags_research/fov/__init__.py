@@ -1,0 +1,1 @@
+"""Fields of view that the program is compared with."""
