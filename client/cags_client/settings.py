@@ -13,11 +13,11 @@ from cags_common.splats import MAX_SPLATS
 from cags_protocol.wire.messages import CHROMAS
 
 FULL, HALF, AUTO = RESOLUTIONS = "full", "half", "auto"
-"""Render resolutions (:mod:`cags_client.frame.resolution`)."""
+"""Render resolutions (:mod:`cags_client.playback.quality`)."""
 
 OFF, ON = "off", "on"
 INTERPOLATIONS = OFF, ON, AUTO
-"""When pictures are drawn between media frames (:mod:`cags_client.playback.interpolation`)."""
+"""Whether pictures are drawn between media frames (:mod:`cags_client.playback.quality`)."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,8 @@ class ClientSettings:
     pose_rate: float = setting(60.0, "rate of poses sent, per second", low=1, high=1000)
     interpolate: str = setting(
         AUTO,
-        "draw motion between media frames, up to --display-rate: off, on or auto (on a live display while time allows)",
+        "draw motion between media frames, up to --display-rate: off, on or auto (on a live display, where full "
+        "resolution leaves time for it)",
         choices=INTERPOLATIONS,
     )
     display_rate: float = setting(

@@ -25,9 +25,9 @@ OF_THE_PAGE = {
     ("wire/assembly", "cags_protocol.sessions.blobs"): "CODEBOOKS_BLOB MAX_BLOBS_AT_ONCE",
     ("wire/session", "cags_protocol.sessions.client"): "MAX_PENDING_EVICTIONS MAX_DAMAGED",
     ("wire/inventory", "cags_protocol.wire.inventory"): "MAX_INVENTORY_TILES",
-    ("player/cadence", "cags_client.playback.cadence"): "WINDOW_US LEAST_DRAWN SLOW HEADROOM MOST_FALL STEADY",
+    ("player/quality", "cags_client.playback.quality"): """SPLAT_SHARE DOWN_AFTER_US UP_AFTER_US UP_AFTER_MOST_US
+        SMOOTHING_US HITCH UP_SHARE LEAST_GAIN SLOW HEADROOM MOST_FALL STEADY LEAST_PICTURES EVEN_PICTURES CAUTION""",
     ("player/player", "cags_client.playback.interactive"): "SEEK_PATIENCE_US JUMP_US",
-    ("player/player", "cags_client.playback.interpolation"): "CAUTION MEMORY",
     ("player/player", "cags_protocol.wire.limits"): "MOST_SAMPLES=MAX_POSE_SAMPLES",
     ("player/startup", "cags_client.playback.startup"): "QUIET_US PREVIEW_EVERY_US",
     ("player/camera", "cags_common.bundle.first_view"): "MARGIN BULK",

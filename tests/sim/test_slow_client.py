@@ -7,7 +7,7 @@ import pytest
 from cags_bench.bundles import cached_bundle
 from cags_bench.jsonl import dump
 from cags_bench.sim.session import Scenario, simulate
-from cags_client.playback.cadence import Cadence
+from cags_client.playback.quality import Quality
 from cags_client.settings import ClientSettings
 from cags_encoder import EncodeSettings
 from cags_server.session.connection import Connection
@@ -55,7 +55,7 @@ def test_a_slow_client_gets_references_of_what_it_draws(scenario, renders, monke
     assert not any(f["missed"] for f in late)
     assert len(fewer) <= 1.2 * len(late), "hardly a render of what nobody sees"
     renders.clear()
-    monkeypatch.setattr(Cadence, "_choose", lambda self, window_us: None)
+    monkeypatch.setattr(Quality, "observe", lambda self, *args, **named: None)
     silent = [f for f in simulate(slow).frames if f["frame"] >= SETTLED]
     assert len(late) >= len(silent) - 2, "it draws as many as one that says nothing of it"
     assert len(settled(renders)) >= 1.3 * len(fewer)
@@ -68,7 +68,7 @@ def test_a_slow_client_gets_references_of_what_it_draws(scenario, renders, monke
 def test_the_link_of_a_slow_client_carries_nothing_for_nobody(scenario, monkeypatch):
     slow = replace(scenario, draw_us=52_000)
     late = [f for f in simulate(slow).frames if f["frame"] >= SETTLED]
-    monkeypatch.setattr(Cadence, "_choose", lambda self, window_us: None)
+    monkeypatch.setattr(Quality, "observe", lambda self, *args, **named: None)
     silent = [f for f in simulate(slow).frames if f["frame"] >= SETTLED]
     mean = [sum(f["psnr_restored_db"] for f in frames) / len(frames) for frames in (late, silent)]
     assert mean[0] >= mean[1]

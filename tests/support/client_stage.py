@@ -6,7 +6,7 @@ import numpy as np
 
 from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
-from cags_client.settings import ClientSettings
+from cags_client.settings import HALF, ClientSettings
 from cags_common import raster
 from cags_common.bundle import BundleReader
 from cags_common.bundle.codecs import tile_codec
@@ -91,7 +91,8 @@ class Stage:
 
     def show(self, frame: int, pose: Pose, share: float = 0.0) -> PresentedFrame:
         """What the viewer sees."""
-        return self.pipe.present(frame, self.pipe.camera(pose), share)
+        half = self.pipe.settings.resolution == HALF
+        return self.pipe.present(frame, self.pipe.camera(pose), share, half=half)
 
     def truth(self, frame: int, pose: Pose) -> F32:
         """What the viewer should see [H, W, 3]."""

@@ -17,9 +17,8 @@ from cags_client.frame.align import Aligned, AlignSettings
 from cags_client.frame.changes import Changes
 from cags_client.frame.painting import Canvas, Painter, StagedPictures
 from cags_client.frame.presented import PresentedFrame
-from cags_client.frame.resolution import Resolutions
 from cags_client.frame.restore import CORRECT, NONE, RestoreInput, Restorer, level_of
-from cags_client.settings import AUTO, HALF, ClientSettings, LiveSettings
+from cags_client.settings import ClientSettings, LiveSettings
 from cags_client.stats import Stopwatch
 from cags_client.store.references import Received, References
 from cags_common import raster
@@ -73,7 +72,6 @@ class ClientPipeline:
         self._painter = Painter(settings.threads)
         prpa = AlignSettings() if settings.erosion else AlignSettings(erosion_iterations=0)
         self._aligner = align.create(settings.align, prpa)
-        self._resolutions = Resolutions(1e3 / info.fps)
         self._weights: bytes | None = None
         self._restorer_wanted = self.live.restore
         self._restorer = self._made_restorer()
@@ -200,13 +198,12 @@ class ClientPipeline:
         """The display's camera at ``pose``, with the scene's near plane."""
         return Camera(self.settings.intrinsics, pose, self.info.near)
 
-    def present(self, frame: int, camera: Camera, share: float = 0.0, *, timed: bool = True) -> PresentedFrame:
+    def present(self, frame: int, camera: Camera, share: float = 0.0, *, half: bool = False) -> PresentedFrame:
         """Draw media frame ``frame`` from ``camera``, with splats moved to ``share`` frames after it.
 
-        A picture before playback is not ``timed``: it cannot be late, and its time does not tell how fast the machine
-        is, because everything is decoded for the first time.
+        At ``half`` everything up to the shown picture is computed on a quarter of the pixels, through a footprint of
+        its own; only that picture is enlarged.
         """
-        started_s = self._clock()
         watch = Stopwatch(self._clock)
         self._shown_frame = frame
         if self._restorer_wanted != self.live.restore:
@@ -223,7 +220,6 @@ class ClientPipeline:
             if self._restorer_wanted == CORRECT and self.info.motion is not None and not share:
                 self._changes.shown(frame, store.splats.means)
         plan = plan_frame(self._situation(store, committed, (frame + share, camera), reference), self.settings.effects)
-        half = self._resolutions.chosen(self.live.resolution) == HALF
         canvas = Canvas(scene, self._scene_changes, camera, half, self._options(plan))
         pictures: FramePictures
         aligned, used = None, reference if reference is not None and reference.coded is not None else None
@@ -234,8 +230,6 @@ class ClientPipeline:
         else:
             given = self._correction(plan, canvas, store, used, frame) if used and Pass.CORRECTION in plan else None
             pictures = self._painter.paint(canvas, given, watch)
-        if timed and self.live.resolution == AUTO:
-            self._resolutions.observe(self._clock(), watch.stages_ms, (self._clock() - started_s) * 1e3)
         return PresentedFrame(
             frame=frame,
             camera=camera,

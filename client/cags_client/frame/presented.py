@@ -14,6 +14,9 @@ from cags_common.geometry import F32, Camera
 from cags_common.passes import Pass, PassPlan
 from cags_common.raster.halving import enlarged
 
+PIXEL_STAGES = ("raster", "correct", "align", "restore", "enlarge")
+"""Stages whose time is one of pixels."""
+
 THREADS = 1
 """Of pictures that are brought up for those who look at them, beside the display."""
 
@@ -73,6 +76,11 @@ class PresentedFrame:
     def corrected(self) -> bool:
         """Whether the reference was used."""
         return Pass.CORRECTION in self.effects or self.aligned is not None
+
+    @property
+    def pixels_ms(self) -> float:
+        """What its pixels took."""
+        return sum(self.stages_ms.get(name, 0.0) for name in PIXEL_STAGES)
 
     @property
     def half(self) -> bool:

@@ -14,6 +14,7 @@ from typing import Any
 from cags_client.frame.presented import PresentedFrame
 from cags_client.playback.jobs import Decode, DecodeResult, Present
 from cags_client.playback.player import Player
+from cags_client.playback.quality import next_due
 from cags_common.geometry import Pose
 from cags_protocol import events as ev
 from cags_protocol.wire.messages import Control
@@ -133,7 +134,7 @@ class InteractivePlayer(Player):
             self.seek(0)
         elif told.loop and told.rate == self.rate and self.pipeline.keeps(0):
             self._end_tick = told.round_end(self._end_tick)
-            self._due_us = told.display_us(self._cadence.next(self._next_tick, self._end_tick))
+            self._due_us = told.display_us(next_due(self._next_tick, self._end_tick, self._quality.permille))
         else:
             self.seek(0)
 
@@ -205,5 +206,5 @@ class InteractivePlayer(Player):
         pose = self._viewpoint.pose_at(now_us)
         if pose == self._shown_pose and self._decode_queue.quiet:
             return None
-        self._shown_pose, self._presenting = pose, True
-        return Present(self.frame, now_us, pose, self.pipeline, self._decode_queue.traffic())
+        self._shown_pose, half = pose, self._begin(now_us)
+        return Present(self.frame, now_us, pose, self.pipeline, self._decode_queue.traffic(), half=half)

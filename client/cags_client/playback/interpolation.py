@@ -1,23 +1,16 @@
 """Times between media frames at which a display shows what moves: motion is known at any time, not at frames alone.
 
 Nothing is asked of the server for them. A picture between two frames is drawn only where the next media frame will not
-be late for it.
+be late for it. Whether there are any, and how densely, :mod:`cags_client.playback.quality` decides.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from cags_client.settings import AUTO, OFF
-
-CAUTION = 1.25
-"""The time that a picture is taken to need, in those that the last ones took."""
-
-MEMORY = 0.2
-"""Weight of the newest picture in what pictures are taken to need."""
-
 LEAST_SHARE = 0.25
-"""Of a display's period: closer to a media frame, one that is drawn for itself is as good."""
+"""Of the time between two pictures: closer to a media frame, one that is drawn for itself is as good."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,52 +21,51 @@ class Moment:
     share: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """From the frame on display to the next, ``frames`` later, in steps."""
+
+    first_us: int
+    end_us: int
+    frames: int
+    step_us: float
+
+    def due_us(self, steps: int) -> int | None:
+        """When the picture after so many steps is due; None: too close to the next frame."""
+        due_us = self.first_us + round(steps * self.step_us)
+        return due_us if due_us <= self.end_us - LEAST_SHARE * self.step_us else None
+
+
 class Interpolation:
     """Schedules the interpolated pictures of one play."""
 
-    def __init__(self, mode: str, display_rate: float) -> None:
-        """``mode`` is off, on or auto (where there is time), ``display_rate`` in pictures a second."""
-        self._mode, self._period_us = mode, 1e6 / display_rate
-        self._span: tuple[int, int, int] | None = None  # due times of the frame on display and of the next, and how far
-        self._done = 0  # periods since the frame on display
-        self._begun_us: int | None = None
-        self._takes_us = 0.0
+    def __init__(self) -> None:
+        self._span: _Span | None = None
+        self._done = 0  # steps since the frame on display
 
-    def begin(self, due_us: int, next_due_us: int, frames: int) -> None:
-        """A media frame due at ``due_us`` is drawn; the next, ``frames`` later, is due at ``next_due_us``."""
-        self._span, self._done = None if self._mode == OFF or frames < 1 else (due_us, next_due_us, frames), 0
+    def begin(self, due_us: int, next_due_us: int, frames: int, step_us: float) -> None:
+        """A media frame due at ``due_us`` is drawn; the next, ``frames`` later, is due at ``next_due_us``.
+
+        Between them pictures are due every ``step_us``.
+        """
+        self._span, self._done = _Span(due_us, next_due_us, frames, step_us), 0
 
     def cancel(self) -> None:
-        """What comes next is not known: nothing is drawn before it."""
+        """Nothing is drawn before what comes next."""
         self._span = None
 
     def next_us(self) -> int | None:
         """When the next picture is due; None: none is before the next media frame."""
-        if self._span is None:
-            return None
-        due_us = self._span[0] + round((self._done + 1) * self._period_us)
-        return due_us if due_us <= self._span[1] - LEAST_SHARE * self._period_us else None
+        return None if self._span is None else self._span.due_us(self._done + 1)
 
-    def take(self, now_us: int) -> Moment | None:
-        """The newest picture that is due, where there is time for it."""
-        if self._span is None or (next_us := self.next_us()) is None or now_us < next_us:
+    def take(self, now_us: int, fits: Callable[[int, float], bool]) -> Moment | None:
+        """The newest picture that is due, if it is done before the next media frame: ``fits(now_us, due_us)``."""
+        span, next_us = self._span, self.next_us()
+        if span is None or next_us is None or now_us < next_us:
             return None
-        first_us, end_us, frames = self._span
-        self._done = max(int((now_us - first_us) / self._period_us), self._done + 1)
-        due_us = first_us + round(self._done * self._period_us)
-        enough = now_us + CAUTION * self._takes_us <= end_us
-        if due_us > end_us - LEAST_SHARE * self._period_us or (self._mode == AUTO and not enough):
+        self._done = max(int((now_us - span.first_us) / span.step_us), self._done + 1)
+        due_us = span.due_us(self._done)
+        if due_us is None or not fits(now_us, span.end_us):
             self._span = None
             return None
-        return Moment(due_us, (due_us - first_us) / (end_us - first_us) * frames)
-
-    def drawing(self, now_us: int) -> None:
-        """A picture, of a media frame or between two, is begun."""
-        self._begun_us = now_us
-
-    def drawn(self, now_us: int) -> None:
-        """The picture that was begun is finished."""
-        if self._begun_us is not None:
-            took_us = now_us - self._begun_us
-            self._takes_us += (MEMORY if self._takes_us else 1.0) * (took_us - self._takes_us)
-            self._begun_us = None
+        return Moment(due_us, (due_us - span.first_us) / (span.end_us - span.first_us) * span.frames)

@@ -101,6 +101,8 @@ class Present:
     """Media frames after ``frame``, where it is a picture between two of them."""
     first: bool = False
     """Whether it is the first picture, shown before the play begins."""
+    half: bool = False
+    """Whether it is worked out at half the pixels a side."""
 
     @property
     def media(self) -> bool:
@@ -109,7 +111,7 @@ class Present:
 
     def run(self) -> PresentedFrame:
         """Draw it."""
-        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose), self.share, timed=not self.first)
+        return self.pipeline.present(self.frame, self.pipeline.camera(self.pose), self.share, half=self.half)
 
 
 @dataclass(frozen=True, slots=True)

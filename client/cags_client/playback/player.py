@@ -22,14 +22,14 @@ from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
 from cags_client.frame.restore import references_wanted
 from cags_client.net.reconnect import Reconnect
-from cags_client.playback.cadence import Cadence
 from cags_client.playback.decode_queue import MAX_UNDECODED_BYTES, DecodeQueue
 from cags_client.playback.endings import FATAL_ENDS, FATAL_REFUSALS, affordable, refused
 from cags_client.playback.interpolation import Interpolation, Moment
 from cags_client.playback.jobs import DataEvent, Decode, DecodeResult, Present, Restarted, Traffic
+from cags_client.playback.quality import SCALES, Quality, newest_due, next_due
 from cags_client.playback.startup import Startup
 from cags_client.playback.viewpoint import PoseSource, Viewpoint
-from cags_client.settings import ClientSettings, LiveSettings
+from cags_client.settings import OFF, ClientSettings, LiveSettings
 from cags_client.stats import PlayStats
 from cags_common.bundle.manifest import Manifest
 from cags_common.errors import BundleError, CagsError, DecodeError, NetworkError
@@ -90,8 +90,9 @@ class Player:
         self._presenting, self._next_tick, self._end_tick = False, 0, 1
         self._preview_due = False  # more of the first frame has arrived than was shown
         self._startup = Startup(settings.startup_ms * 1000, now_us)
-        self._cadence = Cadence()
-        self._interpolation = Interpolation(settings.interpolate, settings.display_rate)
+        self._quality = Quality(SCALES[self.live.resolution], 1e6 / settings.display_rate, skips=settings.drop_late)
+        self._interpolation = Interpolation()
+        self._begun_us = now_us  # the picture that is being drawn
         self._due_us: int | None = None
         self._asked_idr_us: int | None = None
         session.hello(self._hello(settings.start_frame, poses.pose_at(0)), now_us=now_us)
@@ -140,7 +141,7 @@ class Player:
         self._play_if_due(now_us)
         self._session.handle_timer(now_us=now_us)
         if samples := self._viewpoint.due(now_us):
-            self._session.send_poses(samples, now_us=now_us, cadence_permille=self._cadence.permille)
+            self._session.send_poses(samples, now_us=now_us, cadence_permille=self._quality.permille)
         self._pump(now_us)
 
     def lost(self, reason: str, now_us: int) -> None:
@@ -192,7 +193,7 @@ class Player:
             return self._present_first(now_us)
         if self._due_us is not None and now_us >= self._due_us and not self._presenting:
             return self._present(now_us)
-        if not self._presenting and (moment := self._interpolation.take(now_us)) is not None:
+        if not self._presenting and (moment := self._interpolation.take(now_us, self._quality.fits)) is not None:
             return self._present_between(moment, now_us)
         return None
 
@@ -224,11 +225,10 @@ class Player:
             self.stats.first_picture_us = now_us
         if action.first:
             return
-        self._interpolation.drawn(now_us)
+        self._quality.observe(now_us, now_us - self._begun_us, result.pixels_ms * 1e3, media=not action.share)
         if action.share:
             self.stats.interpolated += 1
             return
-        self._cadence.drawn(now_us)
         self.stats.frames += 1
         self.stats.missed += result.missed
 
@@ -392,7 +392,8 @@ class Player:
         """Restart the count of ticks by ``control``, and tell the server."""
         self._timeline = self._timeline.controlled(control)
         self._next_tick, self._end_tick, self._due_us = 0, self._timeline.round_end(0), control.at_us
-        self._cadence.restart()
+        self._quality.period_us = self._timeline.period_us
+        self._quality.restart()
         self._interpolation.cancel()
         self._session.control(control, now_us=now_us)
 
@@ -402,7 +403,7 @@ class Player:
             passed = self._timeline.first_tick(control.at_us)
             self._next_tick, self._end_tick = self._next_tick - passed, self._end_tick - passed
             self._timeline = self._timeline.controlled(control)
-        self._cadence.restart()
+        self._quality.restart()
 
     def _media_frame(self, tick: int) -> int:
         frame = self._timeline.media_frame(tick)
@@ -410,36 +411,43 @@ class Player:
         return frame
 
     def _present(self, now_us: int) -> Present:
-        tick = self._cadence.next(self._next_tick, self._end_tick)
+        half, permille, display_us = self._begin(now_us), self._quality.permille, self._timeline.display_us
+        tick = next_due(self._next_tick, self._end_tick, permille)
         if self.settings.drop_late:
-            tick = self._cadence.newest_due(now_us, self._next_tick, self._end_tick, self._timeline.display_us)
+            tick = newest_due(tick, self._end_tick, permille, lambda each: display_us(each) <= now_us)
         self.stats.dropped += tick - self._next_tick
-        self._next_tick, self._presenting = tick + 1, True
-        frame, due_us = self._media_frame(tick), self._timeline.display_us(tick)
-        following = self._cadence.next(tick + 1, self._end_tick)
-        following_us = self._timeline.display_us(following)
+        self._next_tick = tick + 1
+        frame, due_us = self._media_frame(tick), display_us(tick)
+        following = next_due(tick + 1, self._end_tick, permille)
+        following_us = display_us(following)
         self._due_us = following_us if following > tick else None
-        self._interpolation.cancel()
-        assert self.info is not None and self.pipeline is not None
-        if self.info.motion is not None and following > tick:
-            self._interpolation.begin(due_us, following_us, following - tick)
-        self._interpolation.drawing(now_us)
-        return Present(frame, due_us, self._viewpoint.pose_at(due_us), self.pipeline, self._decode_queue.traffic())
+        if self._quality.step_us is not None and following > tick:
+            self._interpolation.begin(due_us, following_us, following - tick, self._quality.step_us)
+        assert self.pipeline is not None
+        pose, traffic = self._viewpoint.pose_at(due_us), self._decode_queue.traffic()
+        return Present(frame, due_us, pose, self.pipeline, traffic, half=half)
+
+    def _begin(self, now_us: int) -> bool:
+        """A picture is begun, as the viewer wishes now; whether it is worked out at half resolution."""
+        assert self.info is not None
+        between = self.settings.interpolate if self.info.motion is not None else OFF
+        self._quality.wish(SCALES[self.live.resolution], between)
+        self._presenting, self._begun_us = True, now_us
+        return self._quality.scale < 1
 
     def _present_first(self, now_us: int) -> Present:
         """A picture before playback: from a reference at first, and from the tiles received so far."""
         assert self.pipeline is not None
-        self._presenting, self._preview_due = True, False
+        self._preview_due = False
         frame, pose = self.settings.start_frame, self._viewpoint.pose_at(now_us)
-        return Present(frame, now_us, pose, self.pipeline, Traffic(), first=True)
+        return Present(frame, now_us, pose, self.pipeline, Traffic(), first=True, half=self._begin(now_us))
 
     def _present_between(self, moment: Moment, now_us: int) -> Present:
         """An interpolated picture, before the next media frame is due."""
         assert self.pipeline is not None
-        self._presenting = True
-        self._interpolation.drawing(now_us)
-        frame, pose = self._media_frame(self._next_tick - 1), self._viewpoint.pose_at(moment.due_us)
-        return Present(frame, moment.due_us, pose, self.pipeline, Traffic(), moment.share)
+        half, frame = self._begin(now_us), self._media_frame(self._next_tick - 1)
+        pose = self._viewpoint.pose_at(moment.due_us)
+        return Present(frame, moment.due_us, pose, self.pipeline, Traffic(), moment.share, half=half)
 
     def _ask_idr(self, last_seq: int, now_us: int) -> None:
         if self._asked_idr_us is not None and now_us - self._asked_idr_us < KEYFRAME_RETRY_US:

@@ -12,8 +12,7 @@ import { References } from "../playback/references.ts";
 import { type Camera, type FrameUpdate, type Intrinsics, nowUs, type PlayState, type Pose, type PoseSample, type Reference, type SceneInfo, type SceneSource, type SourceError, type SourceEvent, type Status } from "../seam.ts";
 import { ReferenceVideo } from "../video/stream.ts";
 import { Timeline } from "../wire/timeline.ts";
-import { Cadence } from "./cadence.ts";
-import { Resolution } from "./resolution.ts";
+import { newestDue, nextDue, Quality } from "./quality.ts";
 import { Startup, STARTUP_US } from "./startup.ts";
 import { cellBoxes } from "./veto.ts";
 
@@ -27,9 +26,16 @@ const REFILL_S = 1;
 const JUMP_US = 1_000_000;
 /** Media frames after which a reference is too old; it fades over the last half. */
 const REFERENCE_AGE = 10;
-/** A picture between two frames is drawn where it will be done in this many times what the last ones took. */
-const CAUTION = 1.25;
-const MEMORY = 0.2;
+/** Shares of the full picture's width that are drawn, where the device may choose. */
+const SCALES = [0.35, 0.5, 0.7, 1];
+const WHOLE = [1];
+/** Of the screen, until it has been watched; longer pauses between two refreshes say nothing. */
+const REFRESH_US = 1e6 / 60;
+const LONGEST_REFRESH_US = 50_000;
+/** Weight of the newest refresh in their mean. */
+const MEMORY = 0.05;
+/** A refresh is the one that a picture is due at from this share of a step before it on. */
+const NEARLY = 0.25;
 /** Poses are kept for the next message; the oldest go first. */
 const MOST_SAMPLES = 64;
 
@@ -103,11 +109,10 @@ export class Player {
   readonly #view: () => { pose: Pose; intrinsics: Intrinsics };
   readonly #video: ReferenceVideo;
   readonly #references: Decoded = new References<CodedReference | null>();
-  readonly #cadence: Cadence;
+  readonly #quality = new Quality(WHOLE, REFRESH_US);
   readonly #startFrame: number;
   #startup: Startup;
   #holdUs = STARTUP_US; // of the first frame, at most
-  #resolution = new Resolution(1000 / 30);
   #samples: PoseSample[] = [];
   #timeline = new Timeline(1, 1);
   #startedUs: number | null = null;
@@ -119,7 +124,8 @@ export class Player {
   readonly #whole = new Set<number>(); // media frames that are there, since everything was forgotten
   #busy = false;
   #news = false;
-  #takesUs = 0;
+  #steppedUs = -Infinity; // the newest refresh of the screen
+  #begunUs = -Infinity; // the newest picture
   #drawnView = "";
   #rested = false;
   #newestOrder = 0; // of references that have come
@@ -138,7 +144,6 @@ export class Player {
     this.exactness = options.exactness;
     this.adaptResolution = options.adaptResolution;
     this.frame = this.#startFrame = options.startFrame;
-    this.#cadence = new Cadence();
     this.#video = new ReferenceVideo({
       decoded: (reference, coded) => {
         const { camera, knee, kind, error } = reference;
@@ -221,12 +226,12 @@ export class Player {
 
   /** Share of the full picture's width that is drawn. */
   get scale(): number {
-    return this.adaptResolution ? this.#resolution.scale : 1;
+    return this.#quality.scale;
   }
 
   /** How many of 1,000 media frames this device displays. */
   get cadencePermille(): number {
-    return this.#cadence.permille;
+    return this.#quality.permille;
   }
 
   get videoErrors(): number {
@@ -240,7 +245,7 @@ export class Player {
       case "info":
         this.info = event.info;
         this.#timeline = new Timeline(event.info.fps, event.info.frames, { frame: this.#startFrame });
-        this.#resolution = new Resolution(1000 / event.info.fps);
+        this.#quality.periodUs = 1e6 / event.info.fps;
         if (event.info.waits) this.#startup = new Startup((this.#holdUs = 0), nowUs()); // nobody would refine it
         this.#events.info(event.info);
         break;
@@ -288,9 +293,12 @@ export class Player {
   /** Before each refresh of the screen. */
   step(): void {
     if (this.#ended || !this.info) return;
+    const now = nowUs();
+    this.#watchScreen(now);
     this.#samplePose();
     if (this.#busy || this.#rested || !this.#ready) return;
-    const work = this.#work(nowUs());
+    this.#quality.wish(this.adaptResolution ? SCALES : WHOLE, this.info.moves ? "auto" : "off");
+    const work = this.#work(now);
     if (!work) return;
     this.#busy = true;
     work()
@@ -305,9 +313,15 @@ export class Player {
     this.#events.failed({ code: "frame", message, fatal: true });
   }
 
+  #watchScreen(now: number): void {
+    const passed = now - this.#steppedUs;
+    this.#steppedUs = now;
+    if (passed < LONGEST_REFRESH_US) this.#quality.displayUs += MEMORY * (passed - this.#quality.displayUs);
+  }
+
   #samplePose(): void {
     this.#samples.push({ tUs: nowUs(), pose: this.#view().pose });
-    this.#source.sendPoses(this.#samples.slice(-MOST_SAMPLES), this.#cadence.permille);
+    this.#source.sendPoses(this.#samples.slice(-MOST_SAMPLES), this.#quality.permille);
     this.#samples = [];
   }
 
@@ -332,36 +346,39 @@ export class Player {
 
   /** A picture of what moves by itself, or of the frame on display from where the viewer is now. */
   #between(now: number): (() => Promise<void>) | null {
-    if (this.#dueUs === null || now + CAUTION * this.#takesUs > this.#dueUs) return null;
+    if (this.#dueUs === null || !this.#quality.fits(now, this.#dueUs)) return null;
+    const { stepUs } = this.#quality;
+    if (stepUs === undefined || now - this.#begunUs < (1 - NEARLY) * stepUs) return this.#redraw(now);
     const timeline = this.#timeline;
     const tick = timeline.mediaFrame(this.#nextTick) === this.frame ? this.#nextTick : this.#nextTick - 1;
     const share = ((now - timeline.displayUs(tick)) * timeline.fps * timeline.place.rate) / 1e6;
-    if (this.info!.moves && this.frame < timeline.frames - 1 && share > 0 && share < 1) return () => this.#present(this.frame, share, false);
+    if (this.frame < timeline.frames - 1 && share > 0 && share < 1) return () => this.#present(this.frame, share, false);
     return this.#redraw(now);
   }
 
   #redraw(_now: number): (() => Promise<void>) | null {
     const { shown } = this;
     if (!shown || this.#viewKey() === this.#drawnView) return null;
-    return () => this.#draw(shown.frame, shown.share, shown.update, performance.now());
+    return () => this.#draw(shown.frame, shown.share, shown.update, performance.now(), false);
   }
 
   async #presentDue(now: number): Promise<void> {
     const timeline = this.#timeline;
-    const tick = this.#cadence.newestDue(now, this.#nextTick, this.#endTick, (t) => timeline.displayUs(t));
+    const { permille } = this.#quality;
+    const tick = newestDue(nextDue(this.#nextTick, this.#endTick, permille), this.#endTick, permille, (t) => timeline.displayUs(t) <= now);
     const frame = timeline.mediaFrame(tick)!;
     if (this.info!.waits && !this.#whole.has(frame)) return this.#stall(frame, now);
     this.#nextTick = tick + 1;
-    const following = this.#cadence.next(tick + 1, this.#endTick);
+    const following = nextDue(tick + 1, this.#endTick, permille);
     this.#dueUs = following > tick ? timeline.displayUs(following) : null;
     this.frame = frame;
     await this.#present(frame, 0, true);
-    this.#cadence.drawn(nowUs());
     if (this.playing && this.#wanted === null && !this.#awaited && this.#nextTick >= this.#endTick) this.#atEnd();
   }
 
   async #present(frame: number, share: number, media: boolean): Promise<void> {
     const begun = performance.now();
+    this.#begunUs = nowUs();
     this.#news = false;
     this.#references.show(frame, this.info!.frames);
     const reference = this.#references.newest(REFERENCE_AGE);
@@ -377,10 +394,10 @@ export class Player {
     this.#references.marked(update.mark);
     this.#renderer.update(update);
     if (media && update.missed) this.missed++;
-    await this.#draw(frame, share, update, begun);
+    await this.#draw(frame, share, update, begun, media);
   }
 
-  async #draw(frame: number, share: number, update: FrameUpdate, begun: number): Promise<void> {
+  async #draw(frame: number, share: number, update: FrameUpdate, begun: number, media: boolean): Promise<void> {
     const { camera, footprint, key } = this.#camera();
     const found = this.correct ? this.#references.newest(REFERENCE_AGE) : undefined;
     const options = this.#frameOptions(frame, share, update, camera, footprint, found?.picture ? found : undefined);
@@ -388,9 +405,8 @@ export class Player {
     this.#drawnView = key;
     this.pictures++;
     const frameMs = performance.now() - begun;
-    const took = frameMs * 1000;
-    this.#takesUs += (this.#takesUs ? MEMORY : 1) * (took - this.#takesUs);
-    this.#resolution.observe(performance.now(), frameMs);
+    // Before the play everything is decoded for the first time: that says nothing of what the device keeps up with.
+    if (this.#startedUs !== null) this.#quality.observe(nowUs(), frameMs * 1000, times.gpuMs * 1000, media);
     this.shown = { frame, share, camera, reference: found?.reference, update, times, frameMs, atUs: nowUs(), options };
     this.#events.changed();
   }
@@ -450,7 +466,8 @@ export class Player {
     this.#nextTick = 0;
     this.#endTick = this.#timeline.roundEnd(0);
     this.#dueUs = atUs;
-    this.#cadence.restart();
+    this.#quality.periodUs = 1e6 / (this.#timeline.fps * this.rate);
+    this.#quality.restart();
     this.#source.control(state);
     this.#events.changed();
   }
@@ -465,7 +482,7 @@ export class Player {
       this.#endTick -= passed;
       this.#timeline = timeline.controlled(state);
     }
-    this.#cadence.restart();
+    this.#quality.restart();
   }
 
   /** Speed or loop have changed: from the next frame on. */
@@ -518,7 +535,7 @@ export class Player {
     if (!this.loop) this.pause();
     else if (going && nowUs() - told.displayUs(this.#endTick) <= JUMP_US) {
       this.#endTick = told.roundEnd(this.#endTick);
-      this.#dueUs = told.displayUs(this.#cadence.next(this.#nextTick, this.#endTick));
+      this.#dueUs = told.displayUs(nextDue(this.#nextTick, this.#endTick, this.#quality.permille));
     } else this.seek(0);
   }
 }

@@ -34,16 +34,19 @@ class Source implements SceneSource {
   close(): void {}
 }
 
-/** A page whose pictures cost nothing; it says what came, and steps as a screen does. */
+/** A page whose pictures take `drawMs`, nothing at first; it says what came, and steps as a screen does. */
 class Page {
   readonly source = new Source();
   readonly player: Player;
   readonly seen: number[] = [];
+  drawMs = 0;
   constructor(waits: boolean, prepared: Promise<unknown> = Promise.resolve(), made: Promise<void> = Promise.resolve()) {
-    const renderer = made.then(
-      () => ({ prepared, gpu: { lost: false }, update: () => {}, draw: () => Promise.resolve({ gpuMs: 0 }) }) as unknown as Renderer,
-    );
-    const options = { startFrame: 0, playing: true, loop: false, adaptResolution: false, exactness: "fast", correct: true } as const;
+    const draw = async (): Promise<object> => {
+      if (this.drawMs) await sleep(this.drawMs);
+      return { gpuMs: this.drawMs };
+    };
+    const renderer = made.then(() => ({ prepared, gpu: { lost: false }, update: () => {}, draw }) as unknown as Renderer);
+    const options = { startFrame: 0, playing: true, loop: false, adaptResolution: true, exactness: "fast", correct: true } as const;
     const events = { changed: () => {}, info: () => {}, failed: (error: unknown) => assert.fail(JSON.stringify(error)), notice: () => {} };
     this.player = new Player(this.source, renderer, () => ({ pose: POSE, intrinsics: INTRINSICS }), options, events);
     this.player.handle({ type: "info", info: { ...INFO, waits } as unknown as SceneInfo });
@@ -218,4 +221,26 @@ test("nothing is held of a scene that nobody refines", async () => {
   page.whole(0);
   await page.until("the play", () => page.actions.length > 0);
   assert.deepEqual(page.actions, ["play"]);
+});
+
+test("a device that is too slow draws fewer pixels and then fewer frames, and pictures before the play do not count", async () => {
+  const page = new Page(false);
+  page.drawMs = 60;
+  page.whole(0);
+  const begun = nowUs();
+  await page.until("the play", () => {
+    if (nowUs() - begun < 700_000) page.player.handle({ type: "arrived", atUs: nowUs() });
+    return page.actions.includes("play");
+  });
+  assert.ok(page.source.asked.length >= 3, "several pictures were drawn");
+  assert.deepEqual([page.player.scale, page.player.cadencePermille], [1, 1000]);
+  page.player.setLoop(true);
+  let fewer = 1000;
+  await page.until("fewer pixels", () => {
+    fewer = Math.min(fewer, page.player.scale < 1 ? 1000 : page.player.cadencePermille);
+    return page.player.scale < 1;
+  });
+  assert.equal(fewer, 1000, "every frame is worth more than pixels");
+  await page.until("fewer frames", () => page.player.cadencePermille < 1000);
+  assert.equal(page.player.scale, 0.35);
 });

@@ -1,6 +1,5 @@
 """From messages to pictures: a small clip, encoded here, decoded, drawn and corrected by the pipeline."""
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -304,23 +303,6 @@ def test_at_half_resolution_a_frame_is_corrected_and_everything_looked_at_is_who
     assert "enlarge" in shown.stages_ms
     assert scores["half"]["psnr_restored_db"] > scores["half"]["psnr_distorted_db"] + 1
     assert abs(scores["half"]["psnr_distorted_db"] - scores["full"]["psnr_distorted_db"]) < 1.5
-
-
-@pytest.mark.parametrize(("timed", "resolution"), [(False, (120, 160)), (True, (60, 80))])
-def test_pictures_before_the_play_say_nothing_of_what_the_machine_keeps_up_with(
-    reader: BundleReader, timed: bool, resolution: tuple[int, int]
-) -> None:
-    """Each takes 200 ms here, as while everything is decoded for the first time."""
-    ticks = itertools.count()
-    client = ClientSettings(width=160, height=120, resolution="auto")
-    pipe = ClientPipeline(reader.manifest, client, clock=lambda: next(ticks) * 0.02)
-    pipe.on_codebooks(reader.codebooks())
-    stage = Stage(reader)
-    stage.pipe = pipe
-    stage.send(0)
-    for _ in range(20):
-        shown = pipe.present(0, pipe.camera(walk(reader)), timed=timed)
-    assert shown.drawn.shape[:2] == resolution
 
 
 def moving_pipeline(**settings: object) -> ClientPipeline:

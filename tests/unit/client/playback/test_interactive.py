@@ -362,7 +362,7 @@ def test_nothing_is_drawn_between_where_nothing_moves_or_nobody_wants_it(moves: 
 def test_a_machine_that_needs_most_of_a_frame_draws_nothing_between_and_drops_nothing() -> None:
     slow, fast = (Stage(moves=True, draw_us=us) for us in (20_000, 5_000))
     for stage in (slow, fast):
-        stage.run(DELAY_US + 20 * FRAME_US, step_us=1_000)
+        stage.run(DELAY_US + 30 * FRAME_US, step_us=1_000)
         assert stage.player.stats.dropped == 0
     assert slow.between == []
     assert len(fast.between) >= 15

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
+from collections.abc import Callable
 
 from cags_client.playback.interpolation import Interpolation, Moment
 
@@ -10,18 +10,21 @@ FRAME_US = 40_000
 """Of a clip of 25 frames a second."""
 
 
-def begun(mode: str = "on", rate: float = 100.0, frames: int = 1) -> Interpolation:
-    between = Interpolation(mode, rate)
-    between.begin(1_000_000, 1_000_000 + frames * FRAME_US, frames)
+def always(now_us: int, due_us: float) -> bool:
+    return True
+
+
+def begun(rate: float = 100.0, frames: int = 1) -> Interpolation:
+    between = Interpolation()
+    between.begin(1_000_000, 1_000_000 + frames * FRAME_US, frames, 1e6 / rate)
     return between
 
 
-def taken(between: Interpolation, step_us: int = 1_000, until_us: int = FRAME_US) -> list[Moment]:
-    out = []
-    for now_us in range(1_000_000, 1_000_000 + until_us, step_us):
-        if (moment := between.take(now_us)) is not None:
-            out.append(moment)
-    return out
+def taken(
+    between: Interpolation, until_us: int = FRAME_US, fits: Callable[[int, float], bool] = always
+) -> list[Moment]:
+    moments = (between.take(now_us, fits) for now_us in range(1_000_000, 1_000_000 + until_us, 1_000))
+    return [moment for moment in moments if moment is not None]
 
 
 def test_pictures_come_at_the_rate_of_the_display_up_to_the_next_media_frame() -> None:
@@ -34,32 +37,24 @@ def test_pictures_come_at_the_rate_of_the_display_up_to_the_next_media_frame() -
 def test_a_picture_that_was_due_long_ago_gives_way_to_the_newest() -> None:
     between = begun()
     assert between.next_us() == 1_010_000
-    assert between.take(1_031_000) == Moment(1_030_000, 0.75)
+    assert between.take(1_031_000, always) == Moment(1_030_000, 0.75)
     assert between.next_us() is None
-    assert between.take(1_039_000) is None
+    assert between.take(1_039_000, always) is None
 
 
-def test_only_with_time_for_it_unless_it_is_wanted_anyway() -> None:
-    for mode, count in (("auto", 1), ("on", 3), ("off", 0)):
-        between = Interpolation(mode, 100.0)
-        between.drawing(900_000)
-        between.drawn(920_000)  # 20 ms a picture
-        between.begin(1_000_000, 1_000_000 + FRAME_US, 1)
-        assert len(taken(between)) == count, mode
+def test_none_is_begun_that_would_make_the_next_media_frame_late() -> None:
+    asked: list[float] = []
 
+    def fits(now_us: int, due_us: float) -> bool:
+        asked.append(due_us)
+        return now_us + 20_000 <= due_us
 
-def test_what_pictures_take_is_learnt_and_a_hitch_forgotten() -> None:
-    between = begun("auto")
-    for took_us in (30_000, *[2_000] * 20):
-        between.drawing(0)
-        between.drawn(took_us)
-    assert len(taken(between)) == 3
-    between.drawn(9_999_999)  # nothing was begun
-    assert between._takes_us == pytest.approx(2_000, rel=0.2)
+    assert taken(begun(), fits=fits) == [Moment(1_010_000, 0.25), Moment(1_020_000, 0.5)]
+    assert set(asked) == {1_000_000 + FRAME_US}
 
 
 def test_nothing_follows_where_the_next_frame_is_not_known() -> None:
     between = begun()
     between.cancel()
     assert between.next_us() is None
-    assert between.take(1_020_000) is None
+    assert between.take(1_020_000, always) is None
