@@ -54,7 +54,13 @@ def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float) -> T
     weight = drawn(splats.logit_opacities)
     columns = dict(splats.arrays())
     found = {
-        name: _lasting(columns[name], [(dict(now.arrays())[name], *who) for now, *who in changes], effect, most, weight)
+        name: _lasting(
+            columns[name],
+            [(dict(now.arrays())[name], rows, there) for now, rows, there in changes],
+            effect,
+            most,
+            weight,
+        )
         for name, effect in EFFECTS.items()
     }
     told = replace(splats, **{name: values for name, (values, _) in found.items()})
@@ -112,11 +118,11 @@ def _lasting(
 
 def _frames(
     now: F32, changes: Sequence[tuple[F32, NDArray[np.intp], NDArray[np.bool_]]], mine: NDArray[np.intp]
-) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
+) -> Iterator[tuple[F32, NDArray[np.bool_]]]:
     """Values [m, ...] of the rows ``mine`` [m] in each later frame, and which of them are still there."""
     place = np.full(len(now), -1)
     place[mine] = np.arange(len(mine))
-    current = now[mine].astype(np.float64)
+    current = now[mine]
     for values, rows, there in changes:
         known = place[rows]
         current = current.copy()
@@ -124,9 +130,9 @@ def _frames(
         yield current, there[mine]
 
 
-def _slack(now: F32, frames: Sequence[tuple[F64, NDArray[np.bool_]]], effect: Effect, weight: F64) -> F64:
+def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Effect, weight: F64) -> F64:
     """By how many times each tolerance [m] is larger for what changes fast; ``weight`` [m] are of tolerances."""
-    before, gone = now.astype(np.float64), np.zeros(len(now))
+    before, gone = now, np.zeros(len(now))
     for values, there in frames:
         gone += np.where(there, weight * effect(np.abs(values - before)), 0.0)
         before = values
