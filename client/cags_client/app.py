@@ -1,7 +1,7 @@
 """The client in real time: sockets, a clock and executors around the :class:`~cags_client.playback.player.Player`.
 
-The event loop moves bytes and starts work; decoding, drawing and sinks each have a thread of their own, so that neither
-a burst of tiles nor a slow disk holds up the display.
+The event loop moves bytes and starts work. Decoding, drawing and sinks have one thread each, so neither a burst of
+tiles nor a slow disk delays the display.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from cags_common.transport import Transport
 from cags_protocol.sessions.client import ClientSession
 
 SINK_BACKLOG = 8
-"""Frames that may wait for the sinks; beyond it the display waits, which shows as late frames."""
+"""Largest number of frames waiting for the sinks; beyond it the display waits, and frames are late."""
 
 
 def now_us() -> int:
@@ -41,13 +41,13 @@ def now_us() -> int:
 
 @dataclass(eq=False)
 class Playback:
-    """What a play left behind."""
+    """Results of a play."""
 
     player: Player
     frames: list[dict[str, Any]] = field(default_factory=list)
-    """One record a presented frame (see :func:`cags_client.output.report.frame_stats`)."""
+    """One record per presented frame (see :func:`cags_client.output.report.frame_stats`)."""
     ended_by: signal.Signals | None = None
-    """What ended it before its time; None: nothing did."""
+    """The reason for an early end; None for a normal end."""
 
 
 async def play(
@@ -60,11 +60,11 @@ async def play(
     live: LiveSettings | None = None,
     on_frame: Callable[[dict[str, Any]], None] | None = None,
 ) -> Playback:
-    """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for what ends it early, but an
-    interrupt or a request to end, which leaves what was shown until then.
+    """Play to the end of the clip or of ``settings.duration``. Raises :class:`CagsError` for an early end. After an
+    interrupt or a request to end, it returns the results up to then.
 
-    ``url`` may name several servers, separated by commas: the first that answers is used, and a dropped connection is
-    taken up by the same or the next one.
+    ``url`` may name several servers, separated by commas. The first that answers is used; after a dropped connection
+    the same server is tried, and then the next.
     """
     settings = looked_at(settings, sinks)
     endpoints = Endpoints(url, settings.token, settings.ca)
@@ -91,7 +91,7 @@ async def play(
 
 
 def looked_at(settings: ClientSettings, sinks: Sequence[FrameSink]) -> ClientSettings:
-    """``settings`` without pictures between media frames, unless they are asked for or somebody looks."""
+    """``settings`` without interpolated pictures, unless they were requested or there is a live display."""
     if settings.interpolate == AUTO and not any(isinstance(sink, LiveSink) for sink in sinks):
         return replace(settings, interpolate=OFF)
     return settings
@@ -108,7 +108,7 @@ class Shell:
         on_frame: Callable[[dict[str, Any]], None] | None,
         connect: Callable[[int], Awaitable[Transport]],
     ) -> None:
-        """``connect`` opens another connection; it is given the number of the attempt."""
+        """``connect`` opens another connection, given the number of the attempt."""
         self.records: list[dict[str, Any]] = []
         self.ended_by: signal.Signals | None = None
         self.player = player
@@ -124,7 +124,7 @@ class Shell:
         self._closing = False
 
     async def run(self) -> None:
-        """Until the player has finished, the connection is gone, or a sink fails."""
+        """Run until the player has finished, the connection is lost, or a sink fails."""
         self._open_line(self._transport)
         try:
             while not self.player.finished and self._failure is None:
@@ -149,7 +149,7 @@ class Shell:
             self._line.hurry()
 
     def wake(self) -> None:
-        """The player has been told something: look what follows from it."""
+        """The player's state has changed: start the work that follows from it."""
         self._wake.set()
 
     def close(self) -> None:
@@ -169,14 +169,16 @@ class Shell:
             self._start(self._decode(action) if isinstance(action, Decode) else self._present(action))
         if not self.player.backed_up:
             self._caught_up.set()
-        if self.player.finished:  # by a timer, or by what sending met: nothing would wake this up
+        if self.player.finished:  # changed by a timer or by a failed write, which would not wake this task
             return
         timer = self.player.next_timer_us()
         await woken(self._wake, None if timer is None else (timer - now_us()) / 1e6)
 
     def _lost(self, line: Connection, reason: str) -> None:
-        """Writing has met the end of a connection."""
-        if line is self._line and not self.player.away:  # else a new one is being opened, or the reader will tell
+        """Writing has found the connection closed."""
+        if (
+            line is self._line and not self.player.away
+        ):  # otherwise a new one is being opened, or the reader will report it
             self.player.lost(reason, now_us())
         self._wake.set()
 
@@ -195,7 +197,7 @@ class Shell:
             self._wake.set()
 
     async def _come_back(self) -> None:
-        """Open another connection in place of the lost one, of which nothing more is read."""
+        """Open another connection to replace the lost one, from which nothing more is read."""
         self._reader.cancel()
         await asyncio.gather(self._reader, return_exceptions=True)
         old = self._line
@@ -212,7 +214,7 @@ class Shell:
         await old.close()
 
     def _open_line(self, transport: Transport) -> None:
-        """Write to a connection, and read what comes over it; what reading raises ends the play."""
+        """Write to and read from a connection; an error while reading ends playback."""
         self._line = Connection(transport, self._lost)
         self._reader = asyncio.create_task(self._read(transport))
         self._reader.add_done_callback(self._ended)
@@ -257,7 +259,7 @@ class Shell:
                 sink.show_between(presented)
 
     async def _show(self, show: Callable[[], None]) -> None:
-        """Let the sinks take a picture, beside the display path; wait where they are too far behind."""
+        """Pass a picture to the sinks, off the display path; wait if they are too far behind."""
         await self._backlog.acquire()
         self._start(self._sink(show))
 
@@ -274,7 +276,7 @@ def run_playback(*arguments: Any, **named: Any) -> Playback:
 
 
 def close_sinks(sinks: Sequence[FrameSink], *, completed: bool) -> None:
-    """Close every sink, whatever one of them raises; the first error is raised at the end."""
+    """Close all sinks, even if one raises; the first error is raised at the end."""
     failure: CagsError | None = None
     for sink in sinks:
         try:

@@ -126,8 +126,13 @@ def _checked_choices(settings: ClientSettings, outputs: _Outputs) -> str:
     from cags_client.frame import align, restore
     from cags_common import raster
     from cags_common.poses import Focus, open_poses
+    from cags_common.runtime.terminal import watched
 
-    rasteriser = raster.chosen(settings.raster)
+    def tell(reason: str) -> None:
+        if watched(headless=outputs.headless):
+            print(f"{PROG}: {reason}", file=sys.stderr)
+
+    rasteriser = raster.chosen(settings.raster, tell)
     raster.create(rasteriser)
     align.create(settings.align)
     restore.check_name(settings.restore)

@@ -18,6 +18,7 @@ from cags_client.output.page.controls import SplatDetail
 from cags_client.output.page.server import LiveView
 from cags_client.output.page.settings import ViewSettings
 from cags_client.output.page.sink import ViewSink, scene_info
+from cags_client.output.page.window import windowed
 from cags_client.output.sinks import FrameSink
 from cags_client.playback.interactive import InteractivePlayer
 from cags_client.playback.viewpoint import PoseSource
@@ -42,6 +43,7 @@ class PlayerControls:
         self, player: InteractivePlayer, live: LiveSettings, truth: Truth | None, wake: Callable[[], None]
     ) -> None:
         self._player, self._live, self._truth, self._wake = player, live, truth, wake
+        self._asked = player.settings
 
     @property
     def playing(self) -> bool:
@@ -71,7 +73,7 @@ class PlayerControls:
     @property
     def away(self) -> bool:
         """Whether the connection is lost and not yet restored."""
-        return self._player.away
+        return self._player.away and not self._player.rejoining
 
     @property
     def exactness(self) -> str:
@@ -124,6 +126,13 @@ class PlayerControls:
     def set_resolution(self, name: str) -> None:
         """Work frames out at other pixels from the next one on."""
         self._live.resolution = name
+
+    def set_window(self, width: int, height: int) -> None:
+        """Draw for a window of so many pixels."""
+        shape = windowed(self._asked, width, height)
+        if shape != (self._player.settings.width, self._player.settings.height, self._player.settings.fov):
+            self._player.reshape(*shape, now_us())
+            self._wake()
 
     def truth(self, frame: int, camera: Camera) -> F32:
         """The unquantised scene [H, W, 3] in [0, 1]."""

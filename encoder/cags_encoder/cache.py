@@ -12,7 +12,7 @@ from cags_common.bundle.store import local_path
 from cags_encoder.settings import EncodeSettings
 
 ENCODER_VERSION = 13
-"""Raised whenever the same input gives other bytes."""
+"""Increased whenever the same input gives other bytes."""
 
 
 def content_key(scene_spec: str, settings: EncodeSettings) -> str:
@@ -25,7 +25,7 @@ def content_key(scene_spec: str, settings: EncodeSettings) -> str:
 
 
 def resume_folder(out_url: str, key: str) -> Path:
-    """Where a run that writes ``out_url`` keeps its records: beside a local bundle, else in the user's cache."""
+    """Folder of the records of a run that writes ``out_url``: beside a local bundle, otherwise in the user's cache."""
     local = local_path(out_url)
     if local is not None:
         return local.parent / f".{local.name}.encoding"
@@ -34,7 +34,7 @@ def resume_folder(out_url: str, key: str) -> Path:
 
 
 def _files(scene_spec: str) -> Iterator[Path]:
-    """Files that a spec such as ``motion:PATH:options`` names: those of the longest existing path among its parts."""
+    """Files named by a spec such as ``motion:PATH:options``: those of the longest existing path in it."""
     parts = scene_spec.split(":")
     for length in range(len(parts), 0, -1):
         for first in range(len(parts) - length + 1):

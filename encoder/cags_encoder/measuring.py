@@ -1,9 +1,9 @@
-"""LoD orders by what each layer is worth in pictures of the clip itself (paper, supplement, "LoD Assignment").
+"""LoD orders by the gain of each layer in pictures of the clip itself (paper, supplement, "LoD Assignment").
 
-For every attribute and number of layers, with all other attributes whole, the first frame is drawn from a few views.
-Squared errors of attributes nearly add up, so the order that takes the largest fall of error a byte next is nearly the
-best one. The gain of each level is then measured along that order. Unlike the paper no restoration runs in between:
-which one a client runs, and on what reference, is not known here.
+The first frame is drawn from a few views for every attribute and number of its layers, with all layers of the other
+attributes. Squared errors of attributes nearly add up, so choosing the largest reduction per byte next is nearly
+optimal. The gain of each level is then measured along that order. Unlike in the paper no restoration is applied,
+because the client's restorer and references are not known here.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OPTIONS = RenderOptions(depth=DepthKind.NONE)
 
 @dataclass(frozen=True)
 class LodMeasurement:
-    """What measuring found."""
+    """The measured order and its gains."""
 
     order: tuple[LodLayer, ...]
     gains_db: tuple[float, ...]
@@ -51,7 +51,7 @@ def measure(
     rasteriser: Rasteriser,
     tell: Callable[[int, int], None],
 ) -> LodMeasurement:
-    """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and what each level is worth."""
+    """The best LoD order of ``codec`` for ``splats`` [n] seen by ``cameras``, and the gain of each level."""
     trial = _Trial(codec, splats, cameras, rasteriser)
     layers = [(b.attribute, layer) for b in codec.quantiser.books for layer in range(b.enhancement_layers)]
     steps, done = 2 * len(layers) + 2, 0
@@ -90,11 +90,11 @@ def cheapest_first(
     layers: Mapping[str, int],
     sizes: Mapping[tuple[str, int], int],
 ) -> tuple[LodLayer, ...]:
-    """All layers, those first whose error falls most a byte, an attribute's in order.
+    """All layers by falling reduction of error per byte, with the layers of each attribute in order.
 
-    ``errors[attribute, k]`` is the squared error when only that attribute is cut to ``k`` layers, ``floor`` the one of
-    all layers, ``sizes[attribute, k]`` the bytes of its layer ``k`` >= 1. Where a later layer is worth more than the
-    one before (a hollow curve), both are weighed together.
+    ``errors[attribute, k]`` is the squared error with ``k`` layers of that attribute and all layers of the others,
+    ``floor`` the error with all layers, ``sizes[attribute, k]`` the bytes of its layer ``k`` >= 1. If a later layer
+    gains more per byte than the one before it, both are treated as one.
     """
     depth, order = dict.fromkeys(layers, 0), []
     while any(depth[name] < layers[name] for name in layers):
@@ -114,7 +114,7 @@ def cheapest_first(
 
 @dataclass(frozen=True)
 class _Seen:
-    """How near a trial came to the truth."""
+    """Quality of a trial against the truth."""
 
     error: float
     """Mean squared error over covered pixels of all views."""
@@ -126,7 +126,7 @@ class _Seen:
 
 
 class _Trial:
-    """The splats at any depths, drawn and compared with the true ones."""
+    """Renders of the splats with any number of layers, compared with the truth."""
 
     def __init__(self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
         self._codec, self._books = codec, codec.quantiser.books

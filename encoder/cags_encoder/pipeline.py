@@ -40,7 +40,7 @@ from cags_encoder.settings import EncodeSettings
 from cags_encoder.views import cameras_around, near_plane
 
 Progress = Callable[[str, int, int], None]
-"""Called with the stage's name, steps done and steps in all."""
+"""Called with the stage's name, completed steps and total steps."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ class SplatSequence:
         return self.held[index]
 
     def ids(self, index: int) -> None:
-        """Unknown: rows are matched."""
+        """None: identities are unknown, so rows are matched."""
 
 
 @dataclass(frozen=True)
 class Resume:
-    """Where a killed run goes on from: a folder for its records, and a key of its input and settings."""
+    """Records for resuming a killed run: their folder, and a key of input and settings."""
 
     folder: Path
     key: str
@@ -83,20 +83,20 @@ def encode(
 ) -> Manifest:
     """Encode ``frames`` into a bundle at ``out_url`` (a folder or an fsspec URL) and return its manifest.
 
-    The same frames and settings give the same bytes, whatever ``workers`` do the work (frames in memory travel to them
-    whole). With ``resume`` a run that was killed goes on, to the same bytes. Nothing is left behind on failure, but for
-    the records in ``resume.folder`` where running again may help. Raises :class:`SceneError`, :class:`ConfigError` or
+    The same frames and settings give the same bytes with any ``workers`` (frames in memory are copied to them). With
+    ``resume`` a killed run continues, to the same bytes. A failed run leaves nothing behind, except for the records in
+    ``resume.folder`` if running again may help. Raises :class:`SceneError`, :class:`ConfigError` or
     :class:`BundleError`.
     """
     source = _as_source(frames)
     tell = progress or (lambda stage, done, total: None)
     with ExitStack() as stack:
-        # First the journal, which keeps a second run off: only then may what is at the URL be touched.
+        # The journal locks out a second run, so it comes before anything at the URL is changed.
         journal = stack.enter_context(Journal(resume.folder, resume.key)) if resume else None
         writer = stack.enter_context(BundleWriter(out_url))
         try:
             manifest = _Encoding(source, settings, workers, journal, tell).run(writer)
-        except (SceneError, ConfigError):  # the input must change first, and then nothing of this fits
+        except (SceneError, ConfigError):  # the input must change first, and the records will not fit then
             if journal:
                 journal.discard()
             raise
@@ -115,7 +115,7 @@ def _as_source(frames: FrameSource | Iterable[Splats]) -> FrameSource:
 
 
 class _Encoding:
-    """One run."""
+    """One run of the encoder."""
 
     def __init__(
         self, source: FrameSource, settings: EncodeSettings, workers: Workers, journal: Journal | None, tell: Progress
@@ -144,7 +144,7 @@ class _Encoding:
         return writer.commit(manifest)
 
     def _thumbnail(self, manifest: Manifest, writer: BundleWriter) -> None:
-        """A picture for galleries, where a rasteriser is there that is fast enough; servers make one where it lacks."""
+        """A thumbnail for galleries, if the rasteriser is fast enough; otherwise servers make one."""
         rasteriser = create("auto")
         if rasteriser.name == "reference":
             return
@@ -152,7 +152,7 @@ class _Encoding:
             file.write(thumbnail(rasteriser.load(self._source.frame(0)), manifest))
 
     def _motion(self, codec: ClipCodec) -> MotionSteps | None:
-        """Units of motion, where splats may move by themselves: not in a clip of one frame."""
+        """Units of motion; None for a clip of one frame, in which nothing moves."""
         tracks = self._settings.motion == "tracks" and self._count > 1 and len(codec.lod_order) + 1 >= LEVELS
         if not tracks or not isinstance(codec, SvqCodec):
             return None
@@ -165,7 +165,7 @@ class _Encoding:
         return steps
 
     def _tolerated(self, codec: SvqCodec, prepared: Splats, steps: Steps) -> Tolerances:
-        """How exactly motion is told, measured where a rasteriser is there that is fast enough for it."""
+        """Accuracy of motion, measured if the rasteriser is fast enough."""
         known = self._journal.note("tolerances") if self._journal else None
         if known is not None:
             return Tolerances(Tolerance(**known["moves"]), Tolerance(**known["turns"]))
@@ -191,7 +191,7 @@ class _Encoding:
         return source
 
     def _codec(self) -> ClipCodec:
-        """The codec, trained and its LoD order measured (or remembered from a run that was killed)."""
+        """The trained codec with its measured LoD order, or the one recorded by a killed run."""
         samples = self._samples()
         codec = train_codec(samples, self._settings, self._weights(samples))
         self._tell("codebooks", 1, 1)
@@ -205,7 +205,7 @@ class _Encoding:
         return codec
 
     def _weights(self, samples: Splats) -> F64 | None:
-        """How much each sample counts, where a rasteriser is there that is fast enough to say."""
+        """Weights of the samples, if the rasteriser is fast enough to measure contributions."""
         rasteriser = create("auto")
         if rasteriser.name == "reference" or self._settings.codec != "svq":
             return None
@@ -227,7 +227,7 @@ class _Encoding:
         return samples
 
     def _measurement(self, codec: SvqCodec) -> LodMeasurement | None:
-        """What measuring finds, where a rasteriser is there that is fast enough for dozens of renders."""
+        """The measured LoD order, if the rasteriser is fast enough for dozens of renders."""
         known = self._journal.note("order") if self._journal else None
         if known is not None:
             order = tuple(LodLayer(attribute, layer) for attribute, layer in known["order"])

@@ -1,8 +1,8 @@
-"""Leaving out the splats that hardly contribute to pictures (after Reduced-3DGS, Papantonakis et al. 2024).
+"""Removal of splats that hardly contribute to pictures (after Reduced-3DGS, Papantonakis et al. 2024).
 
-A splat's contribution is its compositing weight summed over the pixels of views from where viewers stand. Where splats
-have identities over time, what a splat contributes at its best moment of those looked at decides, for the whole clip;
-splats that none of those moments holds stay. Other sequences are pruned frame by frame.
+A splat's contribution is its compositing weight, summed over the pixels of views from likely viewpoints. If splats have
+identities, the largest contribution among a few sampled frames decides for the whole clip, and splats in none of these
+frames stay. Other sequences are pruned frame by frame.
 """
 
 from __future__ import annotations
@@ -25,35 +25,35 @@ from cags_encoder.views import cameras_around, contributions
 
 SAMPLED_VIEWS = 24
 SAMPLED_FRAMES = 8
-"""Moments at which the splats of clips with identities are looked at."""
+"""Number of sampled frames in clips with identities."""
 
 JUDGED_VIEWS = 8
-"""Views that the cost is measured on: between those that contributions were sampled from."""
+"""Number of views for measuring the loss, between those that contributions were sampled from."""
 
 MOST = 0.99
-"""Largest share that may go."""
+"""Largest share that may be removed."""
 
 _STEPS = 7
-"""Bisections for a PSNR: the share is found to 0.8 % of the splats."""
+"""Number of bisections for a PSNR, which find the share to 0.8 % of the splats."""
 
 _FRAMES_HELD = 3
-"""Frames without identities whose order is kept: those that costs are judged on."""
+"""Number of frames without identities whose order is cached: those for measuring the loss."""
 
 Tell: TypeAlias = Callable[[int, int], None]
-"""Takes what is done and what there is to do."""
+"""Called with completed steps and total steps."""
 
 
 class Ranking:
-    """The splats of a scene's frames in the order of what they contribute, the least first."""
+    """The splats of a scene's frames, ordered by ascending contribution."""
 
     def __init__(self, source: FrameSource, frames: int) -> None:
-        """Looks at :data:`SAMPLED_FRAMES` of ``frames``, where splats have identities. Raises :class:`SceneError`."""
+        """Samples :data:`SAMPLED_FRAMES` of ``frames`` if splats have identities. Raises :class:`SceneError`."""
         self._source = source
         self._clip = _clip_order(source, frames) if source.ids(0) is not None else None
         self._frames: OrderedDict[int, NDArray[np.intp]] = OrderedDict()
 
     def kept(self, index: int, share: float) -> NDArray[np.intp]:
-        """Rows of frame ``index`` that stay when a ``share`` goes, ascending; at least one does."""
+        """Rows of frame ``index`` that stay when a ``share`` is removed, ascending; at least one stays."""
         if self._clip is None:
             order = self._order(index)
             return np.sort(order[int(share * len(order)) :])
@@ -72,7 +72,7 @@ class Ranking:
 
 
 class PrunedSource:
-    """A scene without the ``share`` of its splats that contribute least; a :class:`FrameSource`.
+    """A :class:`FrameSource` of a scene without the ``share`` of its splats that contributes least.
 
     Raises :class:`SceneError` for frames that cannot be read.
     """
@@ -105,11 +105,11 @@ class PrunedSource:
         return len(self._source)
 
     def frame(self, index: int) -> Splats:
-        """Frame ``index`` without what was pruned."""
+        """Frame ``index`` without the pruned splats."""
         return self._source.frame(index).take(self._kept(index))
 
     def ids(self, index: int) -> Ids | None:
-        """The scene's identities of what is left."""
+        """The scene's identities of the remaining splats."""
         known = self._source.ids(index)
         return None if known is None else known[self._kept(index)]
 
@@ -120,9 +120,9 @@ class PrunedSource:
 
 
 class PruningJudge:
-    """Says what pruning costs in pictures: PSNR and SSIM against those of the whole scene, both unquantised.
+    """Measures the loss by pruning: PSNR and SSIM against the whole scene, both unquantised.
 
-    Over the covered pixels of :data:`JUDGED_VIEWS` views of the first, middle and last frame.
+    Judged are the covered pixels of :data:`JUDGED_VIEWS` views of the first, middle and last frame.
     """
 
     def __init__(self, source: FrameSource, frames: int) -> None:
@@ -133,7 +133,7 @@ class PruningJudge:
         self._true = {index: self._pictures(splats) for index, splats in whole.items()}
 
     def __call__(self, pruned: PrunedSource) -> Pruning:
-        """The cost of what ``pruned`` leaves out."""
+        """The loss of the scene ``pruned``."""
         error, likeness, pixels, after = 1e-12, 0.0, 1e-9, 0
         for index, pictures in self._true.items():
             left = pruned.frame(index)
@@ -155,7 +155,7 @@ class PruningJudge:
 
 
 def prune(source: FrameSource, share: float, frames: int, tell: Tell) -> tuple[PrunedSource, Pruning]:
-    """The scene without a ``share`` of its splats, and what that costs."""
+    """The scene without a ``share`` of its splats, and its loss."""
     pruned = PrunedSource(source, Ranking(source, frames), share)
     tell(1, 2)
     cost = PruningJudge(source, frames)(pruned)
@@ -164,7 +164,7 @@ def prune(source: FrameSource, share: float, frames: int, tell: Tell) -> tuple[P
 
 
 def prune_within(source: FrameSource, psnr_db: float, frames: int, tell: Tell) -> tuple[PrunedSource, Pruning]:
-    """The scene without as many splats as pictures may lose and still have ``psnr_db``, and what that costs."""
+    """The scene with as few splats as ``psnr_db`` permits, and its loss."""
     ranking, judge = Ranking(source, frames), PruningJudge(source, frames)
     best = PrunedSource(source, ranking, 0.0)
     cost, too_many = judge(best), MOST
@@ -181,7 +181,7 @@ def prune_within(source: FrameSource, psnr_db: float, frames: int, tell: Tell) -
 
 
 def _clip_order(source: FrameSource, frames: int) -> Ids:
-    """A clip's identities by what they contribute at their best moment, the least first."""
+    """A clip's identities by their largest contribution in any sampled frame, ascending."""
     best: NDArray[np.float64] = np.full(0, -1.0)
     looks = np.unique(np.linspace(0, frames - 1, min(SAMPLED_FRAMES, frames)).astype(int))
     for index in looks:

@@ -13,7 +13,7 @@ QUANTISERS = ("layered", "layered-fine", "paper-66", "paper-76")
 
 @dataclass(frozen=True)
 class EncodeSettings:
-    """How a scene is encoded; the names are the command's flags and the TOML file's keys."""
+    """Settings of the encoding; field names are flags and TOML keys."""
 
     SECTION: ClassVar[str] = "encoder"
 
@@ -24,7 +24,7 @@ class EncodeSettings:
     gof_frames: int = setting(
         300, "frames per group; clients join and seek at group starts, which send all splats again", low=1
     )
-    codec: str = setting("svq", "codec of tiles; all but svq are baselines to compare with")
+    codec: str = setting("svq", "codec of tiles: svq, or one of the baselines density and video")
     quantiser: str = setting("layered", "configuration of the svq quantiser", choices=QUANTISERS)
     lod_order: str = setting(
         "measured",
@@ -57,13 +57,13 @@ class EncodeSettings:
     )
     prune: float = setting(
         0.0,
-        "share of the splats to leave out, the least visible first; the loss is measured and written into the bundle",
+        "share of the splats to remove, least visible first; the loss is measured and stored in the bundle",
         low=0,
         high=0.99,
     )
     prune_psnr_db: float | None = setting(
         None,
-        "leave out as many splats as keep this PSNR against all of them, in dB; replaces --prune; 45 is hardly visible",
+        "remove as many splats as this PSNR against all of them permits, dB; replaces --prune; 45 is hardly visible",
         low=20,
         high=80,
     )
@@ -83,7 +83,7 @@ class EncodeSettings:
 
 @dataclass(frozen=True)
 class CommandSettings(EncodeSettings):
-    """Settings of the command. How it runs changes no byte of the bundle."""
+    """Settings of the command's execution, which change no byte of the bundle."""
 
     workers: int | None = setting(None, "worker processes; one per core when not given", low=1, high=1024)
     scheduler: str | None = setting(
@@ -93,6 +93,6 @@ class CommandSettings(EncodeSettings):
 
     @property
     def encoding(self) -> EncodeSettings:
-        """What the bytes depend on."""
+        """The settings that the bytes depend on."""
         names = {f.name for f in fields(EncodeSettings)}
         return EncodeSettings(**{name: value for name, value in asdict(self).items() if name in names})

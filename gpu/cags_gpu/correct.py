@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +26,8 @@ from cags_common.raster.halving import enlarged
 from cags_gpu.device import Handle
 from cags_gpu.graph import Counts, Dispatch, buffer_bytes, build, encode
 from cags_gpu.layout import CHANGED, COMPARE, CORRECTION, ENLARGE
-from cags_gpu.scene import ResidentScene, Target, packed
+from cags_gpu.scene import ResidentScene, SceneOnDevice, Target, packed
 from cags_gpu.submission import Outputs, Recording, submitted
-
-if TYPE_CHECKING:
-    from cags_gpu.raster import GpuScene
 
 Pixels = NDArray[np.uint8]
 
@@ -43,7 +39,7 @@ DISPLAY = "display"
 
 
 def shown(
-    scene: GpuScene,
+    scene: SceneOnDevice,
     camera: Camera,
     options: RenderOptions,
     reference: Reference | None,
@@ -66,7 +62,7 @@ def shown(
 
 
 def corrected(
-    scene: GpuScene,
+    scene: SceneOnDevice,
     camera: Camera,
     options: RenderOptions,
     reference: Reference | None,
@@ -126,7 +122,7 @@ class Frame:
         """Whether the client's own picture is kept in 16 bits a channel: nobody but a display sees it."""
         return self.options.displayed and packed(self.options)
 
-    def on_cpu(self, scene: GpuScene) -> Corrected:
+    def on_cpu(self, scene: SceneOnDevice) -> Corrected:
         """The frame by the definition."""
         view = scene.render(self.camera, self.drawing)
         if self.correction is None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +17,8 @@ from cags_common.raster.checks import check_camera
 from cags_gpu.device import DeviceLostError
 from cags_gpu.graph import build, encode
 from cags_gpu.layout import COMPAND
-from cags_gpu.scene import ResidentScene, Target
+from cags_gpu.scene import ResidentScene, SceneOnDevice, Target
 from cags_gpu.submission import Outputs, Recording, read_back, submitted
-
-if TYPE_CHECKING:
-    from cags_gpu.raster import GpuScene
 
 BUFFERS = {Look.TRUTH: "truth_seen", Look.LACK: "lack_seen", Look.COMPANDED: "coded_seen"}
 SEEN_BYTES = 8
@@ -32,10 +28,12 @@ MIRROR = "mirror"
 """Role of the buffers of the client's copy."""
 
 
-def device_views(truth: GpuScene, held: GpuScene, job: Comparison, looks: Collection[Look]) -> DeviceViews | None:
-    """See :meth:`cags_common.correction.ComparingScene.compared`."""
+def device_views(
+    truth: SceneOnDevice, held: SceneOnDevice, job: Comparison, looks: Collection[Look]
+) -> DeviceViews | None:
+    """See :meth:`cags_common.correction.ComparingScene.compared`; both scenes are on one device."""
     check_camera(job.camera)
-    if not (len(truth) and len(held) and truth.shares_device(held)):
+    if not (len(truth) and len(held)):
         return None
 
     def draw(resident: ResidentScene) -> DeviceViews:
@@ -57,7 +55,7 @@ class DeviceViews:
     compared = True
 
     def __init__(
-        self, scenes: tuple[GpuScene, GpuScene], job: Comparison, resident: ResidentScene, target: Target
+        self, scenes: tuple[SceneOnDevice, SceneOnDevice], job: Comparison, resident: ResidentScene, target: Target
     ) -> None:
         self._scenes, self._job, self._target = scenes, job, target
         self._workspace = resident.workspace

@@ -83,7 +83,7 @@ VIEW = Layout(
     },
     400,
 )
-CHUNK = Layout({"first": (0, "I", 1), "count": (4, "I", 1), "kind": (8, "I", 1), "unused": (12, "I", 1)}, 16)
+CHUNK = Layout({"first": (0, "I", 1), "count": (4, "I", 1), "unused_a": (8, "I", 1), "unused_b": (12, "I", 1)}, 16)
 UPDATE = Layout({"rows": (0, "I", 1), "sh_words": (4, "I", 1), "width": (8, "I", 1), "unused": (12, "I", 1)}, 16)
 SORT = Layout({"shift": (0, "I", 1), "count": (4, "I", 1), "blocks": (8, "I", 1), "counted": (12, "I", 1)}, 16)
 COUNT = Layout({"count": (0, "I", 1), "unused_a": (4, "I", 1), "unused_b": (8, "I", 1), "unused_c": (12, "I", 1)}, 16)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,12 @@ from cags_common.geometry import F32, Camera
 from cags_common.raster.base import DepthKind, RenderedView, RenderOptions
 from cags_gpu.correct import Frame, Pixels
 from cags_gpu.device import DeviceLostError
-from cags_gpu.scene import ResidentScene, Target
+from cags_gpu.scene import ResidentScene, SceneOnDevice, Target
 from cags_gpu.submission import read_back
-
-if TYPE_CHECKING:
-    from cags_gpu.raster import GpuScene
 
 
 def frame_pictures(
-    scene: GpuScene, camera: Camera, options: RenderOptions, correction: Correction | None, display: Camera | None
+    scene: SceneOnDevice, camera: Camera, options: RenderOptions, correction: Correction | None, display: Camera | None
 ) -> DevicePictures | None:
     """See :meth:`cags_common.correction.FrameScene.frame`."""
     frame = Frame(camera, options, correction, display=display, confidence=True)
@@ -44,7 +41,7 @@ class DevicePictures:
     Once the device is lost they are those of the scene as it is then, drawn by the CPU.
     """
 
-    def __init__(self, scene: GpuScene, frame: Frame, resident: ResidentScene, target: Target) -> None:
+    def __init__(self, scene: SceneOnDevice, frame: Frame, resident: ResidentScene, target: Target) -> None:
         self._scene, self._frame, self._target = scene, frame, target
         self._workspace = resident.workspace
         self._shown: Pixels = np.zeros((0, 0, 4), np.uint8)

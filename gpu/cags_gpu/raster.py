@@ -111,8 +111,9 @@ class GpuScene:
         self, held: RasterScene, camera: Camera, options: RenderOptions, *, knee: float, looks: Collection[Look]
     ) -> DeviceViews | None:
         """See :class:`cags_common.correction.ComparingScene`."""
-        job = Comparison(camera, replace(options, depth=DepthKind.NONE), knee)
-        return device_views(self, held, job, looks) if isinstance(held, GpuScene) else None
+        if not (isinstance(held, GpuScene) and self.shares_device(held)):
+            return None
+        return device_views(self, held, Comparison(camera, replace(options, depth=DepthKind.NONE), knee), looks)
 
     def shares_device(self, other: GpuScene) -> bool:
         """Whether both are drawn by the same device, when it is there."""

@@ -7,12 +7,13 @@ import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import count, takewhile
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cags_common.geometry import F32, Camera
-from cags_common.raster.base import Exactness, RenderOptions
+from cags_common.raster.base import Exactness, RasterScene, RenderedView, RenderOptions
 from cags_common.splats import SH_REST_OF_DEGREE, Splats
 from cags_gpu.device import Gpu, Handle
 from cags_gpu.graph import Dispatch, buffer_bytes, build, encode
@@ -20,11 +21,31 @@ from cags_gpu.layout import CHUNK, COUNT, UPDATE, VIEW, tiles_of, view_bytes
 from cags_gpu.submission import Recording
 from cags_gpu.workspace import TooLargeError, Workspace
 
+Result = TypeVar("Result")
+
 STAGED_BYTES = 32 << 20
 """Rows go to the device in pieces of at most this size."""
 
 KEPT_TARGETS = 8
 """Sets of buffers of pictures that a scene keeps."""
+
+
+class SceneOnDevice(Protocol):
+    """A scene that a device draws, or the CPU while there is no device: what frames and comparisons need of it."""
+
+    def __len__(self) -> int: ...
+
+    def render(self, camera: Camera, options: RenderOptions) -> RenderedView:
+        """Render one view over black."""
+        ...
+
+    def on_device(self, draw: Callable[[ResidentScene], Result], instead: Callable[[RasterScene], Result]) -> Result:
+        """The result of ``draw`` on the device, or of ``instead`` on the CPU."""
+        ...
+
+    def on(self, workspace: Workspace) -> ResidentScene:
+        """The scene in that device's memory; called with the device's lock held."""
+        ...
 
 
 @dataclass(frozen=True)

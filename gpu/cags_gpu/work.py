@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-OPERATIONS_A_VISIT = 14
-"""Floating-point operations that a pixel of a tile spends on an entry."""
+OPERATIONS_A_VISIT, OPERATIONS_TO_FIND = 14, 3
+"""Operations that a pixel spends on an entry, and to find it where it looks only at those of its quarter of a tile."""
 
-PIXELS_A_TILE = 256
+OPERATIONS_AN_ENTRY = 100
+"""To tell which quarters of its tile an entry touches, once for all their pixels."""
+
+PIXELS_A_TILE, PIXELS_A_QUARTER = 256, 64
 SECTOR_BYTES = 32
 REACHED_OPERATIONS, REACHED_BANDWIDTH = 0.25, 0.7
 
@@ -25,6 +28,7 @@ class FrameCounts:
     visible: int  # that touch a tile
     box_entries: int  # tiles of the splats' boxes
     entries: int  # tiles that the ellipses touch
+    quarters: int  # quarters of tiles that they touch
     pixels: int
     reference_pixels: int = 120_000
     harmonics: int = 0  # a channel, beyond the base colour
@@ -33,7 +37,7 @@ class FrameCounts:
     def scaled(self, splats: int) -> FrameCounts:
         """The same view of a scene of ``splats`` like it."""
         share = splats / self.splats
-        grown = {name: round(getattr(self, name) * share) for name in ("visible", "box_entries", "entries")}
+        grown = {name: round(getattr(self, name) * share) for name in ("visible", "box_entries", "entries", "quarters")}
         return replace(self, splats=splats, **grown)
 
     @property
@@ -52,9 +56,12 @@ class Design:
     direct: bool = True  # entries name their splat; else a slot, which names it
     compact: bool = True  # the picture in 16 bits a channel until it is shown, else floats
     joined: bool = True  # alignment and correction in one pass that stores a depth and a pixel; else four floats twice
+    quarters: bool = True  # a quarter of a tile looks at the entries that touch it, else at all of the tile's
 
 
-PROTOTYPE = Design(ellipse=False, digit_bits=4, record_bytes=48, direct=False, compact=False, joined=False)
+PROTOTYPE = Design(
+    ellipse=False, digit_bits=4, record_bytes=48, direct=False, compact=False, joined=False, quarters=False
+)
 
 STEPS: tuple[tuple[str, Design], ...] = (
     ("as prototyped", PROTOTYPE),
@@ -62,8 +69,9 @@ STEPS: tuple[tuple[str, Design], ...] = (
     ("digits of 8 bits", replace(PROTOTYPE, ellipse=True, digit_bits=8)),
     ("records of 32 bytes", replace(PROTOTYPE, ellipse=True, digit_bits=8, record_bytes=32)),
     ("entries name splats", replace(PROTOTYPE, ellipse=True, digit_bits=8, record_bytes=32, direct=True)),
-    ("alignment joined with correction", Design(compact=False)),
-    ("pictures of 16 bits", Design()),
+    ("alignment joined with correction", Design(compact=False, quarters=False)),
+    ("pictures of 16 bits", Design(quarters=False)),
+    ("quarters of tiles", Design()),
 )
 """The improvements one after the other."""
 
@@ -128,8 +136,19 @@ def compared_bytes(counts: FrameCounts, *, in_one_go: bool) -> int:
 
 def visits(counts: FrameCounts, design: Design | None = None) -> int:
     """Pixels x splats that blending looks at, if no tile ended early."""
-    entries = counts.entries if (design or Design()).ellipse else counts.box_entries
-    return PIXELS_A_TILE * entries
+    design = design or Design()
+    if design.quarters:
+        return PIXELS_A_QUARTER * counts.quarters
+    return PIXELS_A_TILE * (counts.entries if design.ellipse else counts.box_entries)
+
+
+def operations(counts: FrameCounts, design: Design | None = None) -> int:
+    """Operations of blending, if no tile ended early."""
+    design = design or Design()
+    looked = visits(counts, design)
+    if not design.quarters:
+        return OPERATIONS_A_VISIT * looked
+    return (OPERATIONS_A_VISIT + OPERATIONS_TO_FIND) * looked + OPERATIONS_AN_ENTRY * counts.entries
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,5 +171,5 @@ DEVICES = (
 def estimated_ms(counts: FrameCounts, device: DeviceClass, design: Design | None = None) -> float:
     """Milliseconds of a frame on a device of that class: moving and computing one after the other."""
     moved = sum(pass_bytes(counts, design).values()) / (REACHED_BANDWIDTH * device.bytes_a_second)
-    computed = OPERATIONS_A_VISIT * visits(counts, design) / (REACHED_OPERATIONS * device.operations_a_second)
+    computed = operations(counts, design) / (REACHED_OPERATIONS * device.operations_a_second)
     return 1e3 * (moved + computed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from cags_common.files import whole_file, writable_folder
@@ -47,11 +47,13 @@ class FrameRecord:
     """What the reference says; empty: there was none."""
     lacking: float = 0.0
     """Mean squared error of the client's splats seen from the reference camera, as far as they were compared."""
-    left: float = 0.0
-    """The same after correction."""
+    left: float | None = 0.0
+    """The same after correction; None: nobody looked."""
     visible_tiles: int = 0
     upgrades: int = 0
     reference_late: bool = False
+    no_place: bool = False
+    """Whether it went without a reference because the renderer had too much to do."""
     angular_error_rad: float | None = None
     position_error_m: float | None = None
 
@@ -60,6 +62,22 @@ class FrameRecord:
         self.angular_error_rad = angle_between(self.predicted.rotation, actual.rotation)
         squares = [(a - b) ** 2 for a, b in zip(self.predicted.position, actual.position, strict=True)]
         self.position_error_m = sum(squares) ** 0.5
+
+
+@dataclass
+class ReferenceCosts:
+    """What references of one kind took, by the clock of those who made them."""
+
+    references: int = 0
+    render_ns: int = 0
+    """Truth and mirror drawn."""
+    encode_ns: int = 0
+
+    def add(self, render_ns: int, encode_ns: int, references: int = 1) -> None:
+        """Count references in."""
+        self.references += references
+        self.render_ns += render_ns
+        self.encode_ns += encode_ns
 
 
 @dataclass
@@ -80,6 +98,9 @@ class StreamStats:
     mirror_bytes: int = 0
     """Memory of the copy of what the client shows."""
     encode_ns: int = 0
+    careful: ReferenceCosts = field(default_factory=ReferenceCosts)
+    light: ReferenceCosts = field(default_factory=ReferenceCosts)
+    """What references took, those that were coded lightly apart; drawings that only look are in neither."""
     bandwidth_bps: float = 0.0
     rtt_us: int = 0
 
@@ -97,6 +118,8 @@ class Totals:
     bytes_other: int = 0
     render_ns: int = 0
     encode_ns: int = 0
+    careful: ReferenceCosts = field(default_factory=ReferenceCosts)
+    light: ReferenceCosts = field(default_factory=ReferenceCosts)
 
     def add(self, stats: StreamStats) -> None:
         """Count a session in."""
@@ -109,10 +132,8 @@ class Totals:
         self.bytes_other += stats.bytes_other
         self.render_ns += stats.render_ns
         self.encode_ns += stats.encode_ns
-
-    def as_stats(self) -> StreamStats:
-        """What references have cost, as one session's figures."""
-        return StreamStats(references=self.references, render_ns=self.render_ns, encode_ns=self.encode_ns)
+        for mine, theirs in ((self.careful, stats.careful), (self.light, stats.light)):
+            mine.add(theirs.render_ns, theirs.encode_ns, theirs.references)
 
 
 def write_session(folder: Path, name: str, stats: StreamStats, ending: Closed | None) -> Path:
@@ -131,7 +152,7 @@ def write_session(folder: Path, name: str, stats: StreamStats, ending: Closed | 
         print(json.dumps(head), file=file)
         for record in stats.records:
             print(json.dumps(asdict(record)), file=file)
-        end = {name: value for name, value in vars(stats).items() if name != "records"}
+        end = {name: value for name, value in asdict(replace(stats, records=deque())).items() if name != "records"}
         end["ending"] = None if ending is None else {"code": ending.code, "reason": ending.reason}
         print(json.dumps(end), file=file)
     return path

@@ -1,9 +1,9 @@
 """A link as a pure object: packets in, delivery times out. No clock, no sockets.
 
-Exact to mahimahi's rule: a packet that is queued before an opportunity's time may use it; an opportunity carries 1,504
-bytes of whatever is queued, across packet borders, and what it has left when the queue runs dry is lost. The queue is
-drop-tail; the packet whose first byte has been served has left it. First in, first out, so a packet's delivery time is
-known when it is pushed:
+It follows mahimahi's rule exactly. A packet that is queued before an opportunity may use it. An opportunity carries
+1,504 queued bytes, across packet borders; its remainder is lost when the queue is empty. The queue is drop-tail, and a
+packet leaves it when its first byte is served. The order is first in, first out, so a packet's delivery time is known
+when it is pushed:
 
     start  = max(end of the packet before, 1504 x opportunities up to now)
     finish = start + size;  delivered at opportunity ceil(finish / 1504)
@@ -35,28 +35,28 @@ WEBSOCKET_OVERHEAD_BYTES = 4
 
 
 def tcp_wire_bytes(payload_bytes: int) -> int:
-    """Bytes that a link carries for ``payload_bytes`` of a TCP stream."""
+    """Bytes on the link for ``payload_bytes`` of a TCP stream."""
     return payload_bytes + SEGMENT_OVERHEAD_BYTES * math.ceil(payload_bytes / SEGMENT_BYTES)
 
 
 @dataclass(frozen=True)
 class LinkSettings:
-    """What a link does besides its trace. An effect that is not named is absent and costs nothing."""
+    """Effects of a link besides its trace. An effect that is not set is absent and costs nothing."""
 
     delay_us: int = 0
     """Propagation delay, one way, added after the rate."""
     jitter_us: int = 0
     """Mean of an exponential extra delay; packets are not reordered."""
     loss: float = 0.0
-    """Probability that a packet vanishes before the queue."""
+    """Probability that a packet is lost before the queue."""
     queue_bytes: int | None = None
-    """Drop-tail bound of the queue in bytes; None: unbounded."""
+    """Size limit of the drop-tail queue in bytes; None: unlimited."""
     queue_packets: int | None = None
-    """Drop-tail bound of the queue in packets; None: unbounded."""
+    """Size limit of the drop-tail queue in packets; None: unlimited."""
     seed: int = 0
     """Seed of jitter and loss."""
     cap_bps: float | None = None
-    """Highest rate, whatever the trace allows; None: no cap."""
+    """Upper limit of the rate in addition to the trace; None: no limit."""
 
     def __post_init__(self) -> None:
         for name in ("delay_us", "jitter_us"):
@@ -72,7 +72,7 @@ class LinkSettings:
             raise ConfigError(f"cap_bps = {self.cap_bps} must lie in [1000, 1e12], or not be given")
 
     def effects(self, *, rated: bool) -> frozenset[LinkEffect]:
-        """What is named here and so happens; ``rated``: the link has a trace."""
+        """The active effects; ``rated`` is true if the link has a trace."""
         named = {
             LinkEffect.RATE: rated,
             LinkEffect.DELAY: self.delay_us > 0,
@@ -86,7 +86,7 @@ class LinkSettings:
 
 @dataclass
 class LinkCounts:
-    """What passed a link so far."""
+    """Totals of a link."""
 
     accepted_bytes: int = 0
     accepted_packets: int = 0
@@ -99,7 +99,7 @@ class LinkCounts:
 
 
 class Link(Generic[T]):
-    """One direction of a link. ``trace`` None has no rate limit. Times are since the link's start, never falling."""
+    """One direction of a link, unlimited if ``trace`` is None. Times are relative to its start and never fall."""
 
     def __init__(self, trace: Trace | None, settings: LinkSettings | None = None) -> None:
         self.trace, self.settings = trace, settings or LinkSettings()
@@ -111,10 +111,10 @@ class Link(Generic[T]):
         self._queued_bytes = 0
         self._coming: deque[tuple[int, int, T]] = deque()  # (delivered at, size, data)
         self._last_us = 0
-        self._cap_free_us = 0.0  # when the capped sender is done with what it has
+        self._cap_free_us = 0.0  # when the capped sender will have sent everything
 
     def change(self, **settings: Any) -> None:
-        """Change settings by name, for packets pushed from now on; those on their way keep their times."""
+        """Change settings by name for packets pushed from now on; packets in flight keep their times."""
         self.settings = replace(self.settings, **settings)
         self.effects = self.settings.effects(rated=self.trace is not None)
 
@@ -140,15 +140,15 @@ class Link(Generic[T]):
         return True
 
     def next_delivery_us(self) -> int | None:
-        """When the next packet comes out; None when none is on its way (or none ever, after the end of the trace)."""
+        """Time of the next delivery; None if no packet is in flight, or after the end of the trace."""
         return self._coming[0][0] if self._coming and self._coming[0][0] < NEVER_US else None
 
     def next_room_us(self) -> int | None:
-        """When the next packet leaves the queue: the time to offer again what was refused; None when it is empty."""
+        """Time when the next packet leaves the queue and a refused one may be offered again; None if it is empty."""
         return self._queue[0][0] if self._queue and self._queue[0][0] < NEVER_US else None
 
     def pop_due(self, now_us: int) -> list[T]:
-        """What is delivered up to ``now_us``, in order."""
+        """Remove and return the data delivered up to ``now_us``, in order."""
         out: list[T] = []
         while self._coming and self._coming[0][0] <= now_us:
             _, size, data = self._coming.popleft()

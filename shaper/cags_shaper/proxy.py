@@ -1,7 +1,7 @@
-"""A TCP proxy whose two directions run through links, shared by all connections like a real bottleneck.
+"""A TCP proxy with one link per direction, shared by all connections like a real bottleneck.
 
-A stream cannot lose bytes, so a full queue pushes back instead of dropping: the proxy stops reading and the sender's
-window closes. Kernel buffers would be a queue of their own beside the link's, so they are kept small.
+A stream cannot lose bytes, so a full queue blocks instead of dropping: the proxy stops reading and the sender's window
+closes. Kernel buffers are kept small, because they would act as a second queue.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ RECEIVE_BUFFER_BYTES = 32 * 1024
 """Kernel receive buffer of a shaped connection (Linux doubles it)."""
 
 WRITE_BACKLOG_BYTES = 256 * 1024
-"""Delivered bytes that a slow receiver may leave unread before its sender is held back."""
+"""Delivered bytes that a receiver may leave unread before its sender is blocked."""
 
 READ_BYTES = 16 * SEGMENT_BYTES
 
 MAX_CONNECTIONS = 400
-"""Shaped at once; each takes two descriptors of the usual 1,024. The oldest makes room for one more."""
+"""Largest number of connections; each takes two descriptors of the usual 1,024. A further one replaces the oldest."""
 
 
 @dataclass(frozen=True)
@@ -46,24 +46,24 @@ class Piece:
 
 
 class ShapedDirection:
-    """One link and the task that delivers what it lets through."""
+    """One link and the task that delivers its output."""
 
     def __init__(
         self, link: Link[Piece], clock: LinkClock, on_fault: Callable[[BaseException], None] | None = None
     ) -> None:
-        """``on_fault`` is told if delivering ends by itself: every connection hangs then."""
+        """``on_fault`` is called if delivery ends by itself, because every connection hangs then."""
         self.link, self.clock = link, clock
         self._wake = asyncio.Event()
         self._room = asyncio.Event()
         self._task = watched(self._deliver(), on_fault or _log_fault)
 
     def now_us(self) -> int:
-        """Time since the link began."""
+        """Time since the start of the link."""
         return self.clock.now_us()
 
     async def carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pump one connection's stream through the link, until its end has been delivered."""
-        with contextlib.suppress(OSError):  # a reset or a time-out is an end: what is under way still arrives
+        """Send one connection's stream through the link until its end has been delivered."""
+        with contextlib.suppress(OSError):  # a reset or a time-out is an end; data in flight still arrives
             while data := await reader.read(READ_BYTES):
                 for start in range(0, len(data), SEGMENT_BYTES):
                     await self._push(Piece(data[start : start + SEGMENT_BYTES], writer))
@@ -90,12 +90,12 @@ class ShapedDirection:
             now = self.now_us()
             for piece in self.link.pop_due(now):
                 _write(piece)
-            self.link.queued_bytes(now)  # what has left the queue is no reason to wake up again
+            self.link.queued_bytes(now)  # packets that have left the queue need no further wake-up
             self._room.set()
             await self._sleep()
 
     async def _sleep(self) -> None:
-        """Until the link has something to deliver or room to give, or something is pushed."""
+        """Wait until the link can deliver, has room, or receives something."""
         times = [t for t in (self.link.next_delivery_us(), self.link.next_room_us()) if t is not None]
         await woken(self._wake, None if not times else (min(times) - self.now_us()) / 1e6)
 
@@ -121,8 +121,8 @@ def _log_fault(error: BaseException) -> None:
 class ShaperProxy:
     """Listens, connects each client to the target, and carries both directions through their links.
 
-    The links' time, and so their traces, begin with the first connection: what a client meets does not depend on how
-    long the proxy has waited for it. :meth:`begin` begins it earlier.
+    The links' time, and thus their traces, begin with the first connection, so that the conditions do not depend on how
+    long the proxy has waited. :meth:`begin` starts them earlier.
     """
 
     def __init__(self, target: tuple[str, int], downlink: Link[Piece], uplink: Link[Piece]) -> None:
@@ -148,7 +148,7 @@ class ShaperProxy:
         return str(name[0]), int(name[1])
 
     def begin(self) -> None:
-        """Let the links' time pass from now on; nothing happens where it does already."""
+        """Start the links' time, unless it has started."""
         self._clock.begin()
 
     async def stopped(self) -> None:

@@ -23,15 +23,25 @@ class ShaperSettings:
     uplink_trace: str | None = setting(None, "trace of the direction towards the server; none: no rate limit")
     delay_ms: float = setting(0.0, "propagation delay each way, ms", low=0, high=60_000)
     jitter_ms: float = setting(0.0, "mean extra delay, exponential, order kept, ms", low=0, high=60_000)
-    queue_bytes: int = setting(300_000, "bound of each queue; full, it holds the sender back", low=2000, high=2**31)
-    queue_packets: int | None = setting(None, "bound of each queue in packets; only with --tun", low=1, high=2**31)
+    queue_bytes: int = setting(
+        300_000, "size limit of each queue, bytes; a full queue blocks the sender", low=2000, high=2**31
+    )
+    queue_packets: int | None = setting(None, "size limit of each queue, packets; only with --tun", low=1, high=2**31)
     loss: float = setting(0.0, "probability that a packet is lost; only with --tun", low=0, high=0.99)
     tun: bool = setting(False, "shape packets of COMMAND, run in a namespace of its own (Linux, root), not streams")
-    start: str = setting("connection", "what the traces begin with; with --tun always COMMAND", choices=STARTS)
-    loop: bool = setting(True, "start the trace again at its end")
+    start: str = setting(
+        "connection",
+        "start of the traces: the first connection or the process; with --tun always COMMAND",
+        choices=STARTS,
+    )
+    loop: bool = setting(True, "repeat the trace from its beginning at its end")
     seed: int = setting(0, "seed of the jitter", low=0, high=2**31)
-    cap_mbps: float | None = setting(None, "highest rate each way, whatever the trace allows", low=0.001, high=1e6)
-    control: str | None = setting(None, "HOST:PORT for live control of cap and delay (JSON lines); port 0: a free one")
+    cap_mbps: float | None = setting(
+        None, "upper limit of the rate in each direction, Mbps, in addition to the trace", low=0.001, high=1e6
+    )
+    control: str | None = setting(
+        None, "HOST:PORT for live control of cap and delay by JSON lines; port 0 picks a free one"
+    )
     log: str | None = setting(None, "write JSON lines of rate, queue and delay every 100 ms to this file")
 
     def __post_init__(self) -> None:
@@ -54,7 +64,7 @@ class ShaperSettings:
         return host.strip("[]"), int(port)
 
     def link(self) -> LinkSettings:
-        """What both links do besides their traces."""
+        """Effects of both links besides their traces."""
         from cags_shaper.link import LinkSettings
 
         return LinkSettings(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cags_bench.cli import SUBCOMMANDS as EXPERIMENTS
 from support.command_flags import every_flag
-from support.imports import PACKAGES, ROOT, entry_points, mentioned, sources, tree
+from support.imports import PACKAGES, ROOT, circles, entry_points, imports, mentioned, sources, tree
 
 MOST_MODULES = 14
 LARGER = {
@@ -43,6 +43,11 @@ def test_every_module_is_imported_by_another() -> None:
     for name, path in sources().items():
         used |= set(mentioned(path)) - {name}
     assert known - used == set()
+
+
+def test_no_imports_go_in_a_circle() -> None:
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}, "e": set()}) == [{"a", "b", "c"}]
+    assert circles(imports()) == []
 
 
 def settings() -> Iterator[tuple[str, str]]:

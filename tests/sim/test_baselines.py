@@ -67,9 +67,9 @@ def test_a_published_session_erodes_restores_by_the_network_and_sends_pictures_a
         eroded.append((colours, self._settings.erosion_iterations))
         return align(self, *given, colours=colours, **named)
 
-    def making(self, gain):  # type: ignore[no-untyped-def]
+    def making(self, gain, weights):  # type: ignore[no-untyped-def]
         gains.append(gain)
-        made(self, gain)
+        made(self, gain, weights)
 
     def restoring(self, inputs):  # type: ignore[no-untyped-def]
         restored.append(self.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ from cags_bench.bundles import cached_bundle
 from cags_bench.sim.session import Cut, Scenario, simulate
 from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
+from cags_client.playback.player import Player
 from cags_client.settings import ClientSettings
 from cags_common.geometry import F32, Camera
 from cags_common.raster.base import RenderOptions
@@ -51,10 +53,10 @@ class Compared:
             return drawn
 
         def compared(
-            pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, timed: bool = True
+            pipeline: ClientPipeline, frame: int, camera: Camera, share: float = 0.0, *, half: bool = False
         ) -> PresentedFrame:
             before = pipeline._used
-            shown = present(pipeline, frame, camera, share, timed=timed)
+            shown = present(pipeline, frame, camera, share, half=half)
             reference = shown.reference
             if reference is not None and reference.frame == frame and reference.assumes and pipeline._used > before:
                 basis = reference.basis - pipeline._marked_before
@@ -105,5 +107,36 @@ def test_a_client_that_came_back_is_mirrored_again(scenario: Scenario, monkeypat
     compared = Compared(monkeypatch)
     result = simulate(replace(scenario, cuts=(Cut(500_000, 600_000),)))
     assert result.summary["reconnects"] == 1
+    assert max(compared.frames) == FRAMES - 1
+    assert len(compared.frames) >= FRAMES / 3
+
+
+def test_a_display_of_another_shape_in_mid_session_is_mirrored_again(
+    scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A window that is turned, and made wide: other pixels, other angles, and nothing that is held is sent again."""
+    compared, shapes, seen = Compared(monkeypatch), deque([(500_000, 72, 96, 45.0), (800_000, 128, 48, 100.0)]), set()
+    handle_timer, present = Player.handle_timer, ClientPipeline.present
+
+    def handled(player: Player, now_us: int) -> None:
+        handle_timer(player, now_us)
+        if shapes and now_us >= shapes[0][0]:
+            _, width, height, fov = shapes.popleft()
+            player.reshape(width, height, fov, now_us)
+
+    def presented(pipeline: ClientPipeline, frame: int, camera: Camera, *more: Any, **named: Any) -> PresentedFrame:
+        shown = present(pipeline, frame, camera, *more, **named)
+        if shown.reference is not None:
+            made = shown.reference.camera.intrinsics
+            seen.add((shown.rgb.shape[:2], made.width_px / made.fx_px > made.height_px / made.fy_px))
+        return shown
+
+    monkeypatch.setattr(Player, "handle_timer", handled)
+    monkeypatch.setattr(ClientPipeline, "present", presented)
+    result = simulate(scenario)
+    assert not shapes
+    assert seen >= {((72, 96), True), ((96, 72), False), ((48, 128), True)}, "pictures and references of each shape"
+    assert result.summary["reconnects"] == 0
+    assert result.summary["decode_errors"] == 0
     assert max(compared.frames) == FRAMES - 1
     assert len(compared.frames) >= FRAMES / 3

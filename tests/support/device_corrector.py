@@ -8,7 +8,7 @@ import numpy as np
 
 from cags_common.correction import Corrected, Correction, CorrectSettings, Reference
 from cags_common.geometry import F32, Camera
-from cags_common.raster import RenderedView, RenderOptions
+from cags_common.raster import Exactness, RenderedView, RenderOptions
 from cags_gpu.correct import Frame
 from cags_gpu.device import Handle
 from cags_gpu.scene import ResidentScene, Target
@@ -22,7 +22,9 @@ class DeviceCorrector:
 
     name = "gpu"
 
-    def __init__(self) -> None:
+    def __init__(self, exactness: Exactness = Exactness.EXACT) -> None:
+        """Views are kept as a client's own are that is drawn for a display: in floats, or in 16 bits a channel."""
+        self._options = RenderOptions(exactness=exactness, displayed=True)
         self._scene = rasteriser().load(splat((0.0, 0.0, -40.0)))
 
     def needs_own(self, reference: Reference) -> bool:
@@ -41,13 +43,18 @@ class DeviceCorrector:
     ) -> Corrected:
         """See :class:`cags_common.correction.Corrector`."""
         given = Correction(reference, camera.intrinsics, settings or CorrectSettings())
-        frame = Frame(camera, RenderOptions(), given, veto, floats=True)
+        frame = Frame(camera, self._options, given, veto, floats=True)
 
         def draw(resident: ResidentScene) -> F32:
             target = resident.target(camera)
             thin = view.alpha < given.settings.hole_alpha  # a drawing leaves those without depth
             _write(resident, target["depth"], np.where(thin, np.float32(np.inf), view.depth))
-            _write(resident, target["picture"], np.dstack([view.rgb, view.alpha]))
+            picture = np.dstack([view.rgb, view.alpha])
+            if frame.compact:
+                sixteen = np.round(np.clip(picture, 0, 1) * 65535).astype(np.uint16)
+                resident.gpu.device.queue.write_buffer(target["picture"], 0, sixteen)
+            else:
+                _write(resident, target["picture"], picture)
             resident.held = None
             resident.record = lambda *_, **__: _own(resident, reference, own)  # type: ignore[method-assign]
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cags_common.correction import Reference, compand
 from cags_common.geometry import Camera
 from cags_common.raster import RenderedView
 from support.corrections import F, camera, empty_view, flat_view, view
@@ -38,6 +39,21 @@ def poisoned() -> RenderedView:
         np.array([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-38, 1e-20, 1e20, 3e38, 2.0], F), drawn.depth.shape
     )
     return replace(drawn, depth=depth, rgb=drawn.rgb * F(1e30))
+
+
+def missing_square() -> tuple[RenderedView, Reference]:
+    """A square that no splat covers in a wall at 3 m, and a difference that has it: together all is 0.5."""
+    there = server((160, 120), at=(0.3, 0.0, 0.0))
+    drawn = flat_view(CLIENT, 3.0)
+    alpha, rgb = drawn.alpha.copy(), drawn.rgb.copy()
+    alpha[50:70, 70:90], rgb[50:70, 70:90] = 0, 0
+    missing = RenderedView(rgb, alpha, np.where(alpha > 0, drawn.depth, np.inf).astype(F), None)
+    lack = np.zeros((120, 160, 3))
+    i, j = CLIENT.intrinsics, there.intrinsics
+    left, right = (((u - i.cx_px) / i.fx_px * 3.0 - 0.3) / 3.0 * j.fx_px + j.cx_px for u in (70, 90))
+    top, bottom = ((v - i.cy_px) / i.fy_px * j.fy_px + j.cy_px for v in (50, 70))
+    lack[round(top) : round(bottom), round(left) : round(right)] = 0.5
+    return missing, Reference(compand(lack, 0.1).astype(F), there)
 
 
 VIEWS = {

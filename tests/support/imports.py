@@ -73,11 +73,15 @@ def entry_points() -> frozenset[str]:
 
 
 def reached(path: Path) -> set[str]:
-    """All modules that a file imports, directly or through others. Registries lead to all entry points."""
+    """Modules that a file imports, directly, through others or builders. Registries lead to all entry points."""
     from cags_bench.cli import SUBCOMMANDS
 
     found: set[str] = set()
-    ahead = mentioned(path) & sources().keys()
+    builders = [
+        ROOT / "tests" / f"{name.replace('.', '/')}.py" for name in mentioned(path) if name.startswith("support.")
+    ]
+    files = [path, *(builder for builder in builders if builder.exists())]
+    ahead = set().union(*(mentioned(file) for file in files)) & sources().keys()
     while ahead:
         name = ahead.pop()
         found.add(name)
@@ -88,3 +92,34 @@ def reached(path: Path) -> set[str]:
             more |= entry_points()
         ahead |= more - found
     return found
+
+
+def circles(graph: dict[str, set[str]]) -> list[set[str]]:
+    """Sets of modules that import each other, directly or through others."""
+
+    def beyond(start: str) -> set[str]:
+        found: set[str] = set()
+        ahead = set(graph[start])
+        while ahead:
+            found |= ahead
+            ahead = set().union(*(graph.get(name, set()) for name in ahead)) - found
+        return found
+
+    reach = {name: beyond(name) for name in graph}
+    round_trips = [frozenset(other for other in reach[name] if name in reach.get(other, ())) for name in graph]
+    return [set(circle) for circle in {each for each in round_trips if each}]
+
+
+def imports() -> dict[str, set[str]]:
+    """Module to the modules that its import statements name, late ones and those for types alone included."""
+    graph = {}
+    for module, path in sources().items():
+        named = set()
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                inner = {f"{node.module}.{alias.name}" for alias in node.names}
+                named |= inner if inner <= sources().keys() else {node.module, *inner}
+            elif isinstance(node, ast.Import):
+                named |= {alias.name for alias in node.names}
+        graph[module] = named & sources().keys() - {module}
+    return graph

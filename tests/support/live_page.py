@@ -37,6 +37,7 @@ class FakeControls:
         self.away = False
         self.has_truth = has_truth
         self.frame = 0
+        self.windows: list[tuple[int, int]] = []
         self.truths = 0
         self.details = 0
 
@@ -63,6 +64,9 @@ class FakeControls:
 
     def set_exactness(self, name: str) -> None:
         self.exactness = name
+
+    def set_window(self, width: int, height: int) -> None:
+        self.windows.append((width, height))
 
     def truth(self, frame: int, camera: Camera) -> F32:
         self.truths += 1

@@ -275,6 +275,8 @@ export interface SceneSource {
   sendPoses(samples: readonly PoseSample[], cadencePermille?: number): void;
   /** The reference video is broken after `seq` (0: nothing was decoded): ask for an IDR picture. */
   requestKeyframe(seq: number): void;
+  /** The display has another pinhole from now on: what follows is made and chosen for it, and nothing that is held is lost. */
+  reshape(intrinsics: Intrinsics): void;
   /** Commit a media frame and get what changed. One at a time; frames in order within a pass. Rejects after the end. */
   frame(request: FrameRequest): Promise<FrameUpdate>;
   /** Leave, with a goodbye. */

@@ -70,6 +70,7 @@ function answer(data: Exclude<Request, { ask: "connect" }>): void {
     case "control": return source?.control(data.state);
     case "poses": return source?.sendPoses(data.samples, data.cadence);
     case "keyframe": return source?.requestKeyframe(data.seq);
+    case "reshape": return source?.reshape(data.intrinsics);
     case "frame": return void frame(data);
     case "close": return source?.close();
   }

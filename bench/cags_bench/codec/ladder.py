@@ -30,19 +30,19 @@ from cags_encoder.views import cameras_around
 
 Line = dict[str, Any]
 Tile = tuple[bytes, ...]
-"""Payloads LoD by LoD."""
+"""Payloads by LoD."""
 
 TRAIN_SPLATS = 65_536
 CHANGED_SPLATS = 4_000
-"""Of the later frame whose decoding is timed."""
+"""Number of changed splats in the differential frame whose decoding is timed."""
 
 
 @dataclass(frozen=True)
 class LadderSettings:
-    """How a ladder is taken."""
+    """Settings of a measurement."""
 
     points: int
-    """LoDs that are drawn."""
+    """LoDs to render."""
     repeats: int
     """Timed runs after a warm-up."""
     threads: int
@@ -52,7 +52,7 @@ class LadderSettings:
 def ladder(
     source: FrameSource, splats: Splats, variant: Variant, judge: Judge, settings: LadderSettings
 ) -> Iterator[Line]:
-    """A line a LoD. ``splats`` are in Morton order."""
+    """One line per LoD. ``splats`` are in Morton order."""
     start = time.perf_counter()
     codec = train(source, splats, variant)
     train_s = time.perf_counter() - start
@@ -105,14 +105,14 @@ def encode(codec: SvqCodec, splats: Splats) -> list[Tile]:
 
 
 def encode_changed(codec: SvqCodec, splats: Splats) -> Tile:
-    """A later frame's tile: splats here and there, as a moving thing would leave them, with their ids."""
+    """A tile of a differential frame: scattered splats with their ids, as a moving object would leave them."""
     count = min(CHANGED_SPLATS, len(splats))
     ids = np.sort(np.random.default_rng(0).permutation(len(splats))[:count]).astype(np.int32)
     return codec.encode_tile(ids, codec.quantise(codec.prepare(splats.take(ids))), id_range=False)
 
 
 def decode(opener: TileOpener, tiles: list[Tile], lod: int, sh_degree: int) -> Splats:
-    """What a client shows of ``tiles`` up to ``lod``."""
+    """The splats that a client shows from ``tiles`` up to ``lod``."""
     states = []
     for opened, payloads in zip(opener.open([memoryview(tile[0]) for tile in tiles]), tiles, strict=True):
         if isinstance(opened, DecodeError):
@@ -125,7 +125,7 @@ def decode(opener: TileOpener, tiles: list[Tile], lod: int, sh_degree: int) -> S
 
 
 def sizes(tiles: list[Tile], lod: int, codebooks: int, splats: int) -> Line:
-    """Bytes up to ``lod``, in all and by part."""
+    """Bytes up to ``lod``, in total and by part."""
     positions = sum(position_bytes(payloads[0]) for payloads in tiles)
     base = sum(len(payloads[0]) for payloads in tiles)
     total = sum(len(payload) for payloads in tiles for payload in payloads[: lod + 1])
@@ -141,7 +141,7 @@ def sizes(tiles: list[Tile], lod: int, codebooks: int, splats: int) -> Line:
 
 
 def median_ms(work: Callable[[], object], repeats: int) -> float:
-    """Median of ``repeats`` runs after one that warms up."""
+    """Median of ``repeats`` runs after one warm-up."""
     work()
     taken = []
     for _ in range(repeats):

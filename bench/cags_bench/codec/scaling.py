@@ -1,4 +1,4 @@
-"""How much faster a clip is encoded by several processes, and that its bytes stay the same."""
+"""Speed-up of encoding a clip with several processes, and a check that its bytes stay the same."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Line = dict[str, Any]
 
 
 def scaling(clip: str, frames: int, workers: Sequence[int]) -> Iterator[Line]:
-    """A line for each number of ``workers``: seconds by stage, and a hash of the bundle.
+    """One line per number of ``workers``: seconds by stage, and a hash of the bundle.
 
-    Processes are started before the clock, as a long clip would have it; everything else counts.
+    Starting the processes is not timed, because it does not matter for a long clip; everything else is.
     """
     for count in workers:
         with tempfile.TemporaryDirectory(prefix="cags-codec-") as folder, open_workers(count) as pool:

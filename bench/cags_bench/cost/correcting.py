@@ -11,7 +11,7 @@ from cags_bench.cost.moments import Moment, Workbench
 from cags_bench.cost.serving import DIFFERENCES, Referring
 from cags_client.frame import align, restore
 from cags_client.frame.restore import CORRECT, NONE, RestoreInput
-from cags_client.settings import FULL, HALF, ClientSettings
+from cags_client.settings import AUTO, FULL, HALF, ClientSettings
 from cags_client.store.references import Received
 from cags_common import correction
 from cags_common.correction import Reference
@@ -94,6 +94,6 @@ def _combination(moment: Moment, reference: Reference, exactness: Exactness, res
         return enlarged(shown, moment.camera, THREADS) if half else shown
 
     usual = ClientSettings()
-    ours = usual.exactness, usual.resolution, usual.restore
+    ours = usual.exactness, FULL if usual.resolution == AUTO else usual.resolution, usual.restore
     label = f"{exactness.value} / {resolution} / {way}"
     return Point(label, run, _judge(moment), default=(exactness.value, resolution, way) == ours)

@@ -9,10 +9,10 @@ from cags_common.settings import check_settings, setting
 
 @dataclass(frozen=True)
 class CostSettings:
-    """What the sweep works on."""
+    """Inputs of the sweep."""
 
     scene: str = setting("procedural:size=60000,frames=24", "scene: a file, a folder, motion:PATH or procedural[:...]")
-    frames: int = setting(24, "media frames of the session that inputs are taken from", low=4, high=10_000)
+    frames: int = setting(24, "media frames of the session that provides the inputs", low=4, high=10_000)
     trace: str = setting(
         "generated:steady-6", "network trace of that session; slow, so that there is something to correct"
     )

@@ -22,7 +22,7 @@ STOP_TIMEOUT_S = 10.0
 
 @dataclass
 class Process:
-    """One running command: its name, its handle, and the file that its stderr goes to."""
+    """One running command: its name, its handle, and the file of its stderr."""
 
     name: str
     handle: subprocess.Popen[str]
@@ -45,7 +45,7 @@ class Process:
         return lines[-1] if lines else f"no message; its log is {self.log}"
 
     def stop(self) -> None:
-        """Ask it to end, then make it."""
+        """Terminate it, and kill it if it does not end."""
         if self.handle.poll() is None:
             self.handle.terminate()
             try:
@@ -59,7 +59,7 @@ class Process:
 
 @dataclass
 class ProcessGroup:
-    """A context that stops whatever was started in it, last first."""
+    """A context that stops all processes started in it, last first."""
 
     logs: Path
     _running: list[Process] = field(default_factory=list)

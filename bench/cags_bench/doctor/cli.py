@@ -118,17 +118,17 @@ def _times(timings: Timings) -> Any:
 
     title = f"milliseconds a frame: {timings.splats:,} splats, {timings.backend}, {timings.threads} threads"
     columns = ["picture", "draw", "correct", "reference camera", "together"]
-    table = Table(*columns, *(["GPU draws"] if timings.adapter else []), title=title)
+    table = Table(*columns, *(["GPU: draw", "together"] if timings.adapter else []), title=title)
     for size in timings.sizes:
-        cells = (size.raster_ms, size.correct_ms, size.own_ms, size.total_ms)
-        drawn = [] if size.gpu_ms is None else [size.gpu_ms]
-        table.add_row(f"{size.width}x{size.height}", *(f"{value:.1f}" for value in (*cells, *drawn)))
+        cells = [size.raster_ms, size.correct_ms, size.own_ms, size.total_ms]
+        cells += [ms for ms in (size.gpu_draw_ms, size.gpu_total_ms) if ms is not None]
+        table.add_row(f"{size.width}x{size.height}", *(f"{value:.1f}" for value in cells))
     table.caption = (
         f"server: reference {timings.reference_ms:.1f}, the client's view {timings.mirror_ms:.1f}, "
         f"difference and H.264 {timings.encode_ms:.1f}"
     )
-    if timings.adapter:
-        table.caption += f"; GPU: {timings.adapter}"
+    if timings.gpu_reference_ms is not None:
+        table.caption += f"; GPU ({timings.adapter}): reference and the client's view {timings.gpu_reference_ms:.1f}"
     return table
 
 

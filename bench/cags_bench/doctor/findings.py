@@ -1,4 +1,4 @@
-"""What the doctor finds: one line a matter, and what to do where something is missing."""
+"""Findings of the doctor: one line each, with the remedy if something is missing."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """How bad it is."""
+    """Severity of a finding."""
 
     OK = "ok"
     NOTE = "note"
     """Something optional is absent, or slower than it could be."""
     MISSING = "missing"
-    """Something is absent that commands need as the documentation has them: the doctor exits with 1."""
+    """Something is absent that documented commands need: the doctor exits with 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One matter: what was found, and what to do about it (empty when all is well)."""
+    """One finding and its remedy (empty if all is well)."""
 
     matter: str
     verdict: Verdict

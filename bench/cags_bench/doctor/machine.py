@@ -26,7 +26,7 @@ VECTOR_FLAGS = ("avx512f", "avx2", "asimd")
 
 
 def machine_findings(cache: Path) -> Iterator[Finding]:
-    """Everything that no package of ours is needed for. ``cache`` is where bundles are kept."""
+    """All checks that need no package of this project. ``cache`` is the folder of cached bundles."""
     yield python_version(sys.version_info[:2])
     yield cores(usable_cores())
     yield load(os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0, usable_cores())
@@ -45,7 +45,7 @@ def usable_cores() -> int:
 
 
 def python_version(version: tuple[int, int]) -> Finding:
-    """Whether the interpreter is young enough."""
+    """Whether the interpreter is recent enough."""
     text = ".".join(map(str, version))
     if version < OLDEST_PYTHON:
         return missing("Python", text, "install Python 3.11 or newer and make the environment anew")
@@ -60,7 +60,7 @@ def cores(count: int) -> Finding:
 
 
 def load(average: float, count: int) -> Finding:
-    """What else runs here: times that are measured beside it say more of it than of the machine."""
+    """Load of the machine by other programs, beside which measured times are unreliable."""
     found = f"{average:.1f} threads at work or waiting for the {count} cores, over the last minute"
     if average > BUSY_SHARE * count:
         return note(
@@ -79,7 +79,7 @@ def vectors(cpuinfo: str) -> Finding:
 
 
 def memory(meminfo: str) -> Finding:
-    """What is available now."""
+    """Available memory."""
     fields = dict(line.split(":", 1) for line in meminfo.splitlines() if ":" in line)
     try:
         gib = int(fields["MemAvailable"].split()[0]) / 2**20
@@ -91,7 +91,7 @@ def memory(meminfo: str) -> Finding:
 
 
 def disk(cache: Path) -> Finding:
-    """Room where bundles are cached."""
+    """Free space in the folder of cached bundles."""
     there = next(path for path in (cache, *cache.parents) if path.exists())
     gib = shutil.disk_usage(there).free / 2**30
     found = f"{gib:.1f} GiB free at {cache}"
@@ -105,7 +105,7 @@ def disk(cache: Path) -> Finding:
 
 
 def congestion_control(name: str) -> Finding:
-    """What TCP does about a full link; the credit window keeps queues short with any, shortest with bbr."""
+    """Congestion control of TCP; the credit window keeps queues short with any, shortest with bbr."""
     name = name.strip()
     if not name:
         return note("congestion control", "unknown", "not Linux: latency under load was measured on Linux only")
@@ -115,7 +115,7 @@ def congestion_control(name: str) -> Finding:
 
 
 def free_port(port: int, purpose: str) -> Finding:
-    """Whether a command's default port can be listened on, or is by a command of ours that runs already."""
+    """Whether a command's default port is free, or used by a running command of this project."""
     matter = f"port {port}"
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -131,7 +131,7 @@ def free_port(port: int, purpose: str) -> Finding:
 
 
 def is_ours(port: int) -> bool:
-    """Whether a server of ours answers on a port of this machine, itself or through a shaper, or a client's page."""
+    """Whether a server, directly or through a shaper, or a client's page answers on a port of this machine."""
     try:
         health, page = asked(port, "/healthz"), asked(port, "/")
         with contextlib.suppress(ValueError):
@@ -142,7 +142,7 @@ def is_ours(port: int) -> bool:
 
 
 def asked(port: int, path: str) -> bytes:
-    """The beginning of what a port of this machine answers to a request."""
+    """The beginning of a local port's answer to a request."""
     line = http.client.HTTPConnection("127.0.0.1", port, timeout=PROBE_S)
     try:
         line.request("GET", path)

@@ -16,7 +16,7 @@ from cags_common.geometry import F32, Camera, Intrinsics, Pose
 
 if TYPE_CHECKING:
     from cags_common.correction import Reference
-    from cags_common.raster.base import RasterScene
+    from cags_common.raster.base import RasterScene, RenderOptions
     from cags_common.splats import Splats
     from cags_gpu.raster import GpuScene
 
@@ -56,13 +56,25 @@ class SizeTimes:
     raster_ms: float
     correct_ms: float
     own_ms: float
-    gpu_ms: float | None = None
+    gpu_draw_ms: float | None = None
     """Drawn by the graphics processor and read back, where there is one."""
+    gpu_total_ms: float | None = None
+    """The same of a frame that is corrected from a new picture, in one go."""
 
     @property
     def total_ms(self) -> float:
         """The display path without decoding, of a frame that is corrected from a new picture."""
         return self.raster_ms + self.correct_ms + self.own_ms
+
+    @property
+    def drawn_ms(self) -> float:
+        """A drawing by what ``--raster auto`` takes."""
+        return self.raster_ms if self.gpu_draw_ms is None else self.gpu_draw_ms
+
+    @property
+    def corrected_ms(self) -> float:
+        """A corrected frame by what ``--raster auto`` takes."""
+        return self.total_ms if self.gpu_total_ms is None else self.gpu_total_ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +94,14 @@ class Timings:
     sizes: tuple[SizeTimes, ...]
     adapter: str = ""
     """The graphics processor that was timed; empty where there is none."""
+    gpu_reference_ms: float | None = None
+    """Truth, what the client holds, and their difference there, in one go."""
+
+    @property
+    def server_ms(self) -> float:
+        """A reference by what ``--rasteriser auto`` takes."""
+        drawn = self.reference_ms + self.mirror_ms if self.gpu_reference_ms is None else self.gpu_reference_ms
+        return drawn + self.encode_ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,19 +124,21 @@ def measure(threads: int) -> Timings:
     native = rasteriser.name != "reference"
     splats = NATIVE_SPLATS if native else READABLE_SPLATS
     source = open_scene(SCENE.format(splats=splats))
-    scene, focus = rasteriser.load(source.frame(0)), source.focus
+    truth, focus = source.frame(0), source.focus
+    scene, flawed = rasteriser.load(truth), _flawed(truth)
     eye = np.asarray(focus.centre) + np.array([0.6, 0.4, 1.0]) * focus.radius * 1.4
     pose = Pose.looking_at((float(eye[0]), float(eye[1]), float(eye[2])), focus.centre, source.up)
     sizes = SIZES if native else READABLE_SIZES
     reference = _camera(400, 300, pose)
     options = RenderOptions(threads=threads, depth=DepthKind.NONE)
     seeing = replace(options, contribution=True)
-    held = rasteriser.load(_flawed(source.frame(0)))
+    held = rasteriser.load(flawed)
     pictures = [
         (scene.render(camera, options).rgb, held.render(camera, options).rgb)
         for camera in (reference, reference.at(_beside(pose)))
     ]
-    gpu, adapter = _gpu_scene(source.frame(0))
+    gpu = _on_gpu(truth, flawed)
+    picture = Reference(pictures[0][0].clip(0, 1), reference, picture=True)
     difference = Reference(compand(np.subtract(*pictures[0]), KNEE).astype(np.float32), reference, knee=KNEE)
     times = [_at_size(held, _camera(w, h, pose), difference, threads) for w, h in sizes]
     return Timings(
@@ -126,8 +148,9 @@ def measure(threads: int) -> Timings:
         reference_ms=median_ms(lambda: scene.render(reference, seeing)),
         mirror_ms=median_ms(lambda: held.render(reference, options)),
         encode_ms=_coding_ms(pictures, reference.intrinsics),
-        sizes=tuple(_with_gpu(each, gpu, pose) for each in times),
-        adapter=adapter,
+        sizes=tuple(_with_gpu(each, gpu, pose, picture) for each in times),
+        adapter="" if gpu is None else gpu.adapter,
+        gpu_reference_ms=None if gpu is None else _gpu_reference_ms(gpu, reference, seeing),
     )
 
 
@@ -158,26 +181,48 @@ def _coding_ms(pictures: Sequence[tuple[F32, F32]], intrinsics: Intrinsics) -> f
     return median_ms(lambda: coder.code(*next(turn), idr=False))
 
 
-def _gpu_scene(splats: Splats) -> tuple[GpuScene | None, str]:
-    """The scene on the graphics processor, and that one's name; None and nothing where there is none."""
+@dataclass(frozen=True, slots=True)
+class _OnGpu:
+    """The scene and what a client holds of it on the graphics processor, and that one's name."""
+
+    truth: GpuScene
+    held: GpuScene
+    adapter: str
+
+
+def _on_gpu(truth: Splats, held: Splats) -> _OnGpu | None:
+    """Both there; None where there is none."""
     from cags_common.errors import ConfigError
     from cags_gpu.device import choose
     from cags_gpu.raster import GpuRasteriser
 
     try:
-        return GpuRasteriser().load(splats), str(choose()[0])
+        rasteriser = GpuRasteriser()
+        return _OnGpu(rasteriser.load(truth), rasteriser.load(held), str(choose()[0]))
     except ConfigError:
-        return None, ""
+        return None
 
 
-def _with_gpu(times: SizeTimes, scene: GpuScene | None, pose: Pose) -> SizeTimes:
-    if scene is None:
+def _with_gpu(times: SizeTimes, gpu: _OnGpu | None, pose: Pose, picture: Reference) -> SizeTimes:
+    """``times`` with those of the graphics processor; every corrected frame has a new ``picture``."""
+    if gpu is None:
         return times
     from cags_common.raster.base import RenderOptions
     from cags_gpu.correct import shown
 
-    camera = _camera(times.width, times.height, pose)
-    return replace(times, gpu_ms=median_ms(lambda: shown(scene, camera, RenderOptions(), None)))
+    camera, options = _camera(times.width, times.height, pose), RenderOptions()
+    return replace(
+        times,
+        gpu_draw_ms=median_ms(lambda: shown(gpu.held, camera, options, None)),
+        gpu_total_ms=median_ms(lambda: shown(gpu.held, camera, options, replace(picture, coded=picture.coded.copy()))),
+    )
+
+
+def _gpu_reference_ms(gpu: _OnGpu, camera: Camera, options: RenderOptions) -> float:
+    from cags_common.correction import Look
+
+    looks = Look.LACK, Look.COMPANDED
+    return median_ms(lambda: gpu.truth.compared(gpu.held, camera, options, knee=KNEE, looks=looks))
 
 
 def _at_size(scene: RasterScene, camera: Camera, reference: Reference, threads: int) -> SizeTimes:
@@ -222,18 +267,17 @@ def advise(timings: Timings) -> Advice:
 
     Where no size is corrected in time but one is drawn, the client may halve its pixels while frames take too long.
     """
-    work = timings.reference_ms + timings.mirror_ms + timings.encode_ms
-    every = max(1, math.ceil(work / (FRAME_MS * REFERENCE_SHARE)))
+    every = max(1, math.ceil(timings.server_ms / (FRAME_MS * REFERENCE_SHARE)))
     server = f"--render-threads {timings.threads}" + (f" --reference-every {every}" if every > 1 else "")
-    drawn = [size for size in timings.sizes if size.raster_ms <= FRAME_MS * DRAW_SHARE]
-    corrected = [size for size in drawn if size.total_ms <= CORRECTED_MS]
-    scene = f"at {timings.splats:,} splats"
+    drawn = [size for size in timings.sizes if size.drawn_ms <= FRAME_MS * DRAW_SHARE]
+    corrected = [size for size in drawn if size.corrected_ms <= CORRECTED_MS]
+    scene = f"at {timings.splats:,} splats" + (" on the GPU" if timings.adapter else "")
     if not drawn:
         least = min(timings.sizes, key=lambda s: s.width)
-        why = f"{least.raster_ms:.0f} ms to draw a frame {scene}: 30 a second are out of reach"
+        why = f"{least.drawn_ms:.0f} ms to draw a frame {scene}: 30 a second are out of reach"
         return Advice(server, _flags(least, timings, "--restore none --exactness fast"), why)
     best = max(corrected or drawn, key=lambda s: s.width)
-    why = f"{scene} a frame takes {best.raster_ms:.0f} ms, one that is corrected {best.total_ms:.0f}"
+    why = f"{scene} a frame takes {best.drawn_ms:.0f} ms, one that is corrected {best.corrected_ms:.0f}"
     return Advice(server, _flags(best, timings, f"--resolution {'full' if corrected else 'auto'}"), why)
 
 

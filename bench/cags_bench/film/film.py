@@ -1,4 +1,4 @@
-"""What a display showed, frame by frame at the clip's rate, and beside it what it should have shown."""
+"""The film of displayed pictures at the clip's frame rate, and the film of the true pictures."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RawVideo:
         self.count += 1
 
     def close(self) -> None:
-        """Nothing more follows; the file may be read."""
+        """Finish writing, so that the file may be read."""
         self._file.close()
 
     def pictures(self) -> NDArray[np.uint8]:
@@ -60,7 +60,7 @@ class Film:
     truth: RawVideo
     fps: float
     frames: tuple[int, ...]
-    """Number of the media frame at each place; one that was not shown is there too, with the picture before it."""
+    """Media frame at each position; a skipped frame is included, with the previous picture."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -73,10 +73,10 @@ class Film:
 
 
 class FilmMaker:
-    """Films a session in a folder of its own, which goes with it.
+    """Records the film of a session in a temporary folder of its own.
 
-    A frame that was never shown repeats the picture before it, as a display does; its truth is that of the frame, seen
-    from the camera between its neighbours. So a freeze is in the film as it was seen.
+    A skipped frame repeats the previous picture, as a display does; its truth is rendered from the camera between its
+    neighbours. A freeze therefore appears in the film as viewers see it.
     """
 
     def __init__(self, truth: Truth, fps: float) -> None:
@@ -113,9 +113,9 @@ class FilmMaker:
         self._last = camera, picture
 
     def film(self, end: int | None = None) -> Film:
-        """The whole film, to media frame ``end`` (not included) where it goes on after the last frame that was shown.
+        """The whole film, up to media frame ``end`` (excluded), which may lie after the last displayed frame.
 
-        It can be looked at until the maker is left.
+        It can be read until the maker is closed.
         """
         if self._last is not None:
             for frame in range(self._frames[-1] + 1, end or 0):

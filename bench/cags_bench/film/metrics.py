@@ -1,4 +1,4 @@
-"""Metrics of whole films: which there are, which can be had here, and which extra gives the others."""
+"""Metrics of whole films: names, availability, and the extras that provide them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ Scores: TypeAlias = dict[str, float]
 
 METRICS = VMAF, XPSNR, JOD
 EXTRAS = {VMAF: "video-metrics", XPSNR: "video-metrics", JOD: "jod"}
-"""Metric, and the extra of the distribution that brings it."""
+"""Metric and the extra that provides it."""
 
 AUTO, NONE = "auto", "none"
 AUTOMATIC = VMAF, XPSNR
-"""What :data:`AUTO` measures: JOD takes ten times as long as all the rest of a play."""
+"""Metrics of :data:`AUTO`, without JOD, which takes ten times as long as the rest of a play."""
 
 
 def chosen(text: str) -> tuple[str, ...]:
-    """Metrics that a setting names: some of :data:`METRICS` by commas, :data:`AUTO` or :data:`NONE`.
+    """Metrics named by a setting: some of :data:`METRICS`, comma separated, or :data:`AUTO` or :data:`NONE`.
 
     Raises :class:`ConfigError` for unknown ones.
     """
@@ -36,7 +36,7 @@ def chosen(text: str) -> tuple[str, ...]:
 
 
 def lacking(metrics: Collection[str]) -> dict[str, str]:
-    """Those of ``metrics`` that cannot be measured here, and why, with the way out."""
+    """The ``metrics`` that cannot be measured here, each with the reason and the remedy."""
     out = {}
     for metric in metrics:
         here = available() if metric == JOD else metric in ffmpeg.filters()
@@ -52,9 +52,9 @@ def lacking(metrics: Collection[str]) -> dict[str, str]:
 
 
 def measure(film: Film, metrics: Collection[str]) -> Scores:
-    """``vmaf``, ``xpsnr_db`` and ``jod`` of a film, as far as asked for and to be had.
+    """The requested and available ones of ``vmaf``, ``xpsnr_db`` and ``jod`` of a film.
 
-    Raises :class:`CagsError` where a program that is there fails.
+    Raises :class:`CagsError` if an installed program fails.
     """
     out = ffmpeg.measured(film, metrics)
     if XPSNR in out:

@@ -3,7 +3,8 @@
 The server is a process of its own and renders every client's references; the clients share another process, speak the
 real protocol over real sockets, send their head's poses, acknowledge everything, and neither decode nor draw. The
 deadline of a frame is its display: by then its end, and so its base layers, must have come. References wait for the
-renderer, which the processor decides; how many came in time is counted apart.
+renderer, which the processor decides; how many came in time is counted apart. Each client's link is a model on its own
+side: what has come over the socket counts, and is acknowledged, when the link would have delivered it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import tempfile
 import time
+import urllib.request
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from cags_protocol import PROTOCOL_VERSION, ClientSession
 from cags_protocol import events as ev
 from cags_protocol.wire.limits import MAX_MESSAGE_BYTES, SUBPROTOCOL
 from cags_protocol.wire.messages import Control, Hello, PoseSample
+from cags_shaper.link import WEBSOCKET_OVERHEAD_BYTES, Link, LinkSettings, tcp_wire_bytes
 
 CLIENT_FPS = 5.0
 START_DELAY_US = 1_000_000
@@ -33,6 +36,9 @@ START_DELAY_US = 1_000_000
 
 POSE_INTERVAL_US = 28_000
 TIMEOUT_S = 60.0
+
+DELAY_US = 10_000
+"""One way, of a client's link."""
 
 
 def now_us() -> int:
@@ -43,13 +49,16 @@ def now_us() -> int:
 class HeadlessClient:
     """One viewer of the whole clip at :data:`CLIENT_FPS`, for whom only arrivals count."""
 
-    def __init__(self, transport: Transport, intrinsics: Intrinsics, poses: str) -> None:
+    def __init__(self, transport: Transport, intrinsics: Intrinsics, poses: str, mbps: float | None = None) -> None:
+        """``mbps``: rate of the client's link; None: as fast as the socket."""
         self.ends: dict[int, int] = {}  # media frame -> arrival of its end
         self.references: dict[int, int] = {}
         self.started_us: int | None = None
         self.info: Manifest | None = None
         self._transport, self._intrinsics, self._poses_spec = transport, intrinsics, poses
         self._session = ClientSession(now_us=now_us())
+        capped = LinkSettings(delay_us=DELAY_US, cap_bps=mbps * 1e6) if mbps else LinkSettings()
+        self._link = Link[bytes](None, capped)
         self._walk: PoseTrace | None = None
         self._wake = asyncio.Event()
 
@@ -83,12 +92,22 @@ class HeadlessClient:
 
     async def _turn(self) -> None:
         self._wake.clear()
+        self._receive()
         self._session.handle_timer(now_us=now_us())
         await self._send()
-        timer = self._session.next_timer_us()
-        wait_s = 0.1 if timer is None else min(max((timer - now_us()) / 1e6, 0.0), 0.1)
+        times = (self._session.next_timer_us(), self._link.next_delivery_us())
+        due_us = min((time for time in times if time is not None), default=None)
+        wait_s = 0.1 if due_us is None else min(max((due_us - now_us()) / 1e6, 0.0), 0.1)
         with suppress(TimeoutError):
             await asyncio.wait_for(self._wake.wait(), wait_s)
+
+    def _receive(self) -> None:
+        """Take what the link has delivered."""
+        at_us = now_us()
+        for data in self._link.pop_due(at_us):
+            self._session.receive(data, now_us=at_us)
+            while (event := self._session.next_event()) is not None:
+                self._on_event(event, at_us)
 
     async def _send(self) -> None:
         for data in self._session.data_to_send(now_us()):
@@ -97,9 +116,8 @@ class HeadlessClient:
     async def _read(self) -> None:
         try:
             while True:
-                self._session.receive(await self._transport.recv(), now_us=now_us())
-                while (event := self._session.next_event()) is not None:
-                    self._on_event(event, now_us())
+                data = bytes(await self._transport.recv())
+                self._link.push(now_us(), data, tcp_wire_bytes(len(data) + WEBSOCKET_OVERHEAD_BYTES))
                 self._wake.set()
         except ConnectionEndedError as error:
             self._session.connection_lost(str(error), now_us=now_us())
@@ -133,35 +151,50 @@ class HeadlessClient:
             await asyncio.sleep(POSE_INTERVAL_US / 1e6)
 
 
-def clients_line(base: Scenario, count: int) -> dict[str, Any]:
+def clients_line(base: Scenario, count: int, mbps: float | None = None) -> dict[str, Any]:
     """``count`` clients at one server: frames whose data, and references, came after their display."""
     with tempfile.TemporaryDirectory(prefix="cags-network-") as folder, ProcessGroup(Path(folder)) as group:
         started = group.start(
             "cags_server",
             ["--bundle", str(base.bundle), "--port", "0", "--max-clients", str(count), "--json"],
         ).ready()
-        clients = asyncio.run(watch_all(f"ws://127.0.0.1:{started['port']}/stream", base.client.intrinsics, count))
+        address = f"127.0.0.1:{started['port']}"
+        began_s, spent_s = time.monotonic(), _processor_s(address)
+        clients = asyncio.run(watch_all(f"ws://{address}/stream", base.client.intrinsics, count, mbps))
+        spent_s, took_s = _processor_s(address) - spent_s, time.monotonic() - began_s
     frames = min((client.info.frames for client in clients if client.info is not None), default=0)
     margins = [margins_us(client, client.ends, frames) for client in clients]
     pictures = [margins_us(client, client.references, frames) for client in clients]
     known = sorted(m for each in margins for m in each if m is not None)
+    of_each = [frames - missed([each]) for each in pictures]
     return {
         "case": "clients",
         "clients": count,
         "fps": CLIENT_FPS,
+        "mbps": mbps,
         "frames": count * frames,
         "deadlines_missed": missed(margins) if frames else None,
         "margin_ms_p1": known[len(known) // 100] / 1e3 if known else None,
         "references_late_or_skipped": missed(pictures),
+        "references_late": sum(margin is not None and margin < 0 for each in pictures for margin in each),
+        "references_of_a_client": [min(of_each, default=0), max(of_each, default=0)],
+        "server_cores": round(spent_s / took_s, 2),
     }
 
 
-async def watch_all(url: str, intrinsics: Intrinsics, count: int) -> list[HeadlessClient]:
+def _processor_s(address: str) -> float:
+    """Processor time that a server has taken so far."""
+    with urllib.request.urlopen(f"http://{address}/metrics", timeout=TIMEOUT_S) as answer:
+        lines = answer.read().decode().splitlines()
+    return sum(float(line.split()[1]) for line in lines if line.startswith("process_cpu_seconds_total "))
+
+
+async def watch_all(url: str, intrinsics: Intrinsics, count: int, mbps: float | None = None) -> list[HeadlessClient]:
     """``count`` clients watch the clip side by side, each on a walk of its own."""
     clients = []
     for number in range(count):
         transport = await websocket.connect(url, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_MESSAGE_BYTES)
-        clients.append(HeadlessClient(transport, intrinsics, f"synthetic:walking:seed={number}"))
+        clients.append(HeadlessClient(transport, intrinsics, f"synthetic:walking:seed={number}", mbps))
     await asyncio.gather(*(client.watch() for client in clients))
     return clients
 

@@ -57,6 +57,7 @@ class NetworkSettings:
     seconds: float = setting(20.0, "virtual seconds of each sending and each cross case", low=5, high=3600)
     seeds: int = setting(5, "plays of each cross case, whose figures are means with 95 % intervals", low=1, high=1000)
     clients: int = setting(16, "headless clients at one server", low=1, high=1000)
+    clients_mbps: float = setting(3.0, "link of each headless client, Mbps; 0: the bare socket", low=0, high=1e4)
     sessions: int = setting(1000, "sessions of the crowd", low=1, high=100_000)
     soak_minutes: float = setting(10.0, "virtual minutes of the soak", low=0.1, high=100_000)
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
@@ -139,7 +140,7 @@ def _plays(settings: NetworkSettings, parts: list[str]) -> Iterator[dict[str, An
     if "clients" in parts:
         from cags_bench.network.clients import clients_line
 
-        yield clients_line(base, settings.clients)
+        yield clients_line(base, settings.clients, settings.clients_mbps or None)
 
 
 def _first_pictures(settings: NetworkSettings) -> Iterator[dict[str, Any]]:

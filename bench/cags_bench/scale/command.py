@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cags_bench.jsonl import check, provenance, summary
 from cags_bench.scale.cluster import Cluster, Load
-from cags_common.errors import ConfigError
-from cags_common.settings import add_settings, check_settings, load_settings, setting
+from cags_bench.scale.settings import ScaleSettings
+from cags_common.settings import add_settings, load_settings
 
 SUMMARY = "What viewers cost a server with the closed loop on, and the sessions that several servers carry."
 EXAMPLES = """\
@@ -22,36 +22,6 @@ EXAMPLES = """\
 
 SERVED = 0.99
 """Share of references in time at which a load is carried."""
-
-
-@dataclass(frozen=True)
-class ScaleSettings:
-    """What is watched, what the servers are like, and who comes."""
-
-    sizes: str = setting("10000,30000", "splats of the built-in scenes that are watched, comma separated")
-    scene: str = setting("", "a scene or a bundle (folder that ends in .cags) to watch instead")
-    viewers: int = setting(4, "viewers at one server", low=1, high=256)
-    mbps: float = setting(5.0, "link of each viewer, Mbps", low=0.1, high=1000.0)
-    clip_frames: int = setting(45, "media frames that each viewer watches", low=2, high=100_000)
-    rounds: int = setting(2, "times that every way to watch is played, in turns", low=1, high=100)
-    crowd: int = setting(20, "viewers at 5 frames a second and 3 Mbps on two cores; 0: not", low=0, high=1000)
-    job_ms: float | None = setting(
-        None, "processor time of one reference, ms, for the model of servers; measured when not given", low=0.1
-    )
-    servers: int = setting(8, "most servers", low=1, high=256)
-    workers: int = setting(2, "references rendered at the same time by one server", low=1, high=256)
-    stay_s: float = setting(20.0, "mean length of a session, seconds", low=0.1, high=1e5)
-    seconds: float = setting(30.0, "virtual time of a run of the model, seconds", low=1.0, high=3600.0)
-    seed: int = setting(1, "of the walks, and of the viewers' coming and going", low=0)
-    plot: str = setting("", "PNG file for the curve; none when empty")
-    table: str = setting("", "Markdown file for the sizing table; none when empty")
-    cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        for size in self.sizes.split(","):
-            if not size.isdecimal() or int(size) < 1:
-                raise ConfigError(f"sizes = {self.sizes!r}: {size!r} is no number of splats; give e.g. 10000,30000")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

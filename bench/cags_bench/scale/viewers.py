@@ -30,6 +30,9 @@ SAME, APART, ALONE = "same moment", "moments apart", "nothing shared"
 APART_US = 700_000
 """From one viewer's joining to the next's, where they watch moments apart."""
 
+SCATTERED_US = 10_000
+"""The same where viewers share a processor: nobody's frames are due at another's very moment."""
+
 NEVER = 1_000_000
 """Pictures are not restored: what clients make of them is not measured."""
 
@@ -46,6 +49,8 @@ class Audience:
     width: int = 400
     height: int = 300
     poses: str = "synthetic:walking"
+    cores: int | None = None
+    """Cores that the server's work shares; None: it takes no time."""
 
     def scenarios(self, first_seed: int) -> list[Scenario]:
         """Whose walks have the seeds from ``first_seed`` on."""
@@ -65,7 +70,8 @@ class Audience:
         scenarios = self.scenarios(first_seed)
         if self.sharing == ALONE:
             return [result for scenario in scenarios for result in simulate_together([scenario])]
-        return simulate_together(scenarios, APART_US if self.sharing == APART else 0)
+        apart_us = APART_US if self.sharing == APART else SCATTERED_US if self.cores else 0
+        return simulate_together(scenarios, apart_us, self.cores)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from cags_bench.sim.seeds import trace_of, walk_of
 from cags_bench.sim.spent import MeteredConnection, Spent
 from cags_bench.sim.truth import LastTruth
 from cags_bench.sim.usage import Usage
+from cags_bench.sim.workers import Cores, SharedRenderer
 from cags_bench.sim.world import Direction, World
 from cags_client.frame.presented import PresentedFrame
 from cags_client.output.report import frame_stats, summary
@@ -27,6 +28,7 @@ from cags_common.geometry import F32
 from cags_common.poses import Focus
 from cags_protocol.sessions.client import ClientSession
 from cags_server.link import LinkState, MeasuredLink, OracleLink
+from cags_server.reference.job import FrameRender
 from cags_server.scene.library import SceneLibrary
 from cags_server.settings import ServerSettings
 from cags_shaper.link import Link, LinkSettings
@@ -123,14 +125,17 @@ def watched_by(watchers: Sequence[Watcher]) -> Watcher | None:
     return watch
 
 
-STEP_TOGETHER_US = 10_000
-"""Sessions that are played together are at most so far apart."""
+STEP_TOGETHER_US, STEP_ON_CORES_US = 10_000, 1_000
+"""Sessions that are played together are at most so far apart; less where they wait for each other's work."""
 
 
-def simulate_together(scenarios: Sequence[Scenario], apart_us: int = 0) -> list[SessionResult]:
+def simulate_together(
+    scenarios: Sequence[Scenario], apart_us: int = 0, cores: int | None = None
+) -> list[SessionResult]:
     """Play sessions of one bundle side by side, from one server: what it has decoded or loaded for one, all share.
 
-    Each joins ``apart_us`` after the one before and has a clock of its own, which begins then.
+    Each joins ``apart_us`` after the one before and has a clock of its own, which begins then. ``cores``: the server's
+    work takes the time that so many take for it (:mod:`.workers`); None: no time.
     Raises :class:`CagsError` when a part of any fails, :class:`ConfigError` where they are not of one bundle.
     """
     bundles = {str(scenario.bundle) for scenario in scenarios}
@@ -138,10 +143,15 @@ def simulate_together(scenarios: Sequence[Scenario], apart_us: int = 0) -> list[
         raise ConfigError(f"{len(bundles)} bundles: sessions are played together from one")
     with open_bundle(Path(bundles.pop())) as reader:
         library = _library(scenarios[0], reader)
-        sessions = [_Simulation(scenario, scenario.link(), library) for scenario in scenarios]
+        shared = None if cores is None else Cores(cores)
+        step_us = STEP_TOGETHER_US if cores is None else STEP_ON_CORES_US
+        sessions = [
+            _Simulation(scenario, scenario.link(), library, on=None if shared is None else (shared, number * apart_us))
+            for number, scenario in enumerate(scenarios)
+        ]
         now_us = 0
         while not all(session.player.finished for session in sessions):
-            now_us += STEP_TOGETHER_US
+            now_us += step_us
             for number, session in enumerate(sessions):
                 session.play_until(now_us - number * apart_us)
         return [session.result() for session in sessions]
@@ -152,11 +162,21 @@ def _library(scenario: Scenario, reader: BundleReader) -> SceneLibrary:
 
 
 class _Simulation:
-    def __init__(self, scenario: Scenario, trace: Trace, library: SceneLibrary, truth: LastTruth | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        trace: Trace,
+        library: SceneLibrary,
+        truth: LastTruth | None = None,
+        on: tuple[Cores, int] | None = None,
+    ) -> None:
+        """``on``: the cores that do the server's work, and by how much later than theirs this session's clock began."""
         self.scenario, self.trace, self.reader, self.library = scenario, trace, library.reader, library
         self.cuts = deque(scenario.cuts)
         self.unreachable_until_us = 0
         self.usage, self.spent = Usage(), Spent()
+        self.renderer = None if on is None else SharedRenderer(*on, self.spent)
+        self._rendering: tuple[int, FrameRender] | None = None  # done when
         self.dropped_bytes = 0  # of connections that were cut
         self.server = self._connection(0)
         self.player = Player(
@@ -195,8 +215,16 @@ class _Simulation:
     def _connection(self, now_us: int) -> MeteredConnection:
         link = make_link_state(self.scenario.estimator, self.trace)
         settings = self.scenario.server
-        made = MeteredConnection(self.library, settings, name="simulated", now_us=now_us, link=link)
+        made = MeteredConnection(
+            self.library,
+            settings,
+            name=f"simulated-{id(self)}",
+            now_us=now_us,
+            link=link,
+            render_slots=self.renderer,
+        )
         made.spent = self.spent
+        self._rendering = None
         return made
 
     def _directions(self) -> tuple[Direction, Direction]:
@@ -210,7 +238,7 @@ class _Simulation:
 
     def _alarm_us(self) -> int | None:
         """The next cut, or the end of the drawing under way."""
-        times = [cut.at_us for cut in self.cuts] + ([self._drawing[0]] if self._drawing else [])
+        times = [cut.at_us for cut in self.cuts] + [each[0] for each in (self._drawing, self._rendering) if each]
         return min(times, default=None)
 
     def _connections(self, now_us: int) -> bool:
@@ -249,9 +277,16 @@ class _Simulation:
 
     def _work(self, now_us: int) -> bool:
         busy = self._connections(now_us)
-        while (job := self.server.next_job(now_us)) is not None:
-            self.server.job_done(self.spent.job(job, now_us), now_us)
+        if self._rendering is not None and self._rendering[0] <= now_us:
+            (_, render), self._rendering = self._rendering, None
+            self.server.job_done(render, now_us)
             busy = True
+        while (job := self.server.next_job(now_us)) is not None:
+            busy = True
+            if self.renderer is not None:
+                self._rendering = self.renderer.run(job, now_us)
+                break
+            self.server.job_done(self.spent.job(job, now_us), now_us)
         busy |= self._drawn(now_us)
         while (action := self.player.next_action(now_us)) is not None:
             busy = True

@@ -50,6 +50,10 @@ class Spent:
     """Processor time of the server beside its references: reading, choosing tiles, sending. Sockets are not in it."""
     mirror_bytes: int = 0
     """Most that the mirror of the client took."""
+    references_late: int = 0
+    """Frames whose reference was under way and was not there in time."""
+    light: int = 0
+    """References that were coded lightly."""
     decoding_ms: float = 0.0
     """Processor time of the client's decoding in the whole session."""
     presenting_ms: float = 0.0
@@ -72,6 +76,7 @@ class Spent:
         wall_ms = (time.perf_counter() - wall) * 1e3
         truth_ms, mirror_ms, coding_ms = (ns / 1e6 for ns in (done.render_ns, done.mirror_ns, done.encode_ns))
         self.references.append(ReferenceCost(truth_ms, mirror_ms, coding_ms, wall_ms))
+        self.light += job.plan.speaks and job.plan.light
         return done
 
     def decoding(self, work: Callable[[], Result]) -> Result:
@@ -125,6 +130,7 @@ class MeteredConnection(Connection):
         """A job has ended well: the rate policy chooses."""
         self._charged(lambda: super(MeteredConnection, self).job_done(render, now_us))
         self.spent.mirror_bytes = max(self.spent.mirror_bytes, self.stats.mirror_bytes)
+        self.spent.references_late = self.stats.references_late
 
     def _charged(self, work: Callable[[], Result]) -> Result:
         began = time.process_time_ns()

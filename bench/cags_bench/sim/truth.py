@@ -1,4 +1,4 @@
-"""The true picture of a simulated session, drawn once for all who look at it."""
+"""True pictures of a simulated session, rendered once for all users."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cags_common.geometry import F32, Camera
 
 
 class LastTruth:
-    """Draws true pictures, and keeps the newest."""
+    """Renders true pictures and caches the newest."""
 
     def __init__(self, reader: BundleReader, settings: ClientSettings) -> None:
         self._draw = BundleTruth(reader, settings)

@@ -15,16 +15,16 @@ LTE = "generated:lte-driving"
 
 @dataclass(frozen=True)
 class WebBenchSettings:
-    """What is played, from where, over which links."""
+    """Scene, sources and links of the experiment."""
 
     scene: str = setting("procedural:size=2000,frames=60,fps=10,degree=1", "scene to encode and play")
     links: str = setting(";".join((*LINKS, LTE)), "traces of the link as cags-shaper reads them, separated by ';'")
     sources: str = setting(",".join(SOURCES), f"who hands the scene out, of {', '.join(SOURCES)}")
-    seconds: float = setting(20.0, "how long a play is watched from its first picture on, seconds", low=1, high=3600)
-    patience: float = setting(120.0, "how long a first picture is waited for, seconds", low=1, high=3600)
+    seconds: float = setting(20.0, "time to watch from the first picture on, seconds", low=1, high=3600)
+    patience: float = setting(120.0, "time limit for the first picture, seconds", low=1, high=3600)
     width: int = setting(160, "picture width in pixels", low=16, high=4096)
     height: int = setting(120, "picture height in pixels", low=16, high=4096)
-    pictures: str = setting("", "folder for some of the pictures that were shown, beside the truth; empty: none")
+    pictures: str = setting("", "folder for some displayed pictures beside the truth; none when empty")
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
 
     def __post_init__(self) -> None:

@@ -1,8 +1,8 @@
-"""How a frame comes about: drawn and corrected where the splats are, in one go, or step by step.
+"""Drawing and correcting a frame, in one submission on a device or in steps.
 
-A scene on a graphics processor makes whole frames (:class:`cags_common.correction.FrameScene`), of which nothing but
-the picture to show comes back. Other scenes are rasterised, and a corrector works on the view. Both give the same
-frame: within a level of 255 in all but a few pixels in ten thousand.
+A scene on a graphics processor makes whole frames (:class:`cags_common.correction.FrameScene`) and returns only the
+displayed picture. Other scenes are rasterised, and a corrector works on the view. Both give the same frame, within one
+level of 255 except in a few pixels of ten thousand.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from cags_common.raster.halving import enlarged, halved
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """What is drawn from where, and how."""
+    """Inputs of a frame: scene, camera and options."""
 
     scene: RasterScene
     changes: int
-    """Counts the scene's changes: the client's view of a picture holds until the next one."""
+    """Number of changes of the scene; the client's render for a picture is valid until the next one."""
     display: Camera
     half: bool
-    """Whether half the pixels a side are worked out."""
+    """Whether the frame is rendered at half the width and height."""
     options: RenderOptions
 
     @property
     def camera(self) -> Camera:
-        """What the frame is worked out at."""
+        """The camera of the render."""
         return halved(self.display) if self.half else self.display
 
     @property
     def drawing(self) -> RenderOptions:
-        """The options of the drawing that is shown."""
+        """The options of the displayed render."""
         options = replace(self.options, displayed=True)
         return replace(options, footprint=options.footprint.at_half_resolution()) if self.half else options
 
 
 @dataclass(frozen=True, eq=False)
 class StagedPictures:
-    """The pictures of a frame that was made step by step: a :class:`~cags_common.correction.FramePictures`."""
+    """The pictures of a frame made in steps; a :class:`~cags_common.correction.FramePictures`."""
 
     rgb: F32
     drawn: F32
@@ -53,26 +53,26 @@ class StagedPictures:
 
     @classmethod
     def of(cls, view: RenderedView, rgb: F32 | None = None, confidence: F32 | None = None) -> StagedPictures:
-        """The stages of rendering ``view``; ``rgb`` is what is shown (None: the view itself)."""
+        """The pictures of a rendered ``view``; ``rgb`` is the displayed picture (None: the view itself)."""
         return cls(view.rgb if rgb is None else rgb, view.rgb, view.alpha, view.depth, confidence)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Rows and columns that the frame was worked out at."""
+        """Rows and columns of the render."""
         height, width = self.drawn.shape[:2]
         return height, width
 
 
 class Painter:
-    """Makes the frames of one client, one after the other."""
+    """Makes the frames of one client in sequence."""
 
     def __init__(self, threads: int) -> None:
         self._threads = threads
         self._corrector = correction.create("auto", threads)
-        self._compared: tuple[Reference, int] | None = None  # the picture that the corrector holds, and of which scene
+        self._compared: tuple[Reference, int] | None = None  # the picture cached by the corrector, and its scene
 
     def paint(self, canvas: Canvas, given: Correction | None, watch: Stopwatch) -> FramePictures:
-        """The frame, with what ``given`` says is lacking."""
+        """Make the frame, corrected by ``given``."""
         if isinstance(canvas.scene, FrameScene):
             with watch("raster"):
                 display = canvas.display if canvas.half else None
@@ -90,7 +90,7 @@ class Painter:
             return canvas.scene.render(canvas.camera, canvas.drawing)
 
     def finished(self, canvas: Canvas, made: StagedPictures, watch: Stopwatch) -> StagedPictures:
-        """``made``, brought up to the display's size."""
+        """Enlarge ``made`` to the display's size."""
         if not canvas.half:
             return made
         with watch("enlarge"):

@@ -313,7 +313,7 @@ class ClientPipeline:
             since = reference.frame, reference.basis if reference.assumes else None
             changed = self._changes.spheres(since, store.splats, canvas.camera, reference.camera.intrinsics.fx_px)
         stale = 1.0 - self._freshness(reference, frame) if Pass.FADE in plan else 0.0
-        return Correction(reference.reference, self.settings.intrinsics, changed=changed, stale=stale)
+        return Correction(reference.reference, canvas.display.intrinsics, changed=changed, stale=stale)
 
     def _restored(
         self, plan: PassPlan, canvas: Canvas, reference: Received, watch: Stopwatch, *, freshness: float, level: float

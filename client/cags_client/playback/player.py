@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from dataclasses import replace
 
 from cags_client.frame.pipeline import ClientPipeline
 from cags_client.frame.presented import PresentedFrame
@@ -80,6 +81,8 @@ class Player:
         self._reconnect = Reconnect(round(settings.reconnect_s * 1e6), rng or random.Random(0))  # noqa: S311
         self._lost_us = 0
         self._why_away = NetworkError("the connection was lost")
+        self.rejoining = False
+        """Whether the connection is away by the client's own wish, for a moment."""
         self._welcome: Welcome | None = None
         self._resume_at: Control | None = None
         self._codebooks: bytes | None = None
@@ -147,6 +150,7 @@ class Player:
     def lost(self, reason: str, now_us: int) -> None:
         """The connection was lost, or the one that :meth:`wants_connection` asked for could not be opened."""
         attempt = self._reconnect.trying
+        self.rejoining = False
         self._session.connection_lost(reason, now_us=now_us)
         self._pump(now_us)
         if attempt and self._reconnect.trying:  # there was no session yet to report the end
@@ -175,6 +179,17 @@ class Player:
         hello = self._hello(frame, self._viewpoint.pose_at(now_us))
         self._decode_queue.add(Restarted(unpack_inventory(hello.inventory)))
         self._session.hello(hello, now_us=now_us)
+
+    def reshape(self, width: int, height: int, fov: float, now_us: int) -> None:
+        """Pictures are of ``width`` x ``height`` pixels from now on, and ``fov`` degrees across.
+
+        A server learns of it by a Hello alone: it is joined anew, with what is held, so that nothing is sent again.
+        """
+        self.settings = replace(self.settings, width=width, height=height, fov=fov)
+        if self.pipeline is not None:
+            self.pipeline.settings = self.settings
+        if self.pipeline is not None and not self.away and self._reconnect.possible:
+            self._rejoin(now_us)
 
     def leave(self, now_us: int) -> None:
         """End playback now, with a goodbye."""
@@ -286,6 +301,7 @@ class Player:
             return
         if not self._reconnect.away:
             self._lost_us = now_us
+        self.rejoining = False
         self._reconnect.lost(now_us)
 
     def _on_welcome(self, welcome: Welcome, now_us: int) -> None:
@@ -296,8 +312,10 @@ class Player:
             self._reconnect.restored(now_us)
             if not welcome.resumed:  # everything is sent again
                 self._decode_queue.add(Restarted())
-            self.stats.reconnects += 1
-            self.stats.away_us += now_us - self._lost_us
+            if not self.rejoining:
+                self.stats.reconnects += 1
+                self.stats.away_us += now_us - self._lost_us
+            self.rejoining = False
         self._welcome = welcome
         if self.pipeline is None:
             try:
@@ -312,6 +330,8 @@ class Player:
             self._session.control(self._resume_at, now_us=now_us)
             self._go_on_by(self._resume_at)
             self._resume_at = None
+        if self._said_view != self.settings.intrinsics and self._reconnect.possible:  # while this was on its way
+            self._rejoin(now_us)
 
     def _on_codebooks(self, data: bytes, now_us: int) -> None:
         if self._codebooks is not None and data != self._codebooks:
@@ -330,8 +350,16 @@ class Player:
         if self.pipeline is not None and self._welcome is not None and self._codebooks is not None:
             resume, held = self._welcome.session, pack_inventory(self._decode_queue.held(self.pipeline.held()))
         token, agent = self.settings.token, "cags-client"
-        wanted, chroma, view = references_wanted(self.settings.restore), self.settings.chroma, self.settings.intrinsics
+        wanted, chroma = references_wanted(self.settings.restore), self.settings.chroma
+        view = self._said_view = self.settings.intrinsics
         return Hello(PROTOCOL_VERSION, view, pose, self._near, frame, token, agent, resume, wanted, chroma, held)
+
+    def _rejoin(self, now_us: int) -> None:
+        self._session.bye(now_us=now_us)
+        while self._session.next_event() is not None:
+            pass  # its end is known, and what came last comes again
+        self.rejoining = True
+        self._reconnect.lost(now_us)
 
     def _state_of_play(self, now_us: int) -> Control | None:
         """The playback position when a server will have taken the session over; None before playback."""

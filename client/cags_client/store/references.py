@@ -1,4 +1,4 @@
-"""Decoded references, matched to the frames that are shown."""
+"""Decoded references, matched to displayed frames."""
 
 from __future__ import annotations
 
@@ -14,71 +14,71 @@ from cags_common.video.h264 import H264Decoder
 from cags_protocol.wire.messages import ReferenceFrame, ReferenceKind
 
 KEPT = 24
-"""References kept: those sent ahead of display and the last few shown."""
+"""Number of references to keep: those ahead of display and the last few displayed."""
 
 LATEST = 0.25
-"""A reference is late by at most this share of the clip; in a loop, any other belongs to the next round."""
+"""Largest lateness of a reference, as a share of the clip; in a loop, later ones belong to the next round."""
 
 MAX_REFERENCE_PIXELS = 1 << 21
-"""Largest reference that is decoded."""
+"""Largest size of a reference to decode."""
 
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A reference as it came."""
+    """A received reference."""
 
     frame: int
     order: int
-    """Counts references as they come, over all connections."""
+    """Number of the reference in order of arrival, over all connections."""
     basis: int
     """Mark of the client's store that it assumes."""
     camera: Camera
     kind: ReferenceKind
-    coded: F32 | None = None  # [h, w, 3] in [0, 1]; None where it says nothing
+    coded: F32 | None = None  # [h, w, 3] in [0, 1]; None for an empty reference
     knee: float = 0.1
     error: float = 0.0
-    """Mean squared error that coding has left in a picture, [0, 1] RGB."""
+    """Mean squared coding error of a picture, RGB in [0, 1]."""
     seq: int = 0
 
     @property
     def assumes(self) -> bool:
-        """Whether it is right for its basis alone; a picture is compared with whatever the client holds."""
+        """Whether it is valid for its basis only; a picture is compared with whatever the client holds."""
         return self.kind is not ReferenceKind.PICTURE
 
     @cached_property
     def reference(self) -> Reference:
-        """What correctors take."""
+        """The form for correctors."""
         assert self.coded is not None, "a reference that says nothing corrects nothing"
         picture = self.kind is ReferenceKind.PICTURE
         return Reference(self.coded, self.camera, picture, self.knee, self.error if picture else 0.0)
 
     @cached_property
     def picture(self) -> ReferencePicture | None:
-        """What aligners take; None of a difference."""
+        """The form for aligners; None for a difference."""
         if self.kind is not ReferenceKind.PICTURE or self.coded is None:
             return None
         return ReferencePicture(self.coded, self.camera, self.frame, self.seq)
 
 
 class References:
-    """Decodes the reference video and hands out what is for a frame. Decoding and reading may be in two threads."""
+    """Decodes the reference video and finds the reference of a frame. Decoding and reading may use two threads."""
 
     def __init__(self, near: float = DEFAULT_NEAR) -> None:
         self._decoder = H264Decoder(max_pixels=MAX_REFERENCE_PIXELS)
         self._near = near
         self._last_seq = self._order = 0
         self.last_decoded = 0
-        """Sequence number of the last picture that was decoded; 0 before any."""
+        """Sequence number of the last decoded picture; 0 before any."""
         self._received: dict[int, Received] = {}
-        self._to_come: set[int] = set()  # their frames that were not reached yet
+        self._to_come: set[int] = set()  # frames of theirs that have not been reached
         self._frame = -1  # on display
         self._lock = threading.Lock()
 
     def add(self, message: ReferenceFrame, access_unit: memoryview, basis: int) -> bool:
-        """Decode one reference, which assumes mark ``basis`` of the store. Returns whether the video is whole: if not,
+        """Decode one reference, which assumes mark ``basis`` of the store. Returns whether the video is intact; if not,
         an IDR picture is needed.
 
-        A gap in the sequence makes every picture up to the next IDR wrong without an error, so they are not shown.
+        After a gap in the sequence all pictures up to the next IDR are wrong without an error, so they are discarded.
         Raises :class:`DecodeError`.
         """
         kind, coded = ReferenceKind(message.kind), None
@@ -123,8 +123,8 @@ class References:
     def show(self, frame: int, frames: int) -> None:
         """Display media frame ``frame`` of a clip of ``frames``; :meth:`newest` and :meth:`next_basis` speak of it.
 
-        Each round of a loop has its own references. A reference whose frame was displayed or skipped is not awaited any
-        more, and it is dropped when the next round begins, where it would be wrong.
+        Each round of a loop has its own references. A reference whose frame was displayed or skipped is no longer
+        awaited, and it is dropped when the next round begins, for which it would be wrong.
         """
         with self._lock:
             coming = {f: self._received[f] for f in self._to_come}
@@ -138,31 +138,31 @@ class References:
             }
 
     def newest(self, max_age: int) -> Received | None:
-        """The reference of the frame on display, or the newest one of the ``max_age`` frames before it."""
+        """The reference of the displayed frame, or the newest of the ``max_age`` frames before it."""
         with self._lock:
             past = [f for f in self._received if f not in self._to_come and 0 <= self._frame - f <= max_age]
             return self._received[max(past)] if past else None
 
     def next_basis(self) -> int | None:
-        """The mark that the next references assume, of those that have come for later frames than that on display. None
-        where none has come, or they assume nothing.
+        """The mark assumed by the next received references, of frames after the displayed one. None if there are none,
+        or if they assume no mark.
         """
         with self._lock:
             waiting = [self._received[f] for f in self._to_come]
             return min((r.basis for r in waiting if r.assumes), default=None)
 
     def restart(self) -> None:
-        """Another server's video follows, numbered from 1; what is there stays."""
+        """Another server's video follows, numbered from 1; received references stay."""
         self._decoder.reset()
         self._last_seq = self.last_decoded = 0
 
     @property
     def count(self) -> int:
-        """References that have come so far, over all connections."""
+        """Number of received references, over all connections."""
         return self._order
 
     def reset(self, until: int | None = None) -> None:
-        """Forget everything (the viewer jumped), or the first ``until`` that came; the decoder goes on."""
+        """Forget all references (the viewer jumped), or the first ``until`` received; the decoder continues."""
         with self._lock:
             kept = {f: r for f, r in self._received.items() if until is not None and r.order > until}
             self._received = kept

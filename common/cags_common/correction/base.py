@@ -1,9 +1,9 @@
-"""The correction seam: a client's view and what a server says is lacking in, the frame to show out.
+"""The correction seam: from a client's view and a reference to the displayed frame.
 
-A :class:`Corrector` brings what is lacking from the reference's camera to the client's by the client's own depth and
-adds it (PRPA, post-render perspective alignment, as the last step of a frame). Implementations: ``reference`` (float64,
-readable, the definition of right: :mod:`.oracle`), ``cpu`` (``cags-kernels``: :mod:`.cpu`). :mod:`cags_gpu` does the
-same by shaders, together with the drawing.
+A :class:`Corrector` samples the reference's correction by the client's own depth and adds it to the view (PRPA,
+post-render perspective alignment, as the last step of a frame). Implementations: ``reference`` (float64, the readable
+definition: :mod:`.oracle`), ``cpu`` (``cags-kernels``: :mod:`.cpu`). :mod:`cags_gpu` does the same in shaders,
+together with drawing.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ VETO_CELL_PX = 16
 """Side of the cells of a veto."""
 
 LEAST_AROUND_PX = 1.0
-"""Confident pixels of a cell: what is fewer says less of the hidden pixels around."""
+"""Number of confident pixels at which a cell has full weight for the hidden pixels around it."""
 
 FAR = 1e6
-"""Depth where nothing is known anywhere, and the largest that counts, world units. Depths below 1 / FAR are unknown."""
+"""Largest depth, world units, and the depth of a view without any. Depths below 1 / FAR are unknown."""
 
 
 LEAST_KNEE, LARGEST_KNEE = 1e-3, 10.0
-"""Of the compander: beyond it is a staircase or a straight line."""
+"""Range of the compander's knee; outside of it the curve degenerates to a staircase or a line."""
 
 
 @dataclass(frozen=True)
 class CorrectSettings:
-    """How what is lacking is brought to the client's view."""
+    """Settings of the transfer of corrections to the client's view."""
 
     depth_tolerance: float = parameter(
         0.03, "a pixel is hidden where it lies this share of the depth behind what the reference shows", low=0, high=1
@@ -54,16 +54,16 @@ class CorrectSettings:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What a server sent of a view, decoded. Not changed afterwards: correctors keep what they made of it."""
+    """A decoded reference. It must not be changed, because correctors cache results for it."""
 
     coded: F32  # [h, w, 3] in [0, 1]
     camera: Camera
     picture: bool = False
-    """A picture of the scene, which the client compares with its own render; else a companded difference."""
+    """Whether it is a picture, which the client compares with its own render, and not a companded difference."""
     knee: float = 0.1
-    """Differences below it are coded about linearly."""
+    """Knee of the compander: smaller differences are coded approximately linearly."""
     error: float = 0.0
-    """Mean squared error that coding has left in a picture, [0, 1] RGB; see :func:`.trust.layer`."""
+    """Mean squared coding error of a picture, RGB in [0, 1]; see :func:`.trust.layer`."""
 
     def __post_init__(self) -> None:
         size = self.camera.height_px, self.camera.width_px, 3
@@ -78,22 +78,22 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """A frame to show."""
+    """A frame for display."""
 
     rgb: F32  # [H, W, 3] in [0, 1]
-    confidence: F32  # [H, W] in [0, 1]: how much of what the reference says was added
+    confidence: F32  # [H, W] in [0, 1]: share of the reference's correction that was added
 
 
 class Corrector(Protocol):
-    """Corrects frame after frame; what it makes of a reference is kept while that reference is used."""
+    """Corrects frames; intermediate results for a reference are cached while it is used."""
 
     @property
     def name(self) -> str:
-        """What :func:`cags_common.correction.create` calls it."""
+        """Its name for :func:`cags_common.correction.create`."""
         ...
 
     def needs_own(self, reference: Reference) -> bool:
-        """Whether :meth:`correct` needs ``own``: a render from the camera of a picture not yet seen."""
+        """Whether :meth:`correct` needs ``own``, a render from the reference camera of a new picture."""
         ...
 
     def correct(
@@ -106,20 +106,20 @@ class Corrector(Protocol):
         *,
         veto: F32 | None = None,
     ) -> Corrected:
-        """The frame of ``view`` (with its depth), drawn from ``camera``, with what ``reference`` says is lacking.
+        """Correct ``view`` (with depth), drawn from ``camera``, by ``reference``.
 
-        ``own`` [h, w, 3] is the client's view from the reference camera, which pictures need: when one comes first, and
-        again when splats changed; without it the one given before with this reference still counts. ``veto`` in [0, 1],
-        [H, W] or [ceil(H / 16), ceil(W / 16)] (one value a cell of 16 x 16 pixels, linear between their centres), says
-        how much of the confidence is taken away. Raises ``ValueError`` for shapes that do not fit, a view without depth
-        and a picture without ``own``.
+        ``own`` [h, w, 3] is the client's render from the reference camera. Pictures need it when they are new and when
+        splats have changed; otherwise the previous one for this reference is used. ``veto`` in [0, 1], [H, W] or
+        [ceil(H / 16), ceil(W / 16)] (cells of 16 x 16 pixels, interpolated linearly between their centres), is the
+        share of confidence to remove. Raises ``ValueError`` for wrong shapes, a view without depth and a picture
+        without ``own``.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Placement:
-    """How a client's pixels lie in a reference: ``(x z, y z, z) = D m (u, v, 1) + b`` for pixel (u, v) of depth D."""
+    """Projection of client pixels to a reference: ``(x z, y z, z) = D m (u, v, 1) + b`` for pixel (u, v) of depth D."""
 
     camera: Camera
     reference: Camera
@@ -135,18 +135,18 @@ class Placement:
 
     @property
     def cell_px(self) -> tuple[float, float]:
-        """Client pixels a reference pixel along x and y, in angle at the images' centres."""
+        """Client pixels per reference pixel along x and y, by angle at the images' centres."""
         client, other = self.camera.intrinsics, self.reference.intrinsics
         return client.fx_px / other.fx_px, client.fy_px / other.fy_px
 
     @property
     def stride(self) -> int:
-        """Every how many pixels the client's view is sampled for what hides what: twice a reference pixel."""
+        """Step, in pixels, at which the client's view is sampled for occlusion: two reference pixels."""
         return max(1, int(min(self.cell_px) / 2))
 
 
 def checked_depth(view: RenderedView, camera: Camera) -> F32:
-    """The depth of ``view``. Raises ``ValueError`` where it has none or is not of the camera's size."""
+    """The depth of ``view``. Raises ``ValueError`` if it is missing or not of the camera's size."""
     if view.depth is None:
         raise ValueError("a view without depth cannot be corrected; draw it with DepthKind.EXPECTED")
     size = camera.height_px, camera.width_px
@@ -156,7 +156,7 @@ def checked_depth(view: RenderedView, camera: Camera) -> F32:
 
 
 def checked_own(own: F32, reference: Reference) -> F32:
-    """``own``. Raises ``ValueError`` where it is not of the reference's size."""
+    """Check and return ``own``. Raises ``ValueError`` if it is not of the reference's size."""
     if own.shape != reference.coded.shape:
         raise ValueError(
             f"render from the reference camera: shape {own.shape}, but the reference has {reference.coded.shape}"
@@ -170,7 +170,7 @@ def veto_shape(camera: Camera) -> tuple[int, int]:
 
 
 def checked_veto(veto: F32, camera: Camera) -> F32:
-    """``veto``. Raises ``ValueError`` where it is of neither size that it may have."""
+    """Check and return ``veto``. Raises ``ValueError`` for a size other than the two allowed ones."""
     sizes = (camera.height_px, camera.width_px), veto_shape(camera)
     if veto.shape not in sizes:
         raise ValueError(f"a veto of shape {veto.shape} for a view of {sizes[0]}: either that or {sizes[1]}")

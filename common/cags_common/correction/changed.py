@@ -1,4 +1,4 @@
-"""Where a view shows splats that changed: what a reference says about them is not true any more."""
+"""Pixels that show splats changed since the reference: its correction is not valid there."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from cags_common.correction.base import VETO_CELL_PX, veto_shape
 from cags_common.geometry import F32, F64, Camera
 
 SLABS = 32
-"""Steps of depth, equal in their logarithm, by which splats are told from what hides them."""
+"""Number of logarithmic depth slabs for the occlusion test."""
 
 
 BEHIND = 0.1
-"""A splat is seen that lies no further behind a cell's farthest depth, a share of it."""
+"""Tolerance behind a cell's farthest depth within which a splat counts as visible, as a share of that depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spheres:
-    """Balls around splats. Raises ``ValueError`` for shapes that do not fit."""
+    """Bounding spheres of splats. Raises ``ValueError`` for wrong shapes."""
 
     positions: NDArray[np.floating]  # [N, 3] world
     radii: NDArray[np.floating]  # [N] world units
@@ -37,14 +37,14 @@ class Spheres:
 
 
 def changed_cells(spheres: Spheres, camera: Camera, depth: F32, tolerance: float = BEHIND) -> F32:
-    """A veto for :meth:`.base.Corrector.correct` [ceil(H / 16), ceil(W / 16)]: 1 where a changed splat is seen, else 0.
+    """Veto [ceil(H / 16), ceil(W / 16)] for :meth:`.base.Corrector.correct`: 1 where a changed splat is visible.
 
-    ``spheres`` hold the splats that changed; ``depth`` [H, W] is that of the view from ``camera``. A splat is seen in
-    a cell where its near side lies no further than the cell's farthest depth, by ``tolerance`` of it and a step of a
-    logarithmic scale (holes are infinitely far): what is in doubt counts as seen. The cost grows with N and the number
+    ``spheres`` bound the changed splats; ``depth`` [H, W] is that of the view from ``camera``. A splat counts as
+    visible in a cell unless its near side lies behind the cell's farthest depth by more than ``tolerance`` and one step
+    of the logarithmic scale; holes are infinitely far. The test is conservative. Its cost grows with N and the number
     of cells, not with the splats' sizes.
 
-    Raises ``ValueError`` where the depth is of another size.
+    Raises ``ValueError`` for a depth of another size.
     """
     size = camera.height_px, camera.width_px
     if depth.shape != size:
@@ -64,7 +64,7 @@ def changed_cells(spheres: Spheres, camera: Camera, depth: F32, tolerance: float
 
 
 def cell_boxes(spheres: Spheres, camera: Camera) -> tuple[F64, NDArray[np.int64]]:
-    """Depths of the near sides [M], and first and last cell [M, 4] (rows, then columns), of spheres in the image."""
+    """Near depths [M] of the spheres in the image, and their first and last cells [M, 4] (rows, then columns)."""
     positions, radii = np.asarray(spheres.positions, np.float64), np.asarray(spheres.radii, np.float64)
     shape = veto_shape(camera)
     rotation, shift = camera.world_to_camera
@@ -98,7 +98,7 @@ def _farthest(depth: F32) -> F64:
 
 
 def _slab_edges(depth: F32) -> F64:
-    """Rising depths [SLABS - 1] between the slabs."""
+    """Ascending depths [SLABS - 1] between the slabs."""
     known = depth[::4, ::4]
     known = known[np.isfinite(known) & (known > 0)]
     low, high = (float(known.min()), float(known.max())) if known.size else (1.0, 1.0)
@@ -106,7 +106,7 @@ def _slab_edges(depth: F32) -> F64:
 
 
 def _coverage(slab: NDArray[np.int64], boxes: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int32]:
-    """How many boxes cover each cell [SLABS, rows, columns] (summed-area differences: four corners a box)."""
+    """Number of boxes over each cell [SLABS, rows, columns], from summed-area differences (four corners per box)."""
     rows, columns = shape[0] + 1, shape[1] + 1
     top, bottom, left, right = boxes.T
     bottom, right = bottom + 1, right + 1

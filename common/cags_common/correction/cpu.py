@@ -24,17 +24,17 @@ from cags_common.raster.base import RenderedView
 
 @dataclass(frozen=True, eq=False)
 class _Expanded:
-    """What is lacking by a reference, ready to be sampled."""
+    """The correction of a reference, prepared for sampling."""
 
     reference: Reference
     lack: NDArray[np.int16]  # [h + 2, w + 1, 4, 2]
 
 
 class CpuCorrector:
-    """The backend called ``cpu``, on ``threads`` threads; results do not depend on how many.
+    """The backend ``cpu`` with ``threads`` threads, whose number does not affect results.
 
-    A pixel is within 1e-4 of the definition, but where a z-test hangs on the last bits of a float. Raises
-    :class:`ConfigError` where the native library is missing or ``threads`` is less than 1.
+    Pixels are within 1e-4 of the definition, unless a z-test depends on the last bits of a float. Raises
+    :class:`ConfigError` if the native library is missing or ``threads`` is less than 1.
     """
 
     name = "cpu"
@@ -82,7 +82,7 @@ class CpuCorrector:
         return Corrected(*add(drawn, self._lack(reference, own), veto, how))
 
     def _lack(self, reference: Reference, own: F32 | None) -> NDArray[np.int16]:
-        """What was made of the reference before, if it still holds."""
+        """The cached result for the reference, if it is still valid."""
         from cags_kernels.correct import compared, expanded
 
         held = self._held

@@ -1,8 +1,8 @@
-"""Whole frames: drawn and corrected in one go, by scenes that can.
+"""Whole frames, drawn and corrected in one submission by scenes that support it.
 
-A client's frame can be made step by step, a rendered view and then a corrector; each step's pictures lie in memory.
-A scene on another device would have to bring them all down. A :class:`FrameScene` does everything where the splats are
-and gives out the picture to show; what it is made of comes when somebody looks at it.
+A client's frame can be made in steps: a render and then a corrector, with all intermediate pictures in memory. A scene
+on another device would have to transfer them all. A :class:`FrameScene` makes the whole frame on the device and
+returns the displayed picture; intermediate pictures are transferred on request.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from cags_common.raster.base import DepthKind, Footprint, RenderedView, RenderOp
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What is to be added to a frame, and where less of it."""
+    """The correction to add to a frame, and where to reduce it."""
 
     reference: Reference
     client: Intrinsics
     """Intrinsics of the display, which set the footprint of the client's render from the reference camera."""
     settings: CorrectSettings = field(default_factory=CorrectSettings)
     changed: Spheres | None = None
-    """Splats that changed since the reference was made: where they are seen, nothing is added."""
+    """Splats changed since the reference was made; nothing is added where they are visible."""
     stale: float = 0.0
-    """Share of the confidence that is taken away everywhere, in [0, 1]."""
+    """Share of the confidence to remove everywhere, in [0, 1]."""
 
     def own_drawing(self, options: RenderOptions) -> RenderOptions:
-        """How the client's view from the reference's camera is drawn, where its frames are with ``options``."""
+        """Options for the client's render from the reference camera, given the ``options`` of its frames."""
         footprint = Footprint.of(self.client, self.reference.camera.intrinsics)
         return replace(options, depth=DepthKind.NONE, contribution=False, footprint=footprint)
 
     def veto(self, view: RenderedView, camera: Camera) -> F32 | None:
-        """Of a ``view`` with depth from ``camera``, where it shows what changed or is too old; None: nowhere.
+        """Veto for a ``view`` with depth from ``camera``: changed splats and age; None for none.
 
-        Pixels of little opacity count as holes: what is behind them shines through.
+        Pixels of low opacity count as holes, because splats behind them are visible.
         """
         veto = None
         if self.changed is not None:
@@ -53,16 +53,16 @@ class Correction:
 
 
 class FramePictures(Protocol):
-    """A frame's picture and what it was made of. Whatever is looked at stays as it was when the frame was drawn."""
+    """A frame's picture and its intermediate pictures, as they were when the frame was drawn."""
 
     @property
     def size(self) -> tuple[int, int]:
-        """Rows and columns that the frame was worked out at: [h, w] below."""
+        """Rows and columns of the render: [h, w] below."""
         ...
 
     @property
     def rgb(self) -> F32:
-        """[H, W, 3] in [0, 1]: what is shown."""
+        """[H, W, 3] in [0, 1]: the displayed picture."""
         ...
 
     @property
@@ -77,25 +77,25 @@ class FramePictures(Protocol):
 
     @property
     def depth(self) -> F32 | None:
-        """[h, w] camera-space z, world units; +inf where void. None where nothing needed it."""
+        """[h, w] camera-space z, world units; +inf where void. None if no pass needed it."""
         ...
 
     @property
     def confidence(self) -> F32 | None:
-        """[h, w] in [0, 1]: how much of what the reference says was added; None where none was used."""
+        """[h, w] in [0, 1]: share of the reference's correction that was added; None without a reference."""
         ...
 
 
 @runtime_checkable
 class FrameScene(Protocol):
-    """A :class:`~cags_common.raster.base.RasterScene` that makes whole frames."""
+    """A :class:`~cags_common.raster.base.RasterScene` that can make whole frames."""
 
     def frame(
         self, camera: Camera, options: RenderOptions, correction: Correction | None, display: Camera | None = None
     ) -> FramePictures | None:
-        """The frame from ``camera``; None where it cannot be made in one go now (then step by step).
+        """The frame from ``camera``; None if it must be made in steps now.
 
-        ``display``: the camera that ``camera`` is :func:`~cags_common.raster.halving.halved` of; the picture is brought
-        up to its size.
+        If ``camera`` is :func:`~cags_common.raster.halving.halved`, ``display`` is the full camera, and the picture is
+        enlarged to its size.
         """
         ...

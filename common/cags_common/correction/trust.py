@@ -1,4 +1,4 @@
-"""What a decoded picture says is lacking in what a client draws itself, and how far it is to be believed."""
+"""The correction that a decoded picture implies for a client's own render, and how far to trust it."""
 
 from __future__ import annotations
 
@@ -8,32 +8,31 @@ import numpy as np
 from cags_common.geometry import F32
 
 AROUND_PX = 3
-"""Radius, in pixels, of the neighbourhoods in which a picture and the render from its camera are compared."""
+"""Radius, in pixels, of the neighbourhoods for comparing a picture with the render from its camera."""
 
 NOISE_WEIGHT = 2.0
-"""Weight of what coding has left, which is not the same everywhere."""
+"""Weight of the coding error, which varies over the picture."""
 
 LEAST_POWER = 1e-9
 
 LEAST_DETAIL = 1e-4
-"""Variance of colours under which a neighbourhood has no detail."""
+"""Variance of colours below which a neighbourhood counts as without detail."""
 
 
 def layer(coded: F32, own: F32, error: float) -> F32:
-    """What the decoded picture ``coded`` lays over the client's view.
+    """The layer that the decoded picture ``coded`` adds to the client's view.
 
-    ``own`` is that view from the picture's camera; both are [h, w, 3] RGB in [0, 1]. ``error`` is the mean squared
-    error that coding left in the picture (0: none). Returns [h, w, 4]: premultiplied colour in [-1, 1], and opacity in
-    [0, 1].
+    ``own`` is the client's render from the picture's camera; both are [h, w, 3] RGB in [0, 1]. ``error`` is the mean
+    squared coding error of the picture. Returns [h, w, 4]: premultiplied colour in [-1, 1], and opacity in [0, 1].
 
-    The picture counts as far as it differs from the view by more than coding's noise: with d the difference, by
-    Wiener's share 1 - k error / mean d^2 of each neighbourhood. k is 2. The client's own error over the whole picture
-    is about mean d^2 - error; where that is less than ``error``, k grows by their ratio, so that a picture which is
-    poorer than the view says nothing.
+    The picture counts where it differs from the render by more than the coding error. With d the difference, its weight
+    in each neighbourhood is Wiener's share 1 - k error / mean d^2. k is 2. The client's own error over the whole
+    picture is about mean d^2 - error; if that is less than ``error``, k grows by their ratio, so that a picture that is
+    poorer than the render has no effect.
 
-    Of that share, own colours stay as far as their detail is the picture's, g = cov(own, coded) / var(own): at the
-    display's size they have more of it. The rest, such as splats that have not followed the scene's motion, gives way
-    to the picture (opacity 1 - g).
+    The client's own colours stay to the extent that the picture shares their detail, g = cov(own, coded) / var(own),
+    because they have more detail at the display's resolution. The rest, such as splats that have not followed the
+    scene's motion, is replaced by the picture (opacity 1 - g).
     """
     own = np.clip(own, 0.0, 1.0)
     coded = np.clip(coded, 0.0, 1.0)

@@ -1,7 +1,6 @@
-"""What a server compares: the scene and what a client shows of it, seen from one camera.
+"""Comparison of the scene with a client's copy of it, from one camera.
 
-A :class:`ComparingScene` draws both where its splats are and subtracts them there; :class:`StagedViews` takes two
-pictures that are at hand.
+A :class:`ComparingScene` draws and subtracts both on its device; :class:`StagedViews` compares two given pictures.
 """
 
 from __future__ import annotations
@@ -37,16 +36,16 @@ class ComparedViews(Protocol):
 
     @property
     def lack(self) -> F32:
-        """[h, w, 3] in [-1, 1]: it less what the client shows."""
+        """[h, w, 3] in [-1, 1]: the scene minus the client's picture."""
         ...
 
     @property
     def compared(self) -> bool:
-        """Whether the client shows anything, and was asked."""
+        """Whether the client's copy was compared and is not empty."""
         ...
 
     def companded(self, knee: float) -> F32:
-        """[h, w, 3] in [0, 1]: ``lack`` as it is coded (:mod:`.compander`)."""
+        """[h, w, 3] in [0, 1]: ``lack`` after the compander (:mod:`.compander`)."""
         ...
 
 
@@ -55,45 +54,45 @@ class DrawnViews(ComparedViews, Protocol):
 
     @property
     def contribution(self) -> F32:
-        """[N] what the scene's splats contribute, in pixels."""
+        """[N] contributions of the scene's splats, in pixels."""
         ...
 
 
 @runtime_checkable
 class ComparingScene(Protocol):
-    """A :class:`~cags_common.raster.base.RasterScene` that is compared where its splats are."""
+    """A :class:`~cags_common.raster.base.RasterScene` that can compare itself on its device."""
 
     def compared(
         self, held: RasterScene, camera: Camera, options: RenderOptions, *, knee: float, looks: Collection[Look]
     ) -> DrawnViews | None:
-        """The scene against ``held``, what a client shows, in one go; None where that cannot be now.
+        """Compare the scene with ``held``, a client's copy, in one submission; None if that is not possible now.
 
-        ``looks`` is what will be looked at for certain, ``knee`` that of the compander in all likelihood: other things
-        come when they are asked for.
+        ``looks`` are the pictures that will certainly be needed, ``knee`` is the likely knee of the compander. Other
+        pictures are computed on request.
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class StagedViews:
-    """Pictures [h, w, 3] that are at hand; ``mirror`` None: the client shows nothing, or is not compared with."""
+    """Given pictures [h, w, 3]; ``mirror`` is None if the client's copy is empty or not compared."""
 
     scene: F32
     mirror: F32 | None
 
     @cached_property
     def truth(self) -> F32:
-        """The scene in the display's range."""
+        """The scene clipped to the display's range."""
         return np.clip(self.scene, 0, 1)
 
     @cached_property
     def lack(self) -> F32:
-        """All of it where the client shows nothing."""
+        """The whole scene if the client's copy is empty."""
         return self.truth if self.mirror is None else self.truth - np.clip(self.mirror, 0, 1)
 
     @property
     def compared(self) -> bool:
-        """Whether there is a picture of the client's."""
+        """Whether there is a picture of the client's copy."""
         return self.mirror is not None
 
     def companded(self, knee: float) -> F32:

@@ -1,8 +1,8 @@
-"""Tiles of motion and of updates of one group of frames, besides its looks.
+"""Tiles of motion and updates of one group of frames.
 
-A chunk of motion is decoded while it may be shown. Once a later chunk of the same looks is, or nothing of the looks is
-left, only its payloads stay, which are small, for showing earlier frames again. A chunk that comes before the looks
-that it moves waits undecoded, for it can be checked against nothing.
+A chunk of motion is decoded while it may be shown. When a later chunk of the same looks is shown, or the looks are
+gone, only its payloads stay, which are small, so that earlier frames can be shown again. A chunk that arrives before
+its looks waits undecoded, because it cannot be checked.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from cags_common.store.versions import Version, Versions
 
 @dataclass(frozen=True, slots=True)
 class KeptPayload:
-    """A level of motion, and the last mark that came before it."""
+    """A level of motion, and the last mark before it."""
 
     since: int
     data: bytes | memoryview
@@ -38,23 +38,23 @@ class KeptPayload:
 
 @dataclass(eq=False)
 class StoredMotion:
-    """One tile of motion: its payloads, and what is decoded of them."""
+    """One tile of motion: its payloads and their decoded state."""
 
     key: Key
     looks: Key
     versions: Versions[MotionDecoder] | None
-    """None once it is past."""
+    """None after it has expired."""
     payloads: dict[int, KeptPayload]
     """By level."""
     shown_lod: int = -1
 
     @property
     def lods(self) -> int:
-        """Levels that are held, from the lowest on without a gap."""
+        """Number of held levels, from the lowest on without a gap."""
         return next((level for level in range(LEVELS) if level not in self.payloads), LEVELS)
 
     def opened(self, opener: Opener, floor: float) -> Versions[MotionDecoder] | DecodeError:
-        """Decoded anew from the payloads, but for levels that are damaged; what came before mark ``floor`` as one."""
+        """Decode the payloads again, except damaged levels; everything before mark ``floor`` becomes one version."""
         first, *_ = opener.opened([First(self.key, 0, memoryview(self.payloads[0].data))])
         if isinstance(first, DecodeError):
             return first
@@ -72,17 +72,17 @@ class StoredMotion:
 
 @dataclass(eq=False)
 class StoredUpdate:
-    """One update: what is decoded of it."""
+    """One update and its decoded levels."""
 
     key: Key
     versions: Versions[UpdateDecoder]
     shown_lod: int = -1
     ids_of: dict[str, NDArray[np.intp]] = field(default_factory=dict)
-    """Column of splats -> ids that it changes; known once it is shown."""
+    """Column of splats -> ids that the update changes; known after it was shown."""
 
     @property
     def lods(self) -> int:
-        """Levels that are decoded, from the base on without a gap."""
+        """Number of decoded levels, from the base on without a gap."""
         return self.versions.newest.lod + 1
 
 
@@ -97,14 +97,14 @@ class LooksValue:
     ids: Ids  # [n]
     splats: Splats  # [n]
     steps: Steps | None
-    """Units of their motion; None in bundles without any."""
+    """Units of their motion; None in bundles without motion."""
     grows: bool
-    """Whether further levels may bring more splats."""
+    """Whether further levels may add splats."""
 
 
 @dataclass(frozen=True, eq=False)
 class Staged:
-    """A tile that the display may show, at the levels that there were before the mark after ``since``."""
+    """A tile ready for display, at the levels received before the mark after ``since``."""
 
     held: StoredTile
     since: int
@@ -113,9 +113,9 @@ class Staged:
 
 
 def to_stage(held: StoredTile) -> list[Callable[[], Staged]]:
-    """Makes of what is to be staged of a tile, a version each; none of motion that is past.
+    """Functions that stage a tile, one per version; none for expired motion.
 
-    What they make never changes, for nothing is added to a version that was handed out.
+    Their results never change, because nothing is added to a version that was handed out.
     """
     if isinstance(held, StoredLooks):
         return [partial(_staged_looks, held, version) for version in held.versions.fresh()]
@@ -143,17 +143,17 @@ def _staged_update(held: StoredUpdate, version: Version[UpdateDecoder]) -> Stage
 def _staged_motion(held: StoredMotion, version: Version[MotionDecoder]) -> Staged:
     state = version.handed_out()
     chunk = state.chunk
-    in_motion(chunk)  # worked out here, beside the display path, and kept
+    in_motion(chunk)  # computed here, off the display path, and kept
     return Staged(held, version.since, state.lod, chunk)
 
 
 def named(key: Key) -> str:
-    """The tile in an error."""
+    """Name of the tile for errors."""
     return f"tile {key[1]} of frame {key[0]}"
 
 
 class Motions:
-    """Tiles of motion by the looks that they move, and those that wait for their looks."""
+    """Tiles of motion by their looks, and tiles that wait for their looks."""
 
     def __init__(self) -> None:
         self._of: dict[Key, dict[int, StoredMotion]] = {}
@@ -161,7 +161,7 @@ class Motions:
         self._looks_of: dict[Key, Key] = {}  # of those that wait
 
     def add(self, held: StoredMotion) -> StoredMotion | None:
-        """Take a tile in; the one of the same looks and frame that it takes the place of."""
+        """Add a tile; returns the one of the same looks and frame that it replaces."""
         of = self._of.setdefault(held.looks, {})
         before = of.get(held.key[0])
         of[held.key[0]] = held
@@ -174,24 +174,24 @@ class Motions:
             del of[held.key[0]]
 
     def of(self, looks: Key) -> list[StoredMotion]:
-        """All that move tile ``looks``."""
+        """All motion of tile ``looks``."""
         return list(self._of.get(looks, {}).values())
 
     def at(self, looks: Key, start: int) -> StoredMotion | None:
-        """The one that moves tile ``looks`` from media frame ``start`` on."""
+        """The motion of tile ``looks`` from media frame ``start`` on."""
         return self._of.get(looks, {}).get(start)
 
     def looks(self) -> list[Key]:
-        """Tiles that move."""
+        """All tiles of motion."""
         return list(self._of)
 
     def wait(self, key: Key, looks: Key) -> None:
-        """Tile ``key`` waits for ``looks``."""
+        """Note that tile ``key`` waits for ``looks``."""
         self._orphans.setdefault(looks, set()).add(key)
         self._looks_of[key] = looks
 
     def give_up(self, key: Key) -> None:
-        """Tile ``key`` waits no more."""
+        """Note that tile ``key`` no longer waits."""
         looks = self._looks_of.pop(key, None)
         if looks is not None:
             waiting = self._orphans[looks]
@@ -200,7 +200,7 @@ class Motions:
                 del self._orphans[looks]
 
     def come(self, looks: Key) -> list[Key]:
-        """``looks`` have come: the tiles that waited for them, in order."""
+        """``looks`` have arrived: returns the tiles that waited for them, in order."""
         keys = sorted(self._orphans.get(looks, ()))
         for key in keys:
             self.give_up(key)

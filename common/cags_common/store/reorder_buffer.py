@@ -1,4 +1,4 @@
-"""Layers that have come before the base layer of their tile."""
+"""Buffer of layers that arrived before the base layer of their tile."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from collections.abc import Callable, Iterable
 from cags_common.store.tile_decode import Key
 
 MAX_WAITING_BYTES = 8 << 20
-"""Bound on layers that wait for their tile's base, a group of frames."""
+"""Largest size of waiting layers per group of frames, bytes."""
 
 
 class WaitingLayers:
-    """Layers by tile; the oldest tile's go when more than :data:`MAX_WAITING_BYTES` wait."""
+    """Waiting layers by tile; beyond :data:`MAX_WAITING_BYTES` those of the oldest tile are discarded."""
 
     def __init__(self, kept: Callable[[memoryview], bytes | memoryview] = bytes) -> None:
-        """``kept`` makes of a payload what may stay."""
+        """``kept`` converts a payload to a form that may be stored."""
         self._kept = kept
         self._layers: OrderedDict[Key, list[tuple[int, bytes | memoryview]]] = OrderedDict()
         self.bytes = 0
-        """Bytes of all that waits."""
+        """Size of all waiting layers, bytes."""
 
     def add(self, key: Key, layers: Iterable[tuple[int, memoryview]]) -> list[Key]:
-        """Keep ``layers``, (LoD, payload), until :meth:`take`. The tiles whose layers made room for them."""
+        """Store ``layers``, (LoD, payload), until :meth:`take`; returns the tiles whose layers were discarded."""
         kept = self._layers.setdefault(key, [])
         for lod, payload in layers:
             kept.append((lod, self._kept(payload)))
@@ -35,7 +35,7 @@ class WaitingLayers:
         return gone
 
     def take(self, key: Key) -> list[tuple[int, memoryview]]:
-        """The layers that waited for ``key``, in the order of their arrival."""
+        """Remove and return the layers that waited for ``key``, in order of arrival."""
         layers = self._layers.pop(key, [])
         self.bytes -= sum(len(data) for _, data in layers)
         return [(lod, memoryview(data)) for lod, data in layers]

@@ -1,4 +1,4 @@
-"""What of a group of frames is on display, tile of looks by tile, and the figures of its detail."""
+"""The displayed tiles of looks of a group of frames, and figures of their detail."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from cags_common.tiles.splat_buffer import Slot
 
 @dataclass(eq=False, kw_only=True)
 class StoredLooks(Slot):
-    """One tile of looks: what is decoded of it, and how many rows it still owns."""
+    """One tile of looks: its decoded levels, and the number of rows that it still owns."""
 
     sphere: Sphere
     versions: Versions[TileDecoder]
-    """What is decoded of it."""
+    """Its decoded levels."""
     grows: bool = False
-    """Whether levels that are not shown yet may bring more splats."""
+    """Whether levels that are not yet shown may add splats."""
 
     @property
     def on_display(self) -> bool:
-        """Whether any of its splats is."""
+        """Whether any of its splats is shown."""
         return self.owned > 0 and not self.ended
 
     @property
     def lods(self) -> int:
-        """Levels that are decoded, from the base on without a gap."""
+        """Number of decoded levels, from the base on without a gap."""
         return self.versions.newest.lod + 1
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The splats on display and the tiles that they are from. A view of the store: it changes with the next commit."""
+    """The displayed splats and their tiles. This is a view of the store, which changes with the next commit."""
 
     owner: NDArray[np.int32]
-    """[capacity] by splat id: place in ``tiles`` of the tile that it is from; -1 where there is no splat."""
+    """[capacity] by splat id: index in ``tiles`` of the splat's tile; -1 for no splat."""
     tiles: Sequence[StoredLooks]
 
     @property
@@ -50,18 +50,18 @@ class Shown:
         return int((self.owner >= 0).sum())
 
     def lods(self) -> NDArray[np.float32]:
-        """[tiles] the LoD that each tile is shown at; -1 where nothing of it is."""
+        """[tiles] displayed LoD of each tile; -1 if nothing of it is displayed."""
         return np.array([tile.shown_lod for tile in self.tiles], np.float32)
 
     def full(self, top_lod: int) -> bool:
-        """Whether everything shown is at ``top_lod``, so that nothing is left to restore."""
+        """Whether everything displayed is at ``top_lod``, so that nothing is left to restore."""
         return all(not tile.on_display or tile.shown_lod == top_lod for tile in self.tiles)
 
     def lod_mean(self, camera: Camera, contribution: F32 | None = None) -> float:
-        """Mean LoD of the shown splats in view; NaN where none is.
+        """Mean LoD of the displayed splats in view; NaN for none.
 
-        Weighted by ``contribution`` [capacity], each splat's share in the picture, where that is known; else by tiles
-        whose bounding sphere meets the view.
+        Splats are weighted by ``contribution`` [capacity] to the picture. If it is unknown, the splats of tiles whose
+        bounding spheres meet the view count equally.
         """
         tiles = [tile for tile in self.tiles if tile.on_display and tile.shown_lod >= 0]
         if not tiles:
@@ -76,6 +76,6 @@ class Shown:
         return float((weights * lods).sum() / weights.sum()) if weights.sum() > 0 else float("nan")
 
     def visible_lods(self, contribution: F32) -> dict[Key, int]:
-        """LoDs shown of each tile that has a splat with a ``contribution`` [capacity] to the picture."""
+        """Displayed LoDs of each tile that has a splat with a ``contribution`` [capacity] to the picture."""
         owners = self.owner[(contribution > 0) & (self.owner >= 0)]
         return {tile.key: tile.shown_lod + 1 for tile in (self.tiles[index] for index in np.unique(owners))}

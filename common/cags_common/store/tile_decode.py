@@ -1,4 +1,4 @@
-"""Opening tiles, several at a time: Draco and the kernels release the GIL, so that two threads pay off."""
+"""Parallel decoding of tiles: Draco and the kernels release the GIL, so threads help."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Key: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Layers of one tile as a message brings them: ``payloads[i]`` is LoD ``from_lod + i``."""
+    """Layers of one tile in a message: ``payloads[i]`` is LoD ``from_lod + i``."""
 
     frame: int
     tile: int
@@ -52,7 +52,7 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class First:
-    """The payload that opens a tile: its LoD 0, or, where any payload is a whole tile, of any LoD."""
+    """A payload that opens a tile: LoD 0, or any LoD if every payload is a whole tile."""
 
     key: Key
     lod: int
@@ -61,7 +61,7 @@ class First:
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A ball that holds a tile's means."""
+    """Bounding sphere of a tile's means."""
 
     centre: F32  # [3] world, metres
     radius: float
@@ -69,7 +69,7 @@ class Sphere:
 
 @dataclass(frozen=True, eq=False)
 class OpenTile:
-    """A decoded base layer of looks, and where its means are."""
+    """A decoded base layer of looks with its bounding sphere."""
 
     state: TileDecoder
     sphere: Sphere
@@ -90,18 +90,18 @@ class OpenUpdate:
 
 
 Opened: TypeAlias = OpenTile | OpenMotion | OpenUpdate
-"""A tile of any kind whose LoD 0 is decoded."""
+"""A tile of any kind with decoded LoD 0."""
 
 
 class Opener(Protocol):
-    """Makes decoders of a store's tiles."""
+    """Creates decoders for the tiles of a store."""
 
     bounded: bool
-    """Whether what the decoders hold counts: only so much of what is over is kept for showing it again."""
+    """Whether the memory of decoders counts towards the limit on tiles kept for replays."""
 
     @property
     def threads(self) -> int:
-        """Decoding threads; their number does not affect what is shown."""
+        """Number of decoding threads, which does not affect results."""
         ...
 
     def opened(self, firsts: Sequence[First]) -> list[Opened | DecodeError]:
@@ -113,7 +113,7 @@ class Opener(Protocol):
         ...
 
     def kept(self, payload: memoryview) -> bytes | memoryview:
-        """A payload for as long as the store likes: a message's is used again."""
+        """A payload that the store may keep; the buffer of a message is reused."""
         ...
 
     def run(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
@@ -122,7 +122,7 @@ class Opener(Protocol):
 
 
 def open_tile(codec: TileCodec, payload: memoryview) -> Opened:
-    """Decode LoD 0. Raises :class:`DecodeError`."""
+    """Decode the payload of LoD 0. Raises :class:`DecodeError`."""
     state: AnyTile = codec.open_tile(payload)
     if isinstance(state, MotionTile):
         return OpenMotion(state)
@@ -133,7 +133,7 @@ def open_tile(codec: TileCodec, payload: memoryview) -> Opened:
 
 
 def in_view(spheres: Sequence[Sphere], camera: Camera) -> NDArray[np.bool_]:
-    """Which of ``spheres`` [n] meet the cone around the view's pyramid."""
+    """Mask of the ``spheres`` [n] that meet the cone around the view's pyramid."""
     centres, radii = np.array([s.centre for s in spheres], np.float64), np.array([s.radius for s in spheres])
     rotation, translation = camera.world_to_camera
     p = centres @ rotation.T + translation
@@ -151,7 +151,7 @@ class TileOpener:
     bounded = True
 
     def __init__(self, codec: TileCodec | None, threads: int) -> None:
-        """``codec`` may follow as :attr:`codec`, before anything is opened."""
+        """``codec`` may be set later as :attr:`codec`, before a tile is opened."""
         self.codec, self.threads = codec, threads
         self._inside = threading.local()
         self._pool = ThreadPoolExecutor(threads, "cags-tiles", self._enter) if threads > 1 else None
@@ -160,7 +160,7 @@ class TileOpener:
         self._inside.pool = True
 
     def open(self, payloads: Sequence[memoryview]) -> list[Opened | DecodeError]:
-        """What each LoD 0 payload holds, or why it cannot be read."""
+        """The decoded LoD 0 payloads, or the error of each."""
         return self.run(self._try, payloads)
 
     def opened(self, firsts: Sequence[First]) -> list[Opened | DecodeError]:
@@ -181,20 +181,20 @@ class TileOpener:
         return bytes(payload)
 
     def dequantise(self, tiles: Sequence[TileDecoder]) -> list[Splats]:
-        """Each tile's splats; the tiles are different ones."""
+        """The splats of distinct ``tiles``."""
         return self.run(_dequantised, tiles)
 
     def run(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
-        """``work`` on each of ``items``, in order.
+        """Results of ``work`` on each of ``items``, in order.
 
-        Work that runs in the pool opens tiles itself, one after the other: threads that waited for the pool's own would
-        wait for ever.
+        Work that already runs in the pool opens its tiles sequentially: waiting for the pool's own threads would
+        deadlock.
         """
         alone = self._pool is None or getattr(self._inside, "pool", False)
         return list(map(work, items) if alone or self._pool is None else self._pool.map(work, items))
 
     def merged(self, tiles: Sequence[TileDecoder], sh_degree: int) -> Splats:
-        """All splats of different ``tiles`` in order."""
+        """All splats of distinct ``tiles``, in order."""
         return dequantise_tiles(tiles, sh_degree, self._pool.map if self._pool else map)
 
     def _try(self, payload: memoryview) -> Opened | DecodeError:

@@ -1,4 +1,4 @@
-"""What is decoded of one tile, mark by mark: what is shown up to a mark never changes by what comes after it."""
+"""Versions of one decoded tile by mark: the state up to a mark never changes by what arrives after it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Generic, Protocol, TypeVar
 
 
 class Forking(Protocol):
-    """A decoder that can be copied before something is added to it."""
+    """A decoder that can be copied before data is added to it."""
 
     @property
     def lod(self) -> int:
-        """Highest LoD up to which everything has come."""
+        """Highest LoD up to which all levels have arrived."""
         ...
 
     def fork(self: S) -> S:
-        """Another decoder of what has come."""
+        """A copy of the decoder with its data."""
         ...
 
 
@@ -24,15 +24,15 @@ S = TypeVar("S", bound=Forking)
 
 @dataclass(eq=False)
 class Version(Generic[S]):
-    """A tile as it was after the last thing that came of it before the next mark."""
+    """The state of a tile after the last data before the next mark."""
 
     since: int
-    """The last mark that came before it; it counts for every later one."""
+    """The last mark before it; the state is valid for all later marks."""
     state: S
     fresh: bool = True
-    """Whether it holds something that is to be staged."""
+    """Whether it has data to be staged."""
     staged: bool = False
-    """Whether what it holds was handed out: it is not added to any more."""
+    """Whether it was handed out, after which nothing may be added."""
 
     def handed_out(self) -> S:
         """The state, to be staged."""
@@ -48,17 +48,17 @@ class Versions(Generic[S]):
 
     @property
     def newest(self) -> S:
-        """All that has come."""
+        """Everything received."""
         return self._all[-1].state
 
     def __len__(self) -> int:
         return len(self._all)
 
     def writable(self, since: int) -> S:
-        """The state to add to what comes after mark ``since``; :meth:`touch` where that changed anything."""
+        """The state to which data after mark ``since`` is added. Call :meth:`touch` if that changed anything."""
         last = self._all[-1]
         if last.since == since:
-            if last.staged:  # what :meth:`again` asked for is still to be staged, though nothing new should be added
+            if last.staged:  # a request of :meth:`again` must still be staged, even if nothing new is added
                 self._all[-1] = Version(since, last.state.fork(), fresh=last.fresh)
         else:
             self._all.append(Version(since, last.state.fork(), fresh=False))
@@ -78,7 +78,7 @@ class Versions(Generic[S]):
             version.fresh = True
 
     def trim(self, basis: float) -> None:
-        """Nothing before mark ``basis`` is asked for any more: of what came before it only the newest stays."""
+        """No mark before ``basis`` is requested any more: keep only the newest of the versions before it."""
         before = sum(version.since < basis for version in list(self._all))
         if before > 1:
             del self._all[: before - 1]

@@ -1,17 +1,17 @@
-"""The splats of one group of frames, by id, merged from tiles: what a decoder shows at a time.
+"""The splats of one group of frames by id, combined from tiles: the state that a decoder shows at a time.
 
-The rules, whatever the order in which tiles are written:
+The result does not depend on the order in which tiles are written. Rules:
 
-- the newest looks win, splat by splat (a tile of looks of a later frame holds whole splats); of two tiles of one frame
-  that hold the same splat, the one of the lower number;
-- an enhancement layer changes only the splats that its own tile still owns;
-- an update changes single attributes; the newest update of an attribute wins, until looks of a later frame come (two
-  updates of one frame never change the same attribute of a splat);
-- motion says where the splats that a tile of looks owns are, how they turn and fade, and when they end: by the newest
-  chunk that begins at or before the time shown, held at its end until another is there;
-- a removal at frame f ends splats of looks before f, and keeps late tiles of those from bringing them back.
+- For each splat the newest looks apply (tiles of looks contain whole splats). If two tiles of one frame contain the
+  same splat, the tile with the lower number applies.
+- An enhancement layer changes only the splats that its tile still owns.
+- An update changes single attributes. The newest update of an attribute applies until looks of a later frame arrive
+  (two updates of one frame never change the same attribute of a splat).
+- Motion sets position, rotation, fade and end of the splats that a tile of looks owns. The newest chunk that begins at
+  or before the displayed time applies, and is held at its end until another arrives.
+- A removal at frame f ends splats of looks before f, and prevents late tiles from restoring them.
 
-Client, server and encoder use this class, so that each knows what another shows.
+Client, server and encoder use this class, so each can predict the others' state.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MOVING_COLUMNS = ("means", "quats", "logit_opacities")
 
 @dataclass(eq=False)
 class Slot:
-    """One tile of looks in a buffer: which rows it brought, and how many of them it still owns."""
+    """One tile of looks in a buffer: its rows, and the number that it still owns."""
 
     index: int
     key: Key
@@ -50,34 +50,34 @@ class Slot:
     shown_lod: int = -1
     replaced: bool = False
     ended: bool = False
-    """Whether the lives of all its splats are over at the time shown."""
+    """Whether all its splats have ended at the displayed time."""
     ids: Ids = field(default_factory=lambda: np.zeros(0, np.int32))
     """[n] in the tile's order."""
     steps: Steps | None = None
-    """Units of the tile's motion; None where it never moves."""
+    """Units of the tile's motion; None for a tile that never moves."""
     rows: I32 | None = None
-    """[n] ids of the splats that are the tile's still, -1 for the others; None: to be told anew."""
+    """[n] ids of the splats that the tile still owns, -1 for the others; None: to be recomputed."""
 
     @property
     def frame(self) -> int:
-        """Media frame that the tile is of."""
+        """Media frame of the tile."""
         return self.key[0]
 
 
 @dataclass(eq=False)
 class _Motion:
-    """What is known of the motion of one tile of looks."""
+    """Received motion of one tile of looks."""
 
     chunks: dict[int, Chunk] = field(default_factory=dict)
     """First media frame -> motion from it on."""
     ends: dict[int, float] = field(default_factory=dict)
-    """First media frame -> the time from which on nothing of that chunk changes any more."""
+    """First media frame -> time from which that chunk changes nothing."""
     shown: tuple[int, float] | None = None
-    """First frame of the chunk that is shown, and the time; None: splats are as their looks say."""
+    """First frame of the displayed chunk, and the time; None if splats are at the place of their looks."""
     dirty: bool = True
-    """Whether looks or motion came since :attr:`shown`."""
+    """Whether looks or motion arrived since :attr:`shown`."""
     updated: bool = False
-    """Whether opacities of looks were updated since: those of what is in motion have to be evaluated again."""
+    """Whether opacities of looks were updated since, so that those in motion must be evaluated again."""
     _tile: MovingTile | None = None
 
     def start(self, time: float) -> int | None:
@@ -85,8 +85,8 @@ class _Motion:
         return max((first for first in self.chunks if first <= time), default=None)
 
     def tile_at(self, start: int, time: float, rows: I32, steps: Steps) -> MovingTile:
-        """The splats of ``rows`` that are not shown as they are at ``time``: all of them, but where the same chunk is
-        shown. Made anew only where something else than the time has changed.
+        """The splats of ``rows`` to evaluate at ``time``: all of them, or, if the same chunk is displayed, those in
+        motion. Recomputed only if something other than the time has changed.
         """
         chunk, tile = self.chunks[start], self._tile
         if tile is None or tile.chunk is not chunk or tile.rows is not rows or tile.steps is not steps:
@@ -96,14 +96,14 @@ class _Motion:
         return tile.in_motion() if again else tile
 
     def settled(self, start: int, time: float) -> bool:
-        """Whether the chunk from ``start`` is shown as it is at ``time`` already."""
+        """Whether the chunk from ``start`` is already displayed as of ``time``."""
         if self.dirty or self.updated or self.shown is None or self.shown[0] != start:
             return False
         return self.shown[1] == time or min(self.shown[1], time) >= self.ends[start]
 
 
 class SplatBuffer:
-    """Rows are splat ids. One thread writes; memory for ``capacity`` rows is taken when something is written."""
+    """Rows are splat ids. One thread writes; memory for ``capacity`` rows is allocated at the first write."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class SplatBuffer:
         on_replaced: Callable[[Slot], None] = lambda slot: None,
         threads: int = 1,
     ) -> None:
-        """``on_replaced`` hears of each tile of which nothing is shown any more. Motion is evaluated on ``threads``."""
+        """``on_replaced`` is called for each tile that is no longer shown. Motion is evaluated on ``threads``."""
         self._capacity, self._sh_degree, self._threads = capacity, sh_degree, threads
         self._on_replaced = on_replaced
         self.slots: list[Slot] = []
@@ -123,12 +123,12 @@ class SplatBuffer:
 
     @cached_property
     def splats(self) -> Splats:
-        """Splats on display; rows without a splat are absent (``ABSENT_LOGIT``)."""
+        """Displayed splats; rows without a splat are absent (``ABSENT_LOGIT``)."""
         return _blank(self._capacity, self._sh_degree)
 
     @cached_property
     def _still(self) -> dict[str, F32]:
-        """Moving columns as looks and updates say them, before motion."""
+        """Moving columns from looks and updates, before motion."""
         return {name: getattr(self.splats, name).copy() for name in MOVING_COLUMNS}
 
     def _unset(self) -> NDArray[np.int32]:
@@ -136,27 +136,27 @@ class SplatBuffer:
 
     @cached_property
     def owner(self) -> NDArray[np.int32]:
-        """[capacity] index of the tile of looks that a row is from; -1 where there is no splat."""
+        """[capacity] index of the tile of looks of each row; -1 for no splat."""
         return self._unset()
 
     @cached_property
     def _source(self) -> NDArray[np.int32]:
-        """Media frame of the looks that a row is from."""
+        """Media frame of the looks of each row."""
         return self._unset()
 
     @cached_property
     def _removed_at(self) -> NDArray[np.int32]:
-        """The newest media frame that removed the row."""
+        """The newest media frame that removed each row."""
         return self._unset()
 
     @cached_property
     def _updated(self) -> dict[str, NDArray[np.int32]]:
-        """Column -> [capacity] media frame of the newest update of a row; -1 where looks are all there is."""
+        """Column -> [capacity] media frame of the newest update of each row; -1 for none."""
         return {column: self._unset() for column in UPDATE_COLUMNS}
 
     @property
     def nbytes(self) -> int:
-        """What the rows take that were written so far."""
+        """Memory of the rows written so far, bytes."""
         made = vars(self)
         arrays = [made[name] for name in ("owner", "_source", "_removed_at") if name in made]
         arrays += [array for name in ("_still", "_updated") for array in made.get(name, {}).values()]
@@ -164,12 +164,12 @@ class SplatBuffer:
         return sum(array.nbytes for array in arrays)
 
     def add(self, slot: Slot) -> None:
-        """Take a tile of looks in, before anything of it is written; its index is ``len(self.slots)``."""
+        """Add a tile of looks before it is written; its index is ``len(self.slots)``."""
         self.slots.append(slot)
         self._by_key[slot.key] = slot
 
     def clear(self) -> None:
-        """Back to no splats; the tiles stay, and their motion."""
+        """Remove all splats, but keep the tiles and their motion."""
         self.splats.logit_opacities[:] = self._still["logit_opacities"][:] = ABSENT_LOGIT
         for rows in (self.owner, self._source, self._removed_at, *self._updated.values()):
             rows[:] = -1
@@ -181,16 +181,16 @@ class SplatBuffer:
     # ------------------------------------------------------------------------------------------------------------ looks
 
     def remove(self, frame: int, ids: Ids) -> Ids:
-        """End ``ids`` at media frame ``frame``; those that were shown until now."""
+        """End ``ids`` at media frame ``frame``; returns those that were shown until now."""
         self._removed_at[ids] = np.maximum(self._removed_at[ids], frame)
         gone: Ids = ids[self._source[ids] < frame]
         self._release(gone)
         self.owner[gone] = -1
-        self.splats.logit_opacities[gone] = ABSENT_LOGIT  # what an update says of splats that are to come stays
+        self.splats.logit_opacities[gone] = ABSENT_LOGIT  # updates of splats that have not arrived are kept
         return gone
 
     def write(self, slot: Slot, lod: int, ids: Ids, splats: Splats) -> Ids:
-        """Show a tile of looks at ``lod``: ``splats`` [n] by ``ids`` [n]. The ids of those that are its to show."""
+        """Show a tile of looks at ``lod``: ``splats`` [n] by ``ids`` [n]. Returns the ids that the tile owns."""
         slot.ids, slot.rows = ids, None
         mine = self.owner[ids] == slot.index
         newer = (self._source[ids] < slot.frame) & (self._removed_at[ids] <= slot.frame)
@@ -208,7 +208,7 @@ class SplatBuffer:
         return rows
 
     def _of_later_tiles(self, slot: Slot, ids: Ids) -> NDArray[np.bool_]:
-        """Which of ``ids`` are shown from tiles of the frame of ``slot`` with a higher number."""
+        """Mask of the ``ids`` shown from tiles of the same frame as ``slot`` with a higher number."""
         contested: NDArray[np.bool_] = (
             (self._source[ids] == slot.frame) & (self.owner[ids] >= 0) & (self.owner[ids] != slot.index)
         )
@@ -218,7 +218,7 @@ class SplatBuffer:
         return contested
 
     def _put(self, slot: Slot, rows: Ids, splats: Splats) -> None:
-        """Looks of ``slot``; what updates of its frame and of later ones changed stays."""
+        """Write looks of ``slot``; attributes changed by updates of its frame or later stay."""
         moving, targets = self._touch(slot), dict(self.splats.arrays())
         for name, values in splats.arrays():
             base = self._still.get(name, targets[name])
@@ -234,7 +234,7 @@ class SplatBuffer:
                 targets[name][rows] = base[rows]
 
     def _touch(self, slot: Slot) -> bool:
-        """Something of ``slot`` changed; whether it is for :meth:`move` to show its moving columns."""
+        """Note a change of ``slot``; returns whether :meth:`move` will write its moving columns."""
         motion = self._motions.get(slot.key)
         if motion is None:
             return False
@@ -242,7 +242,7 @@ class SplatBuffer:
         return motion.shown is not None
 
     def _release(self, rows: Ids) -> None:
-        """These rows leave the tiles that own them."""
+        """Remove these rows from the tiles that own them."""
         owners = self.owner[rows]
         counts = np.bincount(owners[owners >= 0], minlength=0)
         for index in np.nonzero(counts)[0]:
@@ -255,7 +255,7 @@ class SplatBuffer:
     # ---------------------------------------------------------------------------------------------------------- updates
 
     def update(self, frame: int, values: Mapping[str, tuple[Rows, F32]]) -> Rows:
-        """Take an update of media frame ``frame``: column -> (ids [m], values [m, ...]); the rows that changed."""
+        """Apply an update of media frame ``frame``: column -> (ids [m], values [m, ...]). Returns the changed rows."""
         taken = {column: self._takes(frame, column, ids) for column, (ids, _) in values.items()}
         ids_of = {column: values[column][0][takes] for column, takes in taken.items()}
         for column, ids in ids_of.items():
@@ -264,7 +264,7 @@ class SplatBuffer:
             if column in self._still:
                 self._still[column][ids] = new
                 owners = self.owner[ids]
-                target[ids[owners >= 0]] = new[owners >= 0]  # what is in motion is evaluated once more
+                target[ids[owners >= 0]] = new[owners >= 0]  # splats in motion are evaluated again
                 for index in np.flatnonzero(np.bincount(owners[owners >= 0])):
                     if motion := self._motions.get(self.slots[index].key):
                         motion.updated = True
@@ -277,14 +277,14 @@ class SplatBuffer:
         return newest & (self._removed_at[ids] <= frame)
 
     def _shown(self, parts: Sequence[Rows]) -> Rows:
-        """Those of ``parts`` that are there, rising and each once."""
+        """Union of the given ``parts``, ascending and without duplicates."""
         listed = np.sort(np.concatenate([np.zeros(0, np.intp), *parts]))  # np.unique takes three times as long
         once: Rows = listed[np.diff(listed, prepend=-1) > 0]
         return once[self.owner[once] >= 0]
 
     def uses(self, frame: int, ids_of: Mapping[str, Rows], *, shown: bool = False) -> bool:
-        """Whether the update of ``frame`` of columns' ``ids_of`` is the newest for any splat that is there or may come;
-        with ``shown``: for any that is there at the time shown.
+        """Whether the update of ``frame`` of columns' ``ids_of`` is the newest for any splat that exists or may arrive;
+        with ``shown``, for any splat at the displayed time.
         """
         for column, ids in ids_of.items():
             used = (self._updated[column][ids] == frame) & (self._removed_at[ids] <= frame)
@@ -297,17 +297,17 @@ class SplatBuffer:
     # ----------------------------------------------------------------------------------------------------------- motion
 
     def set_motion(self, looks: Key, start: int, chunk: Chunk) -> None:
-        """Take the motion of the splats of tile ``looks`` from media frame ``start`` on, or more of its levels."""
+        """Add motion of the splats of tile ``looks`` from media frame ``start`` on, or further levels of it."""
         motion = self._motions.setdefault(looks, _Motion())
         motion.chunks[start], motion.ends[start], motion.dirty = chunk, start + _ends(chunk), True
 
     def drop_motion(self, looks: Key) -> None:
-        """Nothing of tile ``looks`` moves any more."""
+        """Remove all motion of tile ``looks``."""
         self._motions.pop(looks, None)
 
     def drop_past(self, time: float) -> list[tuple[Key, int]]:
-        """Forget chunks that later ones have followed by ``time``, each by its looks and first frame. Times before that
-        cannot be shown any more without them.
+        """Forget chunks replaced by ``time``; returns each by its looks and first frame. Earlier times cannot be shown
+        without them.
         """
         gone = []
         for looks, motion in self._motions.items():
@@ -319,12 +319,12 @@ class SplatBuffer:
         return gone
 
     def moves(self, looks: Key) -> int | None:
-        """First media frame of the chunk that moves the splats of tile ``looks`` at the time shown; None: none does."""
+        """First media frame of the chunk that moves tile ``looks`` at the displayed time; None for none."""
         motion = self._motions.get(looks)
         return None if motion is None or motion.shown is None else motion.shown[0]
 
     def move(self, time: float) -> Rows:
-        """Show every splat where it is at ``time`` (media frames); the rows that changed."""
+        """Move every splat to its place at ``time`` (media frames); returns the changed rows."""
         tiles: list[MovingTile] = []
         for looks, motion in self._motions.items():
             slot = self._by_key.get(looks)
@@ -353,7 +353,7 @@ def _ends_all(chunk: Chunk) -> bool:
 
 
 def _ends(chunk: Chunk) -> float:
-    """Frames after a chunk's first from which on nothing changes: the span's, or the end of the last life."""
+    """Frames after a chunk's first frame until nothing changes: the span, or the end of the last life."""
     if _ends_all(chunk):
         assert chunk.lives is not None
         return float(chunk.lives.max(initial=0))

@@ -51,29 +51,36 @@ fn pixels_between(low: f32, high: f32, size: u32) -> vec2<i32> {
   return vec2(i32(clamp(ceil(low - 0.5), 0.0, n)), i32(clamp(floor(high - 0.5), -1.0, n - 1.0)));
 }
 
-// First and last row of tiles; first > last where the splat touches none.
-fn tile_rows(d: Drawn, size: vec2<u32>) -> vec2<i32> {
+// First and last row of pixels that the ellipse touches; first > last where there is none.
+fn pixel_rows(d: Drawn, size: vec2<u32>) -> vec2<i32> {
   let half = sqrt(reach_of(d)) / d.l22;
   let margin = 1e-3 + 1e-6 * (half + abs(d.centre.y));
-  let rows = pixels_between(d.centre.y - half - margin, d.centre.y + half + margin, size.y);
-  if (rows.x > rows.y) { return vec2(1, 0); }
-  return rows / i32(TILE);
+  return pixels_between(d.centre.y - half - margin, d.centre.y + half + margin, size.y);
 }
 
-// First and last tile that the ellipse touches in a row of tiles: its extremes between the row's outermost pixel centres.
-fn tile_columns(d: Drawn, row: i32, size: vec2<u32>) -> vec2<i32> {
+// First and last column of pixels that it touches in rows `first` to `last`: its extremes between their centres.
+fn pixel_columns(d: Drawn, first: i32, last: i32, size: vec2<u32>) -> vec2<i32> {
   let reach = reach_of(d);
   let root = sqrt(reach);
   let half = root / d.l22;
-  let top = clamp(f32(row * i32(TILE)) + 0.5 - d.centre.y, -half, half);
-  let bottom = clamp(f32(min(row * i32(TILE) + 15, i32(size.y) - 1)) + 0.5 - d.centre.y, -half, half);
+  let top = clamp(f32(first) + 0.5 - d.centre.y, -half, half);
+  let bottom = clamp(f32(last) + 0.5 - d.centre.y, -half, half);
   let widest = d.l12 * root / (d.l22 * sqrt(d.l12 * d.l12 + d.l22 * d.l22));  // dy of the leftmost point
   let left = clamp(widest, top, bottom);
   let right = clamp(-widest, top, bottom);
   let low = (-d.l12 * left - sqrt(max(reach - d.l22 * d.l22 * left * left, 0.0))) / d.l11;
   let high = (-d.l12 * right + sqrt(max(reach - d.l22 * d.l22 * right * right, 0.0))) / d.l11;
   let margin = 1e-3 + 4e-6 * ((abs(d.l12) * max(abs(left), abs(right)) + root) / d.l11 + abs(d.centre.x));
-  let columns = pixels_between(d.centre.x + low - margin, d.centre.x + high + margin, size.x);
-  if (columns.x > columns.y) { return vec2(1, 0); }
-  return columns / i32(TILE);
+  return pixels_between(d.centre.x + low - margin, d.centre.x + high + margin, size.x);
+}
+
+fn tiles_over(pixels: vec2<i32>) -> vec2<i32> { return select(pixels / i32(TILE), vec2(1, 0), pixels.x > pixels.y); }
+
+// First and last row of tiles; first > last where the splat touches none.
+fn tile_rows(d: Drawn, size: vec2<u32>) -> vec2<i32> { return tiles_over(pixel_rows(d, size)); }
+
+// First and last tile that the ellipse touches in a row of tiles.
+fn tile_columns(d: Drawn, row: i32, size: vec2<u32>) -> vec2<i32> {
+  let first = row * i32(TILE);
+  return tiles_over(pixel_columns(d, first, min(first + i32(TILE) - 1, i32(size.y) - 1), size));
 }

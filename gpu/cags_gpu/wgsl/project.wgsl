@@ -1,6 +1,6 @@
 // Stage 1: to the camera, culled, projected; EWA splatting as in Kerbl et al. 2023, with the footprint's compensation.
 // One thread a splat of a chunk: harmonics may be split over several buffers, each within a binding's limit.
-struct Chunk { first: u32, count: u32, kind: u32, unused: u32 }
+struct Chunk { first: u32, count: u32, unused_a: u32, unused_b: u32 }
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> chunk: Chunk;
 @group(0) @binding(2) var<storage, read> motion: array<vec4<f32>>;  // 2 a splat: mean and logit, quaternion
@@ -11,6 +11,15 @@ struct Chunk { first: u32, count: u32, kind: u32, unused: u32 }
 @group(0) @binding(7) var<storage, read_write> colours: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> keys: array<u32>;     // by rank: depth's bits, ABSENT where not drawn
 @group(0) @binding(9) var<storage, read_write> touched: array<u32>;  // tiles
+
+// See cags_common.raster.definition.
+const LARGEST_LOG_SCALE = 16.118095651;  // log(1e7)
+const FARTHEST = 1e12;                   // of a splat that is drawn, world units
+const OUTERMOST = 1e9;                   // of a centre, pixels: single precision ends there
+const LEAST_KEPT = 1e-30;                // share of a splat's opacity that its dilation leaves
+const BRIGHTEST = 3e38;                  // of a splat; pictures end at view.brightest
+const LARGEST_HALF = 65504.0;            // of a 16-bit float
+const REST_UNIT = 65536.0;               // of what a rounded centre lacks, 2^-16 pixels
 
 fn harmonic(k: u32, d: vec3<f32>) -> f32 {
   let x = d.x; let y = d.y; let z = d.z; let xx = x * x; let yy = y * y; let zz = z * z;
@@ -42,7 +51,7 @@ fn colour(i: u32, base: vec3<f32>, toward: vec3<f32>) -> vec3<f32> {
       rgb += harmonic(k, d) * vec3(sh_rest[at], sh_rest[at + 1u], sh_rest[at + 2u]);
     }
   }
-  return clamp(rgb, vec3(0.0), vec3(3e38));  // not to `brightest`: pictures end there, splats do not
+  return clamp(rgb, vec3(0.0), vec3(BRIGHTEST));
 }
 
 fn touched_tiles(d: Drawn) -> u32 {
@@ -61,11 +70,11 @@ fn touched_tiles(d: Drawn) -> u32 {
   keys[ranks[i]] = ABSENT;
   touched[i] = 0u;
   let placed = motion[2u * i]; let q = normalize(motion[2u * i + 1u]);
-  let scale = exp(min(looks[2u * i].xyz, vec3(16.118095651)));
+  let scale = exp(min(looks[2u * i].xyz, vec3(LARGEST_LOG_SCALE)));
   let toward = (placed.xyz - view.position.xyz) - view.position_rest.xyz;
   let exact = exact_point(bitcast<vec3<u32>>(placed.xyz));
   let p = vec3(float_of(exact.x) * exact.unit, float_of(exact.y) * exact.unit, depth_of(exact));
-  if (!(p.z > view.near && p.z < 1e12)) { return; }
+  if (!(p.z > view.near && p.z < FARTHEST)) { return; }
   let inverse = 1.0 / p.z;
   let slope = clamp(p.xy * inverse, -view.limit, view.limit);
   let w = q.x; let x = q.y; let y = q.z; let z = q.w;
@@ -84,25 +93,25 @@ fn touched_tiles(d: Drawn) -> u32 {
   var strength = -log2(1.0 + exp(-placed.w));
   if (view.variance != view.dilation) {
     let kept = (minors_over_yy + view.dilation * ((xx + yy + view.dilation) * inverse_yy)) / conditional;
-    strength += 0.5 * log2(clamp(kept, 1e-30, 1.0));
+    strength += 0.5 * log2(clamp(kept, LEAST_KEPT, 1.0));
   }
   if (!(strength > LOG2_ALPHA_CUT && conditional > 0.0)) { return; }
   let unit = sqrt(HALF_LOG2E);
   let l11 = unit / sqrt(conditional);
   let centre = p.xy * inverse * view.focal + view.principal;
-  if (!(abs(centre.x) < 1e9 && abs(centre.y) < 1e9)) { return; }
+  if (!(all(abs(centre) < vec2(OUTERMOST)))) { return; }
   let first = vec4(centre, l11, -xy * inverse_yy * l11);
   let l22 = unit * sqrt(inverse_yy);
   let rgb = colour(i, looks[2u * i + 1u].xyz, toward);
   var second = vec4(bitcast<u32>(l22), bitcast<u32>(p.z), bitcast<u32>(strength), 0u);
   if (PACKED) {
-    let bright = min(rgb, vec3(65504.0));
+    let bright = min(rgb, vec3(LARGEST_HALF));
     let opacity = u32(round(clamp(1.0 - strength / LEAST_LOG2, 0.0, 1.0) * 65535.0));
     second.z = pack2x16float(bright.xy);
     second.w = (pack2x16float(vec2(bright.z, 0.0)) & 0xffffu) | (opacity << 16u);
   } else {
     colours[i] = vec4(rgb, 0.0);
-    second.w = pack2x16float(clamp(centre_rest(exact, centre) * 65536.0, vec2(-65504.0), vec2(65504.0)));
+    second.w = pack2x16float(clamp(centre_rest(exact, centre) * REST_UNIT, vec2(-LARGEST_HALF), vec2(LARGEST_HALF)));
   }
   let drawn = drawn_of(bitcast<vec4<u32>>(first), second);  // as it is stored: binning sees the same ellipse
   let tiles = touched_tiles(drawn);

@@ -1,6 +1,6 @@
 // Rows of the scene replaced in part, and the content hashes of what changed. All words are copied as integers: no driver
 // flushes a denormal or touches a NaN on the way. Rows are unique; the cost is proportional to their number.
-struct Chunk { first: u32, count: u32, kind: u32, unused: u32 }
+struct Chunk { first: u32, count: u32, unused_a: u32, unused_b: u32 }
 struct Update { rows: u32, sh_words: u32, width: u32, unused: u32 }  // width: words of a staged row after its index
 @group(0) @binding(0) var<uniform> job: Update;
 @group(0) @binding(1) var<uniform> chunk: Chunk;
@@ -53,6 +53,6 @@ fn looks_hash(at: u32, rest: u32) -> u32 {
   for (var k = 0u; k < 3u; k++) { state = hashed(state, motion[at + k]); }
   for (var k = 4u; k < 8u; k++) { state = hashed(state, motion[at + k]); }
   state = hashed(state, motion[at + 3u]);
-  state = (state ^ (state >> 15u)) * 0x2C1B3C6Du;
+  state = (state ^ (state >> 15u)) * 0x2C1B3C6Du;  // the finaliser of cags_common.raster.definition.content_hash
   hashes[row] = state ^ (state >> 12u);
 }

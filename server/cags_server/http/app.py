@@ -135,9 +135,9 @@ class App:
         return now.reason() if self._served() >= now.clients else None
 
     def _capacity(self) -> Capacity:
-        live = [stats for _, stats in self.sessions()]
+        costs = [(each.careful, each.light) for each in (*(stats for _, stats in self.sessions()), self._ended)]
         fps = max((manifest.fps for manifest in self._scenes.manifests), default=DEFAULT_FPS)
-        return capacity(self._settings, fps, [*live, self._ended.as_stats()])
+        return capacity(self._settings, fps, costs)
 
     def _streams(self, request: web.Request) -> None:
         """A request takes the time that it takes."""
@@ -298,7 +298,7 @@ class App:
         del self._clients[name]
         self._unvouched.discard(peer, name)
         let_in = connection.streamer is not None
-        connection.release()
+        connection.release(now_us())
         self._memory.session_ended()
         if not self._clients:
             self._empty.set()

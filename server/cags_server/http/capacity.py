@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from cags_server.records import StreamStats
+from cags_server.records import ReferenceCosts
 from cags_server.settings import ServeSettings
 
 LEAST_MEASURED = 20
@@ -34,16 +34,27 @@ class Capacity:
         )
 
 
-def capacity(settings: ServeSettings, fps: float, stats: Iterable[StreamStats], cores: int | None = None) -> Capacity:
-    """Capacity estimated from the costs measured in all sessions so far. ``cores`` None: those of this process."""
+def capacity(
+    settings: ServeSettings,
+    fps: float,
+    costs: Iterable[tuple[ReferenceCosts, ReferenceCosts]],
+    cores: int | None = None,
+) -> Capacity:
+    """Capacity estimated from what references took in all sessions so far: careful ones, and light ones.
+
+    Where many watch, references are light; careful ones stand for them until there were some. ``cores`` None: those of
+    this process.
+    """
     cores = cores or available_cores()
-    every = list(stats)
-    count = sum(each.references for each in every)
-    if count < LEAST_MEASURED:
+    careful, light = ReferenceCosts(), ReferenceCosts()
+    for one, other in costs:
+        careful.add(one.render_ns, one.encode_ns, one.references)
+        light.add(other.render_ns, other.encode_ns, other.references)
+    known = light if light.references >= LEAST_MEASURED else careful
+    if known.references < LEAST_MEASURED:
         return Capacity(cores, None)
     threads = min(settings.render_threads, cores)
-    spent_ns = sum((each.render_ns + each.mirror_ns) * threads + each.encode_ns for each in every)
-    reference_s = spent_ns / count / 1e9
+    reference_s = (known.render_ns * threads + known.encode_ns) / known.references / 1e9
     usable = HEADROOM * min(cores, settings.workers * threads)
     return Capacity(max(1, int(usable / (reference_s * fps / settings.reference_every))), reference_s * 1e3)
 

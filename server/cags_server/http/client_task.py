@@ -187,12 +187,12 @@ class ClientTask:
         except CagsError as error:  # of the bundle's store: the next frame may be read again
             name = self._connection.name
             told.write(logging.WARNING, "job", "%s: frame %d has no reference: %s", name, job.plan.frame, error)
-            self._connection.job_failed(job)
+            self._connection.job_failed(job, now_us())
             self._failing_since_s = self._failing_since_s or time.monotonic()
             if time.monotonic() - self._failing_since_s > FAILING_S:
                 raise
         except BaseException:
-            self._connection.job_failed(job)
+            self._connection.job_failed(job, now_us())
             raise
         else:
             self._failing_since_s = None

@@ -20,7 +20,9 @@ RECENT_FRAMES = 60
 """Frames that tell what a session is short of."""
 
 MANY_LATE, FULL_BUDGET = 0.25, 0.8
-"""Share of late references, and of the byte budget that is spent, from which on the renderer or the link is short."""
+"""Share of frames whose reference was late or found no place, and of the byte budget that is spent, from which on the
+renderer or the link is short.
+"""
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def short_of(stats: StreamStats) -> str:
     recent = list(islice(reversed(stats.records), RECENT_FRAMES))
     if not recent:
         return "nothing"
-    if sum(record.reference_late for record in recent) > MANY_LATE * len(recent):
+    if sum(record.reference_late or record.no_place for record in recent) > MANY_LATE * len(recent):
         return "renderer"
     budget = sum(max(record.budget_bytes, 0) for record in recent)
     spent = sum(record.tile_bytes for record in recent)

@@ -1,7 +1,7 @@
-"""How many bytes the tiles of one frame may take: income of the link, less what waits, plus what was left over.
+"""Byte budget for the tiles of one frame: the link's income, minus queued data, plus savings.
 
-And no more than will arrive before the frame is displayed. Detail that comes a frame late is worth nothing where the
-next frame replaces it, and a queue that is allowed to stand makes all of it late: every byte sent, none of it seen.
+It is limited by what arrives before the frame's display. Detail that is one frame late is worthless if the next frame
+replaces it, and with a standing queue all detail is late: every byte is sent and none of it seen.
 """
 
 from __future__ import annotations
@@ -15,20 +15,23 @@ from cags_server.ratecontrol.priorities import BASE_PRIORITY
 from cags_server.records import FrameRecord
 
 MAX_SAVED_S, MIN_SAVED_BYTES = 0.25, 128 * 1024
-"""Unused budget is saved for a base layer larger than one frame's budget; more than this would be a burst."""
+"""Largest savings of unused budget, for base layers larger than one frame's budget; more would be a burst."""
 
 MESSAGE_OVERHEAD_BYTES = 160
-"""Header of a tile message and its fragment, about."""
+"""Approximate size of the headers of a tile message and its fragment."""
 
 SMOOTHING = 0.2
-"""Weight of the newest frame in the means of what overtakes."""
+"""Weight of the newest frame in the means of overtaking data."""
+
+IDLE_FRAMES = 0.5
+"""A link is idle if less data waits than it carries in this many frames; ends of frames and references always wait."""
 
 MAX_BUDGET_TICKS = 4
-"""A stretch of skipped frames earns at most the budget of so many."""
+"""Largest number of skipped frames that earn budget."""
 
 
 class _PerFrame:
-    """Bytes of one kind that a frame brings: the mean of late, and this one's."""
+    """Bytes of one kind per frame: the recent mean, and those of the current frame."""
 
     def __init__(self) -> None:
         self.mean_bytes, self.now_bytes = 0.0, 0
@@ -39,10 +42,10 @@ class _PerFrame:
 
 
 class ByteBudget:
-    """Account of one client's bytes: planned, not settled yet, and saved."""
+    """Account of one client's bytes: planned, unsettled and saved."""
 
     def __init__(self, link: LinkState, queue_ms: float) -> None:
-        """``queue_ms``: delay that planned but undelivered data may cause."""
+        """``queue_ms``: largest delay by planned but undelivered data."""
         self._link, self._queue_ms = link, queue_ms
         self._outstanding_bytes = self._detail_bytes = 0
         self._saved_bytes = 0
@@ -66,18 +69,18 @@ class ByteBudget:
             self._detail_bytes -= _size(outgoing)
 
     def waiting_us(self, now_us: int) -> int:
-        """How long the oldest unsettled tile has been on its way."""
+        """Age of the oldest unsettled tile."""
         return now_us - next(iter(self._travelling.values()), now_us)
 
     @property
     def outstanding_bytes(self) -> int:
-        """Planned, and not known to have arrived."""
+        """Planned bytes that are not known to have arrived."""
         return self._outstanding_bytes
 
     def open(self, record: FrameRecord, period_us: float, now_us: int) -> int:
-        """What the tiles of ``record``'s frame may take; its reference is paid for first.
+        """Budget for the tiles of ``record``'s frame, after paying for its reference.
 
-        To wait at the client for its decoder is no better than to wait on the link.
+        Data waiting for the client's decoder counts like data waiting on the link.
         """
         allowed_bps = self._link.allowance_bps(now_us)
         seconds = min(record.ticks_covered, MAX_BUDGET_TICKS) * period_us / 1e6
@@ -87,16 +90,16 @@ class ByteBudget:
         return max(0, income + self._saved_bytes)
 
     def room(self, period_us: float, now_us: int) -> int:
-        """What may be planned until as much waits as the link carries in the allowed delay and one frame's time."""
+        """Bytes to fill the queue up to what the link carries in the allowed delay plus one frame's time."""
         link_bps = self._link.estimate_bps(now_us)
         return max(int(self._delay_bytes(link_bps, period_us) - self._waiting_bytes(link_bps)), 0)
 
     def timely(self, spare_us: float, period_us: float, dearest_bytes: int, now_us: int) -> int:
-        """What still arrives, planned ``spare_us`` before its display, if it overtakes the detail that waits.
+        """Bytes that arrive in time when planned ``spare_us`` before display, if they overtake waiting detail.
 
-        The references of the frames that are planned meanwhile overtake it, as large as they were of late. A new tile
-        may be too large ever to arrive in time behind those: there is room for ``dearest_bytes``, the largest one's,
-        when what waits is no more than would pass by the display. Late it is shown, too, until the next comes.
+        References of later frames, at their recent size, overtake them in turn. A new tile may be too large ever to
+        arrive in time behind these references. Therefore the budget allows ``dearest_bytes``, the size of the largest
+        one, if no more data waits than passes by the display; a late tile is shown, too, until the next one arrives.
         """
         link_bps, newest = self._link.estimate_bps(now_us), self._link.newest
         within_us = max(spare_us - newest.shortest_rtt_us, 0.0)
@@ -108,16 +111,24 @@ class ByteBudget:
         late = dearest_bytes > most and ahead < min(link_bps * within_us / 8e6, delay_bytes)
         return max(room, dearest_bytes) if late else room
 
+    def alone(self, earned_bytes: int, period_us: float, now_us: int) -> int:
+        """Budget for one message without a deadline that exceeds the room: all savings, if no more data waits than the
+        link carries in a share of a frame's time.
+        """
+        link_bps = self._link.estimate_bps(now_us)
+        idle = self._waiting_bytes(link_bps) < IDLE_FRAMES * link_bps * period_us / 8e6
+        return earned_bytes if idle else 0
+
     def _delay_bytes(self, link_bps: float, period_us: float) -> float:
         return link_bps * (self._queue_ms * 1e3 + period_us) / 8e6
 
     def _waiting_bytes(self, link_bps: float) -> float:
-        """All that is on its way, less what has passed the link: that is on the path, as far as that holds it."""
+        """Data in flight, minus data that has passed the link and is on the path."""
         newest = self._link.newest
         return max(self._outstanding_bytes - min(newest.in_flight_bytes, link_bps * newest.shortest_rtt_us / 8e6), 0.0)
 
     def close(self, left_bytes: int, now_us: int) -> None:
-        """The frame is planned; what it left is saved, up to a bound."""
+        """The frame is planned; its unused budget is saved, up to a limit."""
         self._references.end()
         most = max(self._link.allowance_bps(now_us) * MAX_SAVED_S / 8, MIN_SAVED_BYTES)
         self._saved_bytes = min(max(0, left_bytes), int(most))
@@ -128,12 +139,12 @@ def _size(outgoing: ev.Outgoing) -> int:
 
 
 def _carried(within_us: float, period_us: float, link_bps: float, ahead_bytes: float) -> float:
-    """The most that is through a link ``within_us`` from now if every ``period_us`` so much goes ahead of it.
+    """Largest amount that passes a link within ``within_us`` if ``ahead_bytes`` overtake it every ``period_us``.
 
-    What is through when the last of them comes does not wait for it; and where they are more than the link carries,
-    what is through when the first comes is all there will be.
+    Data that has passed before the last overtaking message does not wait for it. If the overtaking data exceeds the
+    link's rate, only what passes before the first message counts.
     """
-    frames = max(ceil(within_us / period_us) - 1, 0)  # that are planned meanwhile
+    frames = max(ceil(within_us / period_us) - 1, 0)  # messages planned meanwhile
     by_the_end = link_bps * within_us / 8e6 - frames * ahead_bytes
     before_the_first = link_bps * period_us / 8e6
     before_the_last = frames * before_the_first - (frames - 1) * ahead_bytes

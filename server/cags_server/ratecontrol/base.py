@@ -65,6 +65,7 @@ class Observation:
     waiting_us: int = 0  # how long the oldest undelivered tile has been on its way
     layered: bool = True  # LoDs add up; else LoD L is the whole tile at quality L, and replaces what was sent
     timely_bytes: int = UNBOUNDED_BYTES  # of them, what may go to what must arrive before the frame is displayed
+    alone_bytes: int = 0  # instead of all that: what one message may take that stays, if nothing goes beside it
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,5 +92,5 @@ class RatePolicy(Protocol):
     """Decides what to send within a budget. Pure: the same observation gives the same decision."""
 
     def decide(self, observation: Observation) -> Decision:
-        """Upgrades in the order of sending, at most one a tile; their cost exceeds neither bound."""
+        """Upgrades in the order of sending, at most one a tile; their cost exceeds neither bound, but by one alone."""
         ...

@@ -10,6 +10,7 @@ class Plan:
 
     def __init__(self, observation: Observation) -> None:
         self._budget, self._timely = observation.budget_bytes, observation.timely_bytes
+        self._alone = observation.alone_bytes
         self._spent = self._urgent = 0  # in all, and of it on what must arrive in time
         self._overhead = observation.message_overhead_bytes
         self._layered = observation.layered
@@ -37,7 +38,7 @@ class Plan:
         if not self._layered and not fresh:  # the whole tile at the better quality goes instead
             cost -= tile.lod_bytes[depth - 1]
         urgent = self._urgent_now(tile, depth)
-        if not self._fits(cost, urgent=urgent):
+        if not (self._fits(cost, urgent=urgent) or self._goes_alone(tile, cost)):
             return False
         self._spent += cost
         self._urgent += cost * urgent
@@ -59,6 +60,10 @@ class Plan:
     def _fits(self, cost: int, *, urgent: bool) -> bool:
         arrives = not urgent or self._urgent + cost <= self._timely
         return arrives and self._spent + cost <= self._budget
+
+    def _goes_alone(self, tile: TileView, cost: int) -> bool:
+        """Whether ``tile`` may be sent though it is larger than the budget: it stays, and the link has nothing else."""
+        return not tile.passing and not self._spent and cost <= self._alone
 
     def decision(self) -> Decision:
         """The planned upgrades in the order in which their tiles were first raised."""

@@ -6,6 +6,10 @@ better; and where splats stand in the wrong place, a picture makes them give way
 tried: the kind in use in every reference, the other one from time to time, beside it, by what they leave at the
 display's size (:mod:`.detail`) and by their bytes. A change of kind begins a new video, which costs a picture that
 needs no other.
+
+Where the renderer has too much to do (:mod:`.render_slots`), references are coded *lightly*: by an encoder that takes
+half the time and more bytes, without trials of the other kind, and without a look at what a difference leaves. That is
+half of the time that coding takes.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from cags_common.geometry import F32, Intrinsics
 from cags_common.video.colour import Chroma, rgb_of_ycbcr, ycbcr_of_rgb
 from cags_common.video.h264 import H264Decoder, H264Encoder, is_idr
 from cags_protocol.wire.messages import ANY_REFERENCE, HALF_CHROMA, NO_REFERENCES, Hello, ReferenceKind
-from cags_server.reference.detail import detail_left
+from cags_server.reference.detail import by_block, detail_left
 from cags_server.reference.lateness import Lateness
 from cags_server.settings import ServerSettings
 
@@ -39,8 +43,6 @@ QUIET = (0.8 / 255) ** 2
 
 LEAST_SIDE_PX = 16
 """Of a reference, however small the display."""
-
-BLOCK_PX = 8
 
 LOOKED_AT = 2
 """Every how many rows and columns of a decoded reference are looked at to see what it leaves."""
@@ -100,8 +102,8 @@ class Coded:
     idr: bool = False
     before: float = 0.0
     """Mean squared error of the client's render from the reference camera, [0, 1] RGB."""
-    after: float = 0.0
-    """The same after correction."""
+    after: float | None = 0.0
+    """The same after correction; None: nobody looked."""
 
 
 class _Video:
@@ -110,9 +112,13 @@ class _Video:
     def __init__(self, encoder: H264Encoder) -> None:
         self._encoder, self._decoder = encoder, H264Decoder()
 
+    def unit(self, picture: F32, *, idr: bool) -> bytes:
+        """The access unit of ``picture`` [h, w, 3] in [0, 1]. Either each is looked at (:meth:`coded`), or none."""
+        return self._encoder.encode_ycbcr(ycbcr_of_rgb(picture), idr=idr)
+
     def coded(self, picture: F32, *, idr: bool) -> tuple[bytes, F32]:
-        """The access unit of ``picture`` [h, w, 3] in [0, 1], and the picture that the client will decode."""
-        unit = self._encoder.encode_ycbcr(ycbcr_of_rgb(picture), idr=idr)
+        """As :meth:`unit`, and the picture that the client will decode."""
+        unit = self.unit(picture, idr=idr)
         decoded = self._decoder.decode_ycbcr(unit)
         assert decoded is not None, "an encoder's first picture is an IDR picture"
         return unit, rgb_of_ycbcr(decoded)
@@ -139,6 +145,7 @@ class ReferenceCoder:
         self._trial = _Trial(first=TRIAL_LENGTH)
         self._knee = KNEES[-1]
         self._begin_anew = True
+        self._light = False
         self._mean_bytes, self._counted = 0.0, 0
         self.lateness = Lateness()
         """Whether references come in time."""
@@ -185,18 +192,22 @@ class ReferenceCoder:
         """Knee of the compander in the last difference, and most likely in the next."""
         return self._knee
 
-    def code(self, truth: F32, mirror: F32 | None, *, idr: bool, octaves: float = 0.0) -> Coded:
+    def code(self, truth: F32, mirror: F32 | None, *, idr: bool, octaves: float = 0.0, light: bool = False) -> Coded:
         """The reference of the scene, ``truth`` [h, w, 3], for a client that sees ``mirror`` [h, w, 3] from there.
 
         Both are RGB of the display's range; None: the client holds nothing, or is not compared with. ``idr``: the
         reference must need no other. ``octaves``: by how many the client's display shows more than the reference has.
+        ``light``: spare the processor.
         """
-        return self.code_views(StagedViews(truth, mirror), idr=idr, octaves=octaves)
+        return self.code_views(StagedViews(truth, mirror), idr=idr, octaves=octaves, light=light)
 
-    def code_views(self, views: ComparedViews, *, idr: bool, octaves: float = 0.0) -> Coded:
+    def code_views(self, views: ComparedViews, *, idr: bool, octaves: float = 0.0, light: bool = False) -> Coded:
         """As :meth:`code`."""
         if not self.kinds:
             return Coded(NOTHING)
+        if light is not self._light:
+            self._light = light
+            self._recode(self._crf)
         if self.lateness.often and self.kinds[0] is DIFFERENCE and PICTURE in self.kinds:
             self._change_kind()
         before = _power(views.lack)
@@ -217,7 +228,7 @@ class ReferenceCoder:
         if not coded.idr:
             self._mean_bytes += (len(coded.access_unit) - self._mean_bytes) / min(self._counted + 1, RATE_WINDOW)
             self._counted += 1
-        if len(self.kinds) > 1 and views.compared and self.compares:
+        if len(self.kinds) > 1 and views.compared and self.compares and not light:
             self._try_other(coded, views, octaves)
         return coded
 
@@ -235,7 +246,10 @@ class ReferenceCoder:
         knee = self._knee = _knee(rms, self._knee)
         companded = views.companded(knee)
         if loud is not None:
-            companded = np.where(loud[..., None], companded, np.float32(ZERO))
+            companded = np.asarray(cv2.copyTo(companded, loud, np.full_like(companded, ZERO)))
+        if self._light:
+            unit = video.unit(companded, idr=idr)
+            return Coded(kind, unit, knee, is_idr(unit), after=None)
         unit, decoded = video.coded(companded, idr=idr)
         seen = decoded[::LOOKED_AT, ::LOOKED_AT]
         left = (lack[::LOOKED_AT, ::LOOKED_AT] - expand(seen, knee)).astype(np.float32)
@@ -253,7 +267,7 @@ class ReferenceCoder:
         if step and not used.idr:
             left = detail_left(views.truth, views.lack, octaves)
             finer = {DIFFERENCE: left.difference, PICTURE: left.picture}
-            self._trial.count(*(replace(coded, after=coded.after + finer[coded.kind]) for coded in (used, tried)))
+            self._trial.count(*(_score(coded, finer[coded.kind]) for coded in (used, tried)))
         if self._trial.won:
             self._change_kind()
 
@@ -281,6 +295,7 @@ class ReferenceCoder:
             self.height_px,
             self._fps,
             crf=self._crf,
+            light=self._light,
             chroma=self._chroma,
             max_bps=self._bps,
             buffer_s=BUFFER_S if self._settings.reference_full_size else 0.5,
@@ -319,10 +334,10 @@ class _Trial:
         between = self._at < 0 or self._at % TRIAL_EVERY >= TRIAL_LENGTH
         return between and score > self._lowest + np.log(GROWN)
 
-    def count(self, used: Coded, tried: Coded) -> None:
-        """The two codings of one reference; ``after``: of all that is shown."""
-        for scores, coded in ((self._used, used), (self._tried, tried)):
-            scores.append(_score(coded))
+    def count(self, used: float, tried: float) -> None:
+        """Scores of the two codings of one reference, by all that is shown."""
+        self._used.append(used)
+        self._tried.append(tried)
 
     @property
     def won(self) -> bool:
@@ -331,8 +346,10 @@ class _Trial:
         return whole and float(np.mean(self._tried) - np.mean(self._used)) < np.log(BETTER)
 
 
-def _score(coded: Coded) -> float:
-    return float(np.log(max(coded.after, 1e-9)) + RATE_EXPONENT * np.log(max(len(coded.access_unit), 1)))
+def _score(coded: Coded, finer: float = 0.0) -> float:
+    """Of a reference that was looked at; ``finer`` is what it leaves of detail finer than its pixels."""
+    assert coded.after is not None
+    return float(np.log(max(coded.after + finer, 1e-9)) + RATE_EXPONENT * np.log(max(len(coded.access_unit), 1)))
 
 
 def _kinds(settings: ServerSettings, hello: Hello) -> tuple[ReferenceKind, ...]:
@@ -348,20 +365,18 @@ def _power(picture: F32) -> float:
     return cv2.norm(picture, cv2.NORM_L2SQR) / picture.size
 
 
-def _loud_blocks(lack: F32) -> tuple[NDArray[np.bool_] | None, float]:
-    """The pixels [h, w] of blocks in which there is enough of ``lack`` to be worth its bits (None: all), and the root
-    mean square of these blocks.
+def _loud_blocks(lack: F32) -> tuple[NDArray[np.uint8] | None, float]:
+    """The pixels [h, w] of blocks in which there is enough of ``lack`` to be worth its bits (1 there; None: all), and
+    the root mean square of these blocks.
     """
     height, width = lack.shape[:2]
-    small = -(-width // BLOCK_PX), -(-height // BLOCK_PX)
-    power = np.einsum("ijk,ijk->ij", lack, lack) / np.float32(3)
-    blocks = np.asarray(cv2.resize(power, small, interpolation=cv2.INTER_AREA))
+    blocks = by_block(lack, lack)
     loud = blocks > QUIET
     if loud.all():
         return None, float(np.sqrt(blocks.mean()))
     rms = float(np.sqrt(blocks[loud].mean())) if loud.any() else 0.0
     worth = cv2.resize(loud.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
-    return worth.astype(bool), rms
+    return np.asarray(worth, np.uint8), rms
 
 
 def _knee(rms: float, current: float) -> float:

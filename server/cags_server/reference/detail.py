@@ -36,10 +36,10 @@ def detail_left(truth: F32, lack: F32, octaves: float) -> DetailLeft:
         return DetailLeft(0.0, 0.0)
     scene, wrong = _finest(truth), _finest(lack)
     own = scene - wrong
-    together, power = _by_block(scene, own), _by_block(own, own)
+    together, power = by_block(scene, own), by_block(own, own)
     kept = np.clip(together / np.maximum(power, LEAST_POWER), 0, 1)
-    left = _by_block(scene, scene) - kept * (2 * together - kept * power)
-    return DetailLeft(octaves * float(_by_block(wrong, wrong).mean()), octaves * float(left.mean()))
+    left = by_block(scene, scene) - kept * (2 * together - kept * power)
+    return DetailLeft(octaves * float(by_block(wrong, wrong).mean()), octaves * float(left.mean()))
 
 
 def octaves_finer(display: Intrinsics, reference: Intrinsics) -> float:
@@ -51,8 +51,11 @@ def _finest(image: F32) -> F32:
     return np.asarray(image - cv2.blur(image, (3, 3)))
 
 
-def _by_block(a: F32, b: F32) -> F32:
-    """Means over blocks of 8 x 8 pixels and the channels."""
-    product = np.einsum("ijk,ijk->ij", a, b) / np.float32(3)
+def by_block(a: F32, b: F32) -> F32:
+    """Means of ``a b`` [h, w, 3] over blocks of 8 x 8 pixels and the channels."""
+    product = cv2.transform(cv2.multiply(a, b), _MEAN)
     size = -(-a.shape[1] // BLOCK_PX), -(-a.shape[0] // BLOCK_PX)
     return np.asarray(cv2.resize(product, size, interpolation=cv2.INTER_AREA))
+
+
+_MEAN = np.full((1, 3), 1 / 3, np.float32)

@@ -40,6 +40,8 @@ class FramePlan:
     horizon_us: int
     predicted: PoseDistribution
     margins: tuple[float, float]
+    light: bool = False
+    """Whether its reference is coded lightly."""
     speaks: bool = True
     """Whether a reference is made of it; else it is drawn, if at all, to see which splats are visible."""
     idr: bool = False
@@ -61,6 +63,11 @@ class FrameRender:
     render_ns: int
     mirror_ns: int
     encode_ns: int
+
+    @property
+    def took_us(self) -> float:
+        """Time that the job took, without what it waited for."""
+        return (self.render_ns + self.mirror_ns + self.encode_ns) / 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +102,12 @@ class FrameJob:
         views = StagedViews(drawn.rgb, self._held(options)) if isinstance(drawn, RenderedView) else drawn
         mirrored = clock()
         octaves = octaves_finer(self.client, self.camera.intrinsics)
-        coded = NOTHING if views is None else self.coder.code_views(views, idr=self.plan.idr, octaves=octaves)
+        plan = self.plan
+        coded = NOTHING
+        if views is not None:
+            coded = self.coder.code_views(views, idr=plan.idr, octaves=octaves, light=plan.light)
         return FrameRender(
-            plan=self.plan,
+            plan=plan,
             intrinsics=self.camera.intrinsics,
             coded=coded,
             visible=visible,

@@ -154,13 +154,13 @@ class Connection:
         job = self.streamer.begin(now_us)
         self._queue_marks(self.streamer, now_us)
         if job is not None and self._render_slots is not None:
-            self._render_slots.begun(self.name)
+            self._render_slots.begun(self.name, now_us, self._lacking, look=not job.plan.speaks)
             self._rendering = True
         return job
 
     def job_done(self, render: FrameRender, now_us: int) -> None:
         """A job has ended well."""
-        self._render_ended()
+        self._render_ended(now_us, render)
         if self.streamer is not None and not self.closed:
             self._recall(self.streamer, now_us)
             outgoing = self.streamer.finish(render, now_us)
@@ -168,27 +168,38 @@ class Connection:
             self._queue(outgoing, now_us)
             self._settle(now_us)
 
-    def job_failed(self, job: FrameJob) -> None:
+    def job_failed(self, job: FrameJob, now_us: int) -> None:
         """A job has raised; the stream goes on with the next frame."""
-        self._render_ended()
+        self._render_ended(now_us)
         if self.streamer is not None:
             self.streamer.abandon(job)
 
     def _may_render(self, now_us: int) -> bool:
-        return self._render_slots is None or self._render_slots.may(self.name, now_us)
+        if self._render_slots is None or self.streamer is None:
+            return True
+        return self._render_slots.may(self.name, now_us, self.streamer.wait_us, self._lacking)
 
-    def _render_ended(self) -> None:
+    @property
+    def _lacking(self) -> float | None:
+        return None if self.streamer is None else self.streamer.lacking
+
+    def _lightly(self) -> bool:
+        return self._render_slots is not None and self._render_slots.light
+
+    def _render_ended(self, now_us: int, render: FrameRender | None = None) -> None:
         if self._render_slots is not None and self._rendering:
-            self._render_slots.ended()
+            whole = render is not None and render.plan.speaks
+            took_us = render.took_us if render is not None and whole else None
+            self._render_slots.ended(now_us, took_us, light=render is not None and render.plan.light)
         self._rendering = False
 
-    def release(self) -> None:
+    def release(self, now_us: int) -> None:
         """Give back the renderer's place and turn, and all that was kept for the client, who is gone.
 
         The streamer asks this object whether it may render: left as they are, both would wait for a collection of
         cycles, with an encoder's pictures and a client's inventory.
         """
-        self._render_ended()
+        self._render_ended(now_us)
         if self._render_slots is not None:
             self._render_slots.left(self.name)
         self._stats, self.streamer, self._admit = self.stats, None, None
@@ -244,7 +255,14 @@ class Connection:
         except ProtocolError as error:
             self.session.refuse(RefusalCode.MALFORMED, "inventory", str(error), now_us=now_us)
             return
-        streamer = Streamer(self._library, self._settings, hello, link=self._link, may_render=self._may_render)
+        streamer = Streamer(
+            self._library,
+            self._settings,
+            hello,
+            link=self._link,
+            may_render=self._may_render,
+            lightly=self._lightly,
+        )
         if resumed:
             streamer.resume(inventory)
         self.streamer = streamer

@@ -1,9 +1,9 @@
-"""When one client's frames are planned: a lead before their display, with a reference render or without.
+"""The schedule of one client: each frame is planned a lead before its display, with or without a reference render.
 
-Frames are counted by *ticks* of the timeline. A client that cannot draw them all says how many it displays; the others
-are skipped: nobody would see their references or what their tiles change. One reference render is out at a time. A
-frame whose render is overdue is served blind, so that media never waits for the renderer: soon where its group of
-frames has been seen before, later where nothing has, since tiles are then chosen by their bounds alone.
+Frames are counted by *ticks* of the timeline. A client that cannot draw all frames reports how many it displays, and
+the others are skipped, because nobody would see them. One reference render is pending at a time. A frame whose render
+is overdue is served *blind*, so that media never waits for the renderer. This happens early if its group of frames was
+rendered before, and later if not, because tiles are then chosen by bounds alone.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from cags_server.session.clock import ClientClock
 from cags_server.settings import ServerSettings
 
 RENDER_GRACE, SEEN_GRACE, UNSEEN_GRACE_LEADS = (2.0, 0.4), (1.0, 0.25), 0.5
-"""How long a frame waits for a render that is out before it goes without: the frame that is rendered, one that follows
-it, and either in a group of which nothing was seen. Periods, but no longer than such a share of the lead.
+"""Longest wait for a pending render before a frame is served without it: for the rendered frame, for the next one, and
+for either in a group without any render. In frame periods, limited by a share of the lead.
 """
 
 LONGEST_LEAD_US = 600_000
-"""A slow renderer or link makes the server plan earlier, up to so long before display; beyond it frames are skipped."""
+"""Largest lead: a slow renderer or link makes the server plan earlier, up to this; beyond it frames are skipped."""
 
 
 JUMP_US = 1_000_000
-"""Frames that are later than that, or earlier while the viewer pauses, tell of a clock that has jumped."""
+"""Frames later than this, or earlier during a pause, indicate that a clock has jumped."""
 
 
 class Schedule:
@@ -38,25 +38,25 @@ class Schedule:
     def __init__(self, settings: ServerSettings, timeline: Timeline, clock: ClientClock, link: LinkState) -> None:
         self.timeline = timeline
         self.generation = 0
-        """Counts controls: what was planned before one is void after it."""
+        """Number of controls; plans from before a control are void after it."""
         self.cadence_permille = EVERY_FRAME
-        """How many of 1,000 media frames the client displays (:mod:`cags_protocol.cadence`)."""
+        """Displayed frames per 1,000 media frames (:mod:`cags_protocol.cadence`)."""
         self.rendering = False
-        """Whether a reference render is out."""
+        """Whether a reference render is pending."""
         self.pace = Pace(link)
-        """How long reference renders take."""
+        """Duration of reference renders."""
         self._lead_frames, self._reference_every = settings.lead_frames, settings.reference_every
         self._tiles_ahead = settings.tiles_ahead
         self._clock = clock
         self._controlled = False
-        self._from_tick = 0  # first tick that is neither planned nor skipped
+        self._from_tick = 0  # first tick neither planned nor skipped
         self._blind_tick = -1  # newest frame that was served without a render
         self._rendered_tick: int | None = None  # newest frame that a render was begun for
         self._render_covers = 1
         self._served_ahead = 0  # newest tick whose tiles were chosen
 
     def controlled(self, control: Control, now_us: int) -> None:
-        """The viewer plays, pauses, seeks or changes speed: ticks are counted anew."""
+        """The viewer plays, pauses, seeks or changes speed: restart the count of ticks."""
         # Until a pose tells the time: a frame is asked for about a lead before its display.
         self._clock.guess(control.at_us - round(self.lead_us), now_us)
         self.timeline = self.timeline.controlled(control)
@@ -66,9 +66,7 @@ class Schedule:
 
     @property
     def lead_us(self) -> float:
-        """The lead asked for, or what a frame takes from planning to arrival, if that is more; longer where references
-        were late.
-        """
+        """The larger of the requested lead and the time from planning to arrival; longer after late references."""
         wanted_us = self._lead_frames * 1e6 / self.timeline.fps
         needed_us = max(wanted_us, self.pace.needed_us) + self.pace.caution_us
         return max(wanted_us, min(needed_us, LONGEST_LEAD_US))
@@ -86,16 +84,16 @@ class Schedule:
         self._from_tick, self._blind_tick, self._rendered_tick, self._served_ahead = 0, -1, None, 0
 
     def media_frame(self, tick: int) -> int | None:
-        """While paused the viewer still moves: the same frame is planned again and again. None past the end."""
+        """A paused viewer still moves, so the same frame is planned repeatedly. None after the end."""
         return self.timeline.media_frame(tick)
 
     @property
     def next_tick(self) -> int:
-        """The tick to be planned next: one that the client displays, as it does the clip's last one in any case."""
+        """The next tick to plan: one that the client displays; the clip's last tick is always displayed."""
         return self._up_to_the_end(next_displayed(self._from_tick, self.cadence_permille))
 
     def _up_to_the_end(self, tick: int) -> int:
-        """``tick``, or that of the clip's last frame if it lies between."""
+        """``tick``, or the tick of the clip's last frame if that is earlier."""
         t = self.timeline
         last = tick if t.loop or not t.playing else t.round_end(tick) - 1
         return min(tick, last) if last >= self._from_tick else tick
@@ -103,7 +101,7 @@ class Schedule:
     def ahead(self, tick: int) -> int:
         """The tick whose tiles go out with the reference of ``tick``; at most the last one of the clip.
 
-        It never falls: a client that displays more frames than before would else be taken to have gone back.
+        It never falls; otherwise a client that displays more frames than before would seem to have gone back.
         """
         t, after = self.timeline, tick
         for _ in range(self._tiles_ahead):
@@ -113,35 +111,35 @@ class Schedule:
 
     @property
     def reference_period_us(self) -> float:
-        """Time between two frames that have references."""
+        """Interval between frames with references."""
         return self.planned_period_us * self._reference_every
 
     @property
     def planned_period_us(self) -> float:
-        """Time between two frames that are planned."""
+        """Interval between planned frames."""
         return self.timeline.period_us * EVERY_FRAME / self.cadence_permille
 
     @property
     def _unserved_render(self) -> int | None:
-        """The tick of the render that is out, while nothing has been sent for it."""
+        """The tick of the pending render, while nothing has been sent for it."""
         out = self.rendering and self._rendered_tick is not None and self._rendered_tick > self._blind_tick
         return self._rendered_tick if out else None
 
     @property
     def serves(self) -> int:
-        """The tick to be served next: that of the render that is out, while nothing has been sent for it."""
+        """The next tick to serve: that of the pending render, while nothing has been sent for it."""
         unserved = self._unserved_render
         return self.next_tick if unserved is None else unserved
 
     @property
     def next_frame(self) -> int | None:
-        """Media frame of the tick to be served next; None while there is none."""
+        """Media frame of the next tick to serve; None for none."""
         return self.media_frame(self.serves) if self._controlled else None
 
     def next_due_us(self, seen: Callable[[], bool]) -> int | None:
-        """When the next frame must be planned, or served blind; None while there is none.
+        """Time to plan the next frame or to serve it blind; None for none.
 
-        ``seen()``: whether the group of frames that it is of has been rendered.
+        ``seen()`` says whether its group of frames has been rendered.
         """
         if self.next_frame is None:
             return None
@@ -150,27 +148,30 @@ class Schedule:
         due_us = self._clock.to_server(round(self.timeline.display_us(tick) - lead_us))
         if not self.rendering:
             return due_us
-        unserved, period_us = self._unserved_render, self.timeline.period_us
         if not seen():
             return due_us + round(UNSEEN_GRACE_LEADS * lead_us)
-        periods, leads = SEEN_GRACE if unserved is None else RENDER_GRACE
-        return due_us + round(min(periods * period_us, leads * lead_us))
+        return due_us + round(self.grace_us(SEEN_GRACE if self._unserved_render is None else RENDER_GRACE))
+
+    def grace_us(self, grace: tuple[float, float] = RENDER_GRACE) -> float:
+        """Longest wait of a frame for its render."""
+        periods, leads = grace
+        return min(periods * self.timeline.period_us, leads * self.lead_us)
 
     def between_renders(self, every: int, *, seen: bool) -> bool:
-        """Whether the next frame is one of those that are not rendered, where one of ``every`` frames is."""
+        """Whether the next frame is not rendered, given that one of ``every`` frames is."""
         if self.rendering or self._rendered_tick is None or self.next_frame is None:
             return False
         return seen and self.next_tick < self._rendered_tick + every
 
     @property
     def begun(self) -> bool:
-        """Whether the viewer has said when to play."""
+        """Whether the viewer has started playback."""
         return self._controlled
 
     def begin_render(self, late_us: int) -> tuple[int, int, int]:
-        """Begin to render the newest frame that is due; its tick, media frame and how many ticks it covers.
+        """Begin to render the newest due frame; returns its tick, media frame and the number of ticks that it covers.
 
-        The next one became due ``late_us`` ago. Those between are skipped: their references would come too late.
+        The oldest due frame became due ``late_us`` ago. Frames between are skipped; their references would be late.
         """
         newest = last_displayed(self.next_tick + int(late_us // self.timeline.period_us), self.cadence_permille)
         tick = max(self.next_tick, self._up_to_the_end(newest))
@@ -181,10 +182,10 @@ class Schedule:
         return tick, frame, self._render_covers
 
     def go_blind(self, late_us: float = 0.0) -> tuple[int, int]:
-        """Serve the next frame without what a render would tell; its tick and how many ticks it covers.
+        """Serve the next frame without a render; returns its tick and the number of ticks that it covers.
 
-        That may be the frame whose render is out: its reference still comes, its tiles do not wait for it. The frame
-        became due ``late_us`` ago: after a jump of the clock the newest one that is due stands for all before it.
+        It may be the frame of the pending render, whose reference follows later. The frame became due ``late_us`` ago;
+        after a jump of the clock the newest due frame covers all earlier ones.
         """
         unserved = self._unserved_render
         if unserved is not None:
@@ -196,16 +197,16 @@ class Schedule:
         return self._blind_tick, self._cover(self._blind_tick)
 
     def _cover(self, tick: int) -> int:
-        """``tick`` is planned, and with it all before it are done; how many those are, it included."""
+        """``tick`` is planned, which completes all earlier ones; returns their number, including ``tick``."""
         covered = tick - self._from_tick + 1
         self._from_tick = tick + 1
         self._served_ahead = self.ahead(tick)
         return covered
 
     def is_out(self, tick: int) -> bool:
-        """Whether the render of ``tick`` is out."""
+        """Whether the render of ``tick`` is pending."""
         return self.rendering and tick == self._rendered_tick
 
     def overtaken(self, tick: int) -> bool:
-        """Whether the frame of a render, or a later one, was served while the render was out."""
+        """Whether the frame of a render, or a later one, was served while the render was pending."""
         return tick <= self._blind_tick

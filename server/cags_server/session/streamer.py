@@ -20,7 +20,6 @@ from cags_protocol.wire.messages import (
     Hello,
     Mark,
     ReferenceFrame,
-    ReferenceKind,
     TileLayers,
     Welcome,
 )
@@ -47,28 +46,28 @@ from cags_server.settings import PLAIN, ServerSettings
 from cags_server.visibility.visibility import Visibility
 
 MARK_EVERY_US = 30_000
-"""While tiles are being sent there is a mark at least so often: clients show no further than the newest one."""
+"""Longest interval between marks while tiles are being sent: clients show nothing after the newest mark."""
 
 LOOK_EVERY = 3
-"""Frames from one render to the next where no reference is made of them: they tell which splats are seen."""
+"""Frames between renders without a reference, which only determine the visible splats."""
 
 REFERENCE_WORK = 6
-"""A reference takes so many times what a look without one does: of four times the pixels, the mirror drawn too, and the
-outcome coded.
+"""Cost of a reference relative to a render for visibility: four times the pixels, a second render of the mirror, and
+coding.
 """
 
 OVERLOAD = 1.5
-"""Times the time from one reference to the next that a reference may take to be made; beyond it they become rare."""
+"""Largest time to make a reference, in intervals between references; beyond it references become rare."""
 
 GREETING_DEADLINE_US = 2_000_000
-"""After so long a first picture is of no use: tiles have come."""
+"""Time after which a first picture is useless, because tiles have arrived."""
 
 GREETING_AGAIN_US = 20_000
-"""From one attempt at a first picture to the next, while the renderer has no place."""
+"""Interval between attempts at a first picture while the renderer has no free slot."""
 
 
 class Streamer:
-    """Decides what one client gets."""
+    """Decides what is sent to one client."""
 
     def __init__(
         self,
@@ -78,11 +77,16 @@ class Streamer:
         *,
         link: LinkState,
         may_render: Callable[[int], bool] = lambda now_us: True,
+        lightly: Callable[[], bool] = lambda: False,
     ) -> None:
-        """``may_render(now_us)``: whether the renderer has room for this client; asked when a reference is due."""
+        """``may_render(now_us)`` says whether the renderer has a slot for this client when a reference is due.
+        ``lightly()`` says whether references should save processor time.
+        """
         self.stats = StreamStats()
+        self.lacking: float | None = None
+        """Mean squared error, RGB in [0, 1], of the client's picture at the newest reference; None if unknown."""
         self._library, self._settings, self._hello = library, settings, hello
-        self._link, self._may_render = link, may_render
+        self._link, self._may_render, self._lightly = link, may_render, lightly
         self._viewer = Viewer(settings, hello)
         self._policy = create_rate_policy(settings.abr)
         self._coder = ReferenceCoder(settings, hello, library.manifest.fps)
@@ -99,11 +103,12 @@ class Streamer:
         self._visibility = Visibility(library, settings.visible_px)
         self._rests_until_us = 0  # the renderer, after a job that took long
         self._render_plan: FramePlan | None = None  # the newest
-        self._went_ahead: FrameRecord | None = None  # what was sent for the render that is out
+        self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
         self._marks: list[ev.Outgoing] = []
         self._joined_us = self._marked_us = 0
-        self._greeting_due_us: int | None = None  # of the first picture, before the viewer says when to play
-        self._damaged = False  # something that was sent did not arrive whole
+        self._greeting_due_us: int | None = None  # of the first picture, before the viewer starts playback
+        self._damaged = False  # a sent message did not arrive completely
+        self._no_place = False  # at the renderer, for the frame that is due
 
     # ------------------------------------------------------------------------------------------------------- startup
 
@@ -113,7 +118,7 @@ class Streamer:
         return Welcome(session, manifest.fps, manifest.frames, resumed, manifest.public_json())
 
     def startup(self, now_us: int) -> list[ev.Outgoing]:
-        """What a client gets first (:class:`~cags_server.session.startup.Startup`): enough to begin to play."""
+        """The first messages of a client (:class:`~cags_server.session.startup.Startup`), enough to begin playback."""
         camera = Camera(self._hello.intrinsics, self._hello.pose, self._hello.near)
         self._greeting_due_us, self._joined_us = None if self._startup.resumed else now_us, now_us
         return self._counted(self._startup.messages(self._schedule.timeline.frame, camera, now_us), now_us)
@@ -125,21 +130,26 @@ class Streamer:
 
     @property
     def next_frame(self) -> int | None:
-        """The media frame to be planned next; None while there is none."""
+        """The next media frame to plan; None for none."""
         return self._schedule.next_frame
 
     @property
     def frame_ahead(self) -> int | None:
-        """The media frame whose tiles are to be planned next; None while there is none."""
+        """The next media frame to plan tiles for; None for none."""
         frame = self._schedule.next_frame
         return None if frame is None else self._frame_ahead(self._schedule.serves, frame)
 
+    @property
+    def wait_us(self) -> float:
+        """Longest time that a reference may wait for the renderer before its frame is sent without one."""
+        return self._schedule.grace_us()
+
     def startup_due_us(self) -> int | None:
-        """When :meth:`end_startup` has something to say."""
+        """The time to call :meth:`end_startup`."""
         return self._startup.due_us()
 
     def end_startup(self, now_us: int) -> list[ev.Outgoing]:
-        """The end of the first frame while the link is still busy with it, so that the play can begin."""
+        """The end of the first frame while the link is still busy with it, so that playback can begin."""
         return self._counted(self._startup.end(now_us), now_us)
 
     def resume(self, inventory: Iterable[InventoryEntry]) -> None:
@@ -181,7 +191,7 @@ class Streamer:
                 pass
 
     def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
-        """A message was written to its end."""
+        """A message was written completely."""
         if isinstance(outgoing.message, TileLayers | FrameEnd):
             if self._coder.compares:
                 self._mirror.sent(outgoing.message, outgoing.payload)
@@ -199,26 +209,28 @@ class Streamer:
             self._restart_if_forgotten(control.frame, now_us)
 
     def _restart_if_forgotten(self, frame: int, now_us: int) -> None:
-        """The client is to hold nothing any more: say so, and let the mirror follow."""
+        """The client must discard everything: tell it, and reset the mirror."""
         if self._tiles.forgotten:
             self._tiles.forgotten = False
             self._mirror.restart(min(frame, self._library.manifest.frames - 1))
             self._mark(now_us, restart=True)
 
     def _mark(self, now_us: int, *, restart: bool = False) -> int:
-        """Note what will have been sent before the next message: the basis of references."""
+        """Record the messages before the next one, which form the basis of references."""
         number, self._marked_us = self._mirror.mark(), now_us
         self._marks.append(ev.Outgoing(Mark(number, restart)))
         return number
 
     def take_marks(self) -> list[ev.Outgoing]:
-        """Marks to be queued at once: nothing may be sent to its end before them."""
+        """Marks to queue at once: no message may be completed before them."""
         marks, self._marks = self._marks, []
         return marks
 
     def _on_settled(self, outgoing: ev.Outgoing, *, delivered: bool) -> None:
-        self._budget.settled(outgoing)
         message = outgoing.message
+        if isinstance(message, Mark):  # not counted in the plan, because marks are tiny
+            return
+        self._budget.settled(outgoing)
         if isinstance(message, TileLayers):
             self._tiles.settled(message, delivered=delivered)
             self._startup.settled(message)
@@ -237,15 +249,15 @@ class Streamer:
     # ------------------------------------------------------------------------------------------------------ planning
 
     def next_due_us(self) -> int | None:
-        """When the next frame must be planned, by the server's clock; None while nothing is to be planned."""
+        """Time to plan the next frame, by the server's clock; None if there is nothing to plan."""
         if self._greeting_due_us is not None:
             return self._greeting_due_us
         return self._schedule.next_due_us(self._next_is_seen)
 
     def begin(self, now_us: int) -> FrameJob | None:
-        """Plan the newest frame that is due: where the viewer will be, and how wide to look. None if none is due.
+        """Plan the newest due frame: predict the viewer's pose and choose the field of view. None if no frame is due.
 
-        Frames that became due before it and were not begun are skipped: their references would come too late.
+        Earlier due frames that were not begun are skipped, because their references would be late.
         """
         if self._greeting_due_us is not None:
             return self._greeting(now_us) if now_us >= self._greeting_due_us else None
@@ -263,9 +275,9 @@ class Streamer:
         return self._job(plan, now_us)
 
     def _greeting(self, now_us: int) -> FrameJob | None:
-        """The first picture, of what a client sees that has just joined: it comes before the first tile.
+        """The first picture for a client that has just joined, sent before the first tile.
 
-        Where many join at once and the renderer has no place, it is tried again until the viewer says when to play.
+        While the renderer has no free slot, it is retried until the viewer starts playback.
         """
         self._greeting_due_us = None
         affordable = self._reference_budget.bears(now_us, GREETING_DEADLINE_US)
@@ -288,6 +300,7 @@ class Streamer:
             horizon_us=0,
             predicted=seen,
             margins=self._viewer.margins(frame, seen),
+            light=self._lightly(),
             speaks=True,
             idr=self._video.needs_idr,
             basis=self._mark(now_us),
@@ -315,10 +328,10 @@ class Streamer:
         )
 
     def catch_up(self, now_us: int) -> list[ev.Outgoing]:
-        """Between two references, and while a job takes long: tiles and ends of frames, chosen by what was seen last.
+        """Tiles and ends of frames between two references, or while a job takes long, by the last known visibility.
 
-        Media goes on without new references; only they wait for the renderer. Where nothing was seen yet, the tiles'
-        bounds say what is in view.
+        Only references wait for the renderer; media does not. Before the first render, visibility follows from tile
+        bounds.
         """
         due_us, frame = self.next_due_us(), self._schedule.next_frame
         if frame is None or due_us is None or now_us < due_us:
@@ -331,9 +344,9 @@ class Streamer:
         plan = self._blind_plan(tick, frame, covered, now_us)
         record = self._record(plan)
         if self._schedule.is_out(tick):
-            self._went_ahead = record  # of the render that is out, whose reference is not late yet
+            self._went_ahead = record  # of the pending render, whose reference is not late yet
         else:
-            record.reference_late = not between
+            record.reference_late, record.no_place = not between, between and self._no_place
             self.stats.references_late += record.reference_late
         ahead = plan.ahead.frame
         self._enter(ahead, now_us)
@@ -346,7 +359,7 @@ class Streamer:
         self._restart_if_forgotten(frame, now_us)
 
     def _blind_plan(self, tick: int, frame: int, ticks_covered: int, now_us: int) -> FramePlan:
-        """The plan for a frame that is served without a render, or the pending render's own plan."""
+        """The plan for a frame without a render, or the plan of the pending render."""
         if self._render_plan is not None and self._schedule.is_out(tick):
             return self._render_plan
         return self._plan(tick, frame, ticks_covered, now_us, drawn=False)
@@ -364,13 +377,15 @@ class Streamer:
         return self._visibility.guessed_tiles(frame, camera, self._coder.width_px * self._coder.height_px)
 
     def _between_references(self, now_us: int) -> bool:
-        """Whether the frame that is due gets no reference: so asked for, or too dear for the link or the renderer."""
+        """Whether the due frame gets no reference, by the settings or because link or renderer cannot afford it."""
         seen = self._next_is_seen()
         spare_us = self._reference_deadline_us(self._schedule.timeline.display_us(self._schedule.next_tick)) - now_us
         affordable = self._reference_budget.bears(now_us, spare_us)
         room = affordable and now_us >= self._rests_until_us
-        if seen and not self._schedule.rendering and not (room and self._may_render(now_us)):
-            return True
+        if seen and not self._schedule.rendering:
+            self._no_place = room and not self._may_render(now_us)
+            if not room or self._no_place:
+                return True
         if not self._pays:
             return self._schedule.between_renders(LOOK_EVERY, seen=seen)
         return not self._video.needs_idr and self._schedule.between_renders(self._settings.reference_every, seen=seen)
@@ -383,14 +398,14 @@ class Streamer:
         return self._settings.references != "auto" or self._worth.pays
 
     def _next_is_seen(self) -> bool:
-        """Whether what was seen last says what the next tiles will show: not in another group of frames."""
+        """Whether the last visibility is valid for the next tiles; it is not in another group of frames."""
         ahead = self.frame_ahead
         if ahead is None or self._tiles.ended is None or ahead < self._tiles.ended:
             return False
         return self._visibility.tells_of(ahead)
 
     def _plan(self, tick: int, frame: int, ticks_covered: int, now_us: int, *, drawn: bool = True) -> FramePlan:
-        """The plan for a frame, with a reference render or (not ``drawn``) without."""
+        """The plan for a frame, with a reference render if ``drawn``."""
         display_us = self._schedule.timeline.display_us(tick)
         self._viewer.ensure_pose(now_us)
         predicted = self._viewer.predict(display_us)
@@ -406,6 +421,7 @@ class Streamer:
             horizon_us=self._viewer.horizon_us(display_us) if drawn else 0,
             predicted=predicted,
             margins=self._viewer.margins(frame, predicted) if drawn else (0.0, 0.0),
+            light=self._lightly(),
             speaks=speaks,
             idr=speaks and self._video.needs_idr,
             basis=self._mark(now_us) if drawn and self._coder.kind is not None else 0,
@@ -414,7 +430,7 @@ class Streamer:
     # ----------------------------------------------------------------------------------------------------- finishing
 
     def abandon(self, job: FrameJob) -> None:
-        """A job failed or was given up: its picture never existed."""
+        """A job failed or was cancelled: its picture does not exist."""
         self._schedule.rendering = False
         self._video.broken()
 
@@ -424,15 +440,20 @@ class Streamer:
         self._schedule.rendering = False
         work_us = now_us - plan.planned_us
         self._schedule.pace.observe(work_us, len(render.coded.access_unit), now_us)
-        whole_us = work_us if plan.speaks else REFERENCE_WORK * work_us
+        more_us = 0.0 if plan.speaks else (REFERENCE_WORK - 1) * min(render.took_us, work_us)
+        whole_us = work_us + more_us
         self._worth.made(slowly=whole_us > OVERLOAD * self._schedule.reference_period_us)
-        # A job that takes longer than a frame takes the machine from everything else: tiles, and a client beside it.
+        # A job longer than a frame starves everything else on the machine: tiles, and a client beside the server.
         self._rests_until_us = now_us + max(work_us - round(self._schedule.reference_period_us), 0)
         self.stats.references += plan.speaks
         self.stats.render_ns += render.render_ns
         self.stats.mirror_ns += render.mirror_ns
         self.stats.mirror_bytes = self._mirror.memory_bytes
         self.stats.encode_ns += render.encode_ns
+        if plan.speaks:
+            self.lacking = render.coded.before
+            kind = self.stats.light if plan.light else self.stats.careful
+            kind.add(render.render_ns + render.mirror_ns, render.encode_ns)
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []
@@ -448,21 +469,21 @@ class Streamer:
         record.reference_late = now_us >= self._viewer.clock.to_server(plan.display_us)
         self.stats.references_late += record.reference_late
         out = self._counted(self._reference_if_useful(render, record, now_us), now_us)
-        if overtaken:  # its tiles, and later ones, have gone ahead
+        if overtaken:  # its tiles, and later ones, were sent before it
             return out
         out += self._from_nothing(plan, now_us) + self._upgrades(render.visible, record, now_us)
         self._visibility.served(plan.ahead.frame, render.contribution, self._tiles.inventory)
         return out
 
     def _from_nothing(self, plan: FramePlan, now_us: int) -> list[ev.Outgoing]:
-        """The beginning of a picture, for a client that holds nothing."""
+        """The first tiles of a picture, for a client that holds nothing."""
         if not self._tiles.from_nothing:
             return []
         camera = Camera(self._hello.intrinsics, plan.predicted.pose, self._hello.near)
         return self._counted(self._tiles.beginning(plan.frame, camera), now_us)
 
     def _reference_if_useful(self, render: FrameRender, record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
-        """The reference, unless it is too late for anything; then the next one must stand alone."""
+        """The reference, unless it is too late to be useful; then the next one must be an IDR picture."""
         if not render.plan.speaks:
             return self._moving_on(render)
         if now_us >= self._reference_deadline_us(render.plan.display_us):
@@ -479,15 +500,15 @@ class Streamer:
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _moving_on(self, render: FrameRender) -> list[ev.Outgoing]:
-        """That nothing is lacking, where references are no longer made: a client would go on to show the last one, and
-        while it pauses no more of the splats than that assumed.
+        """An empty reference, sent when references are no longer made. Without it, a client would keep showing the last
+        one, and, while paused, no splats beyond those that it assumes.
         """
         if self._coder.kind is None or (self._schedule.timeline.playing and self._video.silent):
             return []
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _upgrades(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> list[ev.Outgoing]:
-        """The tiles that the rate policy chooses for a frame, and the frame's end."""
+        """The tiles chosen by the rate policy for a frame, and the end of the frame."""
         camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
         ahead = record.ahead
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
@@ -516,7 +537,6 @@ class Streamer:
     def _decide(self, visible: tuple[VisibleTile, ...], record: FrameRecord, now_us: int) -> Decision:
         record.estimate_bps = self._link.estimate_bps(now_us)
         frame, display_us = record.ahead.frame, record.ahead.display_us
-        lead_us = self._schedule.lead_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
         lead_frames = to_display_us / self._schedule.timeline.period_us
         views = (self._tiles.view(tile, frame, lead_frames) for tile in visible)
@@ -524,8 +544,6 @@ class Streamer:
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, self._schedule.timeline.period_us, now_us)
         spare_us = float(to_display_us - MARGIN_US)
-        if self._coder.kind is ReferenceKind.DIFFERENCE and spare_us > lead_us:
-            spare_us -= lead_us  # what is to be shown is there when it is compared with, where it still can be
         now = (tile for tile in tiles if not tile.depth and tile.frame <= frame)
         fresh = [tile.lod_bytes[0] + MESSAGE_OVERHEAD_BYTES for tile in now]
         timely_bytes = self._budget.timely(spare_us, period_us, max(fresh, default=0), now_us)
@@ -540,6 +558,7 @@ class Streamer:
             layered=self._tiles.layered,
             waiting_us=self._budget.waiting_us(now_us),
             timely_bytes=timely_bytes,
+            alone_bytes=self._budget.alone(earned_bytes, period_us, now_us),
         )
         decision = self._policy.decide(observation)
         coming_bytes = self._budget.outstanding_bytes + lacking_bytes(observation)
@@ -552,20 +571,18 @@ class Streamer:
     # ------------------------------------------------------------------------------------------------------ messages
 
     def outdated(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a tile that waits was chosen for a frame that has been displayed: what is worth its bytes now may
-        be another.
-        """
+        """Whether a waiting tile was chosen for a frame that has been displayed; another tile may be worth more now."""
         message, deadline_us = outgoing.message, outgoing.deadline_us
         if not isinstance(message, TileLayers) or deadline_us is None:
             return False
         return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
 
     def _display_us(self, deadline_us: int) -> int:
-        """When the frame of a reference is displayed that serves until ``deadline_us``; both by the server's clock."""
+        """Display time of the frame of a reference that is useful until ``deadline_us``; both by the server's clock."""
         return deadline_us - int(self._settings.reference_deadline_ms * 1000)
 
     def _reference_deadline_us(self, display_us: int) -> int:
-        """A late reference still serves the frames that follow its own."""
+        """A late reference is still useful for the frames after its own."""
         return self._viewer.clock.to_server(display_us) + int(self._settings.reference_deadline_ms * 1000)
 
     def _counted(self, outgoing: list[ev.Outgoing], now_us: int) -> list[ev.Outgoing]:

@@ -1,7 +1,7 @@
-"""For how long a client has been shown an older version of a tile's splats, and which version that is.
+"""The displayed version of each tile's splats, and for how long it has been out of date.
 
-Where the media replaces everything in every frame and the link carries a part of it, what is worth most is what has
-been stale for longest. Judged by this frame alone, the same tile would win every time, and the others never come.
+If the media replaces everything in every frame and the link carries only a part, the splats that have been out of date
+longest are worth most. Judged by the current frame alone, the same tiles would win every time.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cags_server.visibility.inventory import ClientInventory
 
 
 class VersionAge:
-    """For one client and one group of frames: the looks of each splat that it holds, or is being sent."""
+    """Looks of each splat that one client holds or is being sent, for one group of frames."""
 
     def __init__(self, library: SceneLibrary) -> None:
         self._library = library
@@ -27,12 +27,12 @@ class VersionAge:
         """The client holds nothing."""
         self._gof = -1
         self._claimed: tuple[tuple[int, int], ...] = ()
-        self._arrived = self._sent = np.zeros(0, np.int32)  # [capacity] number of the tile, -1: none
+        self._arrived = self._sent = np.zeros(0, np.int32)  # [capacity] number of the tile; -1 for none
 
     def held(self, tiles: Iterable[tuple[int, int]]) -> None:
-        """The client says that it holds these (media frame, tile) of an earlier session.
+        """Take the inventory (media frame, tile) that the client holds from an earlier session.
 
-        They are looked up when their group begins, and what the bundle does not have is passed over.
+        It is looked up when the group begins; tiles that are not in the bundle are ignored.
         """
         self._claimed = tuple(tiles)
 
@@ -57,7 +57,7 @@ class VersionAge:
             self._sent[ids] = np.maximum(self._sent[ids], self._number(frame, tile))
 
     def settled(self, frame: int, tile: int, *, delivered: bool) -> None:
-        """They have arrived, or will not."""
+        """They have arrived, or will not arrive."""
         if self._library.manifest.gof_of(frame) != self._gof or not self._is_looks(frame, tile):
             return
         ids, number = self._library.tile_ids(frame, tile), self._number(frame, tile)
@@ -67,7 +67,7 @@ class VersionAge:
             self._sent[ids] = np.where(self._sent[ids] == number, self._arrived[ids], self._sent[ids])
 
     def lost(self, frame: int, tile: int) -> None:
-        """The client has given a tile up: what it showed of it is gone."""
+        """The client has discarded a tile and shows nothing of it."""
         manifest = self._library.manifest
         known = frame < manifest.frames and manifest.gof_of(frame) == self._gof
         if known and self._library.tile_map(frame).has((frame, tile)):
@@ -90,7 +90,7 @@ class VersionAge:
         return max(at - float(since.mean()), 1.0)
 
     def share_shown(self, frame: int, tile: int) -> float:
-        """Share of the splats of a tile of looks of which the client shows some version of this group of frames."""
+        """Share of the splats of a tile of looks that the client shows in some version of this group of frames."""
         ids = self._library.tile_ids(frame, tile)
         if not len(ids) or not self._enters(frame):
             return 1.0
@@ -118,7 +118,7 @@ class VersionAge:
         return self._library.entry(frame).tiles[tile].kind == TileKind.LOOKS
 
     def _enters(self, frame: int) -> bool:
-        """Begin the group of ``frame`` if it is a later one; whether ``frame`` is of this group now."""
+        """Begin the group of ``frame`` if it is a later one; returns whether ``frame`` belongs to the current group."""
         manifest = self._library.manifest
         gof = manifest.gof_of(frame)
         if gof > self._gof:

@@ -1,9 +1,9 @@
-"""Splats that a client still shows where they were, though they moved, ended, faded or changed while nobody told it.
+"""Ghosts: splats that a client still shows in an old state because their change was not sent.
 
-What is out of view is not sent. When the viewer turns there, the true scene may have nothing to see where the client
-still shows something, and nothing that is seen would ask for the tile that mends it. Tiles that the client shows, that
-are out of date and whose bounds, as the client shows them, are in view therefore count as visible with a small weight:
-bounds say nothing of what hides them, and :class:`StaleSplats` knows what was really seen.
+Changes out of view are not sent. When the viewer turns there, the client may show splats where the true scene has
+none, and no visible splat would cause the sending of the tile that removes them. Therefore, tiles that the client
+shows, that are out of date, and whose bounds are in view count as visible with a small weight. The weight is small
+because bounds ignore occlusion; :class:`StaleSplats` covers splats that were really visible.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from cags_server.visibility.bounds import distances_in_view
 from cags_server.visibility.inventory import ClientInventory
 
 GHOST_SHARE = 0.1
-"""What a splat that may be a ghost counts for, against one that is seen."""
+"""Weight of a possible ghost relative to a visible splat."""
 
 
 def ghosts(
     library: SceneLibrary, frame: int, camera: Camera, shown: NDArray[np.int32], inventory: ClientInventory
 ) -> list[VisibleTile]:
-    """Tiles that end what ``camera`` may see of an older version than that of ``frame``; a splat weighs 1.
+    """Tiles that replace outdated splats that ``camera`` may see at ``frame``; a splat weighs 1.
 
-    ``shown`` [capacity] is the tile whose looks of a splat the client shows, -1 where it shows none.
+    ``shown`` [capacity] is the tile of the displayed looks of each splat, -1 for none.
     """
     tiles, owners = library.tile_map(frame), library.owners(frame)
     counts = np.bincount(shown[shown >= 0])
@@ -41,7 +41,7 @@ def ghosts(
     pairs, sizes = np.unique(np.stack([shown[late], owners[late]]), axis=1, return_counts=True)
     older, newer = pairs
     in_view = _in_view(tiles, np.concatenate([there[found], older]), frame, camera, inventory)
-    following = tiles.chunk_at(older, frame)  # on its way, maybe, with the looks that it moves
+    following = tiles.chunk_at(older, frame)  # possibly in flight with the looks that it moves
     there_soon = np.isfinite(distances_in_view(tiles.bounds[np.where(following >= 0, following, older)], camera))
     in_view[len(found) :] |= there_soon
     end = library.manifest.gof_frames(library.manifest.gof_of(frame))[-1]
@@ -52,7 +52,7 @@ def ghosts(
 
 
 def merged(visible: Sequence[VisibleTile], more: Sequence[VisibleTile]) -> tuple[VisibleTile, ...]:
-    """``visible``, and those of ``more`` that are not among them, at a share of a visible splat's weight."""
+    """``visible`` plus the tiles of ``more`` that are not among them, at a fraction of a visible splat's weight."""
     known = {(tile.frame, tile.tile) for tile in visible}
     looks = [tile for tile in visible if tile.kind == TileKind.LOOKS]
     splats = sum(tile.count for tile in looks)
@@ -75,14 +75,14 @@ def _lacking_motion(tiles: TileMap, looks: Numbers, frame: int, inventory: Clien
 def _in_view(
     tiles: TileMap, looks: Numbers, frame: int, camera: Camera, inventory: ClientInventory
 ) -> NDArray[np.bool_]:
-    """Whether each tile of ``looks`` may be in view of ``camera`` where the client shows it."""
+    """Whether each tile of ``looks``, at the place where the client shows it, may be in view of ``camera``."""
     shown = {int(n): shown_bounds(tiles, int(n), frame, inventory) for n in np.unique(looks)}
     bounds = np.array([shown[int(n)] for n in looks], np.float64).reshape(-1, 2, 3)
     return np.isfinite(distances_in_view(bounds, camera))
 
 
 def shown_bounds(tiles: TileMap, looks: int, frame: int, inventory: ClientInventory) -> F64:
-    """[2, 3] bounds of a tile of looks as a client shows it at ``frame``: by the newest motion that it has of it."""
+    """Bounds [2, 3] of a tile of looks as a client shows it at ``frame``, by the newest motion that it holds."""
     held = (chunk for chunk in tiles.chunks_until(looks, frame) if inventory.depth(*tiles.key(chunk)))
     bounds: F64 = tiles.bounds[next(held, looks)]
     return bounds
@@ -100,7 +100,7 @@ def _chunks(tiles: TileMap, looks: Numbers, splats: list[int], frame: int, end: 
 
 
 def _newer(tiles: TileMap, replaced: list[tuple[int, int]], inventory: ClientInventory) -> list[VisibleTile]:
-    """Looks that replace what is shown: (number, splats) by the tile that they are shown from."""
+    """Looks that replace displayed ones: (number, splats) by displayed tile."""
     splats: dict[int, int] = {}
     for number, size in replaced:
         splats[number] = splats.get(number, 0) + size
@@ -113,12 +113,11 @@ def _newer(tiles: TileMap, replaced: list[tuple[int, int]], inventory: ClientInv
 
 
 class StaleSplats:
-    """The splats of one client that were seen in a version which has been replaced since.
+    """Splats of one client that were visible in a version that has been replaced since.
 
-    Tiles are chosen by what is visible in the true scene. A splat that leaves the picture between two frames is no
-    longer visible, so its change would never be sent and the client would keep drawing it at its old place: a ghost.
-    Until the newest version of a splat and the motion that it follows are on their way, the splat counts for as much as
-    when it was last visible.
+    Tiles are chosen by visibility in the true scene. A splat that leaves the picture between two frames is no longer
+    visible, so its change would not be sent, and the client would keep drawing it at its old place, as a ghost. The
+    splat therefore keeps its last visible weight until its newest version and motion have been sent.
     """
 
     def __init__(self, library: SceneLibrary, visible_px: float) -> None:
@@ -131,7 +130,7 @@ class StaleSplats:
         return len(self._ids)
 
     def added_to(self, contribution: F32, frame: int) -> F32:
-        """``contribution`` [capacity] at ``frame``, and for stale ones at least what they had."""
+        """``contribution`` [capacity] at ``frame``, and for stale splats at least their previous value."""
         if not len(self._ids) or self._library.manifest.gof_of(frame) != self._gof:
             return contribution
         out = contribution.copy()
@@ -139,7 +138,7 @@ class StaleSplats:
         return out
 
     def update(self, contribution: F32, frame: int, inventory: ClientInventory) -> None:
-        """After ``frame`` was planned: what was or had been seen, and is neither held nor on its way, is stale."""
+        """After ``frame`` was planned: visible and stale splats that are neither held nor in flight are stale now."""
         seen = self.added_to(contribution, frame)
         ids = np.flatnonzero(seen > self._visible_px)
         numbers, where = np.unique(self._library.owners(frame)[ids], return_inverse=True)

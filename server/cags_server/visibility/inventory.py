@@ -1,4 +1,4 @@
-"""What a client holds of each tile, as far as the server knows: delivered layers and layers on their way."""
+"""The server's view of a client's inventory: delivered layers and layers in flight."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _run(mask: int) -> int:
 
 
 class ClientInventory:
-    """Layers a client holds, by (media frame, tile). Where LoDs do not add up, each stands for all below it."""
+    """Layers that a client holds, by (media frame, tile). If LoDs are not incremental, each includes all below it."""
 
     def __init__(self, *, layered: bool = True) -> None:
         self._layered = layered
@@ -55,20 +55,20 @@ class ClientInventory:
             held.delivered &= (1 << lods) - 1
 
     def depth(self, frame: int, tile: int) -> int:
-        """LoDs from 0 without a gap that the client holds or that are on their way."""
+        """Number of LoDs from 0 without a gap that the client holds or that are in flight."""
         return _run(self.mask(frame, tile))
 
     def delivered_depth(self, frame: int, tile: int) -> int:
-        """LoDs from 0 without a gap that have arrived."""
+        """Number of LoDs from 0 without a gap that have arrived."""
         held = self._tiles.get((frame, tile))
         return 0 if held is None else _run(held.delivered)
 
     def holds(self, frame: int, tile: int, lod: int) -> bool:
-        """Whether one LoD has arrived or is on its way."""
+        """Whether one LoD has arrived or is in flight."""
         return bool(self.mask(frame, tile) >> lod & 1)
 
     def mask(self, frame: int, tile: int) -> int:
-        """Bit L is set for each LoD L that has arrived or is on its way."""
+        """Bit L is set for each LoD L that has arrived or is in flight."""
         held = self._tiles.get((frame, tile))
         return 0 if held is None else held.delivered | held.travelling
 

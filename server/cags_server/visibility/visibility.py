@@ -1,4 +1,4 @@
-"""What one client sees of the scene: by its last reference render, or by tiles' bounds where there is none yet."""
+"""Visibility of the scene for one client: from its last reference render, or from tile bounds before the first."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cags_server.visibility.inventory import ClientInventory
 
 
 class Visibility:
-    """What one client can see. A tile is visible from ``visible_px`` pixels of contribution on."""
+    """Visibility for one client. A tile is visible if it contributes at least ``visible_px`` pixels."""
 
     def __init__(self, library: SceneLibrary, visible_px: float) -> None:
         self.stale = StaleSplats(library, visible_px)
@@ -23,20 +23,20 @@ class Visibility:
         self._last: tuple[int, F32] | None = None  # group of frames; contributions to its last picture
 
     def rendered(self, frame: int, contribution: F32) -> None:
-        """The reference render of ``frame`` found ``contribution`` [capacity], pixels a splat."""
+        """Take the ``contribution`` [capacity], pixels per splat, that the reference render of ``frame`` found."""
         self._last = self._library.manifest.gof_of(frame), contribution
 
     def tells_of(self, frame: int) -> bool:
-        """Whether the last render says what ``frame`` shows: not in another group of frames."""
+        """Whether the last render is valid for ``frame``; it is not in another group of frames."""
         return self._last is not None and self._last[0] == self._library.manifest.gof_of(frame)
 
     def tiles(self, frame: int) -> tuple[VisibleTile, ...]:
-        """What the last render showed, at ``frame`` of its group."""
+        """Visibility at ``frame`` from the last render of its group."""
         assert self._last is not None, "nothing was rendered"
         return self._library.visible_tiles(frame, self.stale.added_to(self._last[1], frame), self._visible_px)
 
     def guessed_tiles(self, frame: int, camera: Camera, pixels: int) -> tuple[VisibleTile, ...]:
-        """What a render of ``pixels`` pixels from ``camera`` would show, guessed from the tiles' bounds."""
+        """Estimate, from tile bounds, of what a render of ``pixels`` pixels from ``camera`` would show."""
         return self._library.visible_tiles(frame, guessed_contribution(self._library, frame, camera, pixels), 0.0)
 
     def with_ghosts(
@@ -47,10 +47,10 @@ class Visibility:
         inventory: ClientInventory,
         age: VersionAge,
     ) -> tuple[VisibleTile, ...]:
-        """``visible`` at ``frame``, and what ends older versions that the client may show in view of ``camera``."""
+        """``visible`` at ``frame`` plus tiles that replace outdated splats which the client may show to ``camera``."""
         found: dict[tuple[int, int], VisibleTile] = {}
         coming = _new_looks(visible, inventory)
-        while True:  # what ends one version may bring others that have been replaced since
+        while True:  # a replacing tile may contain splats that have themselves been replaced since
             shown = age.shown_with(frame, coming)
             more = ghosts(self._library, frame, camera, shown, inventory)
             found |= {(tile.frame, tile.tile): tile for tile in more}
@@ -60,11 +60,11 @@ class Visibility:
             coming |= fresh
 
     def served(self, frame: int, contribution: F32, inventory: ClientInventory) -> None:
-        """After the tiles of ``frame`` were chosen: what was seen, and is neither held nor on its way, is stale."""
+        """After the tiles of ``frame`` were chosen: visible splats that are neither held nor in flight become stale."""
         self.stale.update(contribution, frame, inventory)
 
 
 def _new_looks(tiles: Iterable[VisibleTile], inventory: ClientInventory) -> set[tuple[int, int]]:
-    """(media frame, tile) of looks that the client has nothing of."""
+    """Looks (media frame, tile) of which the client holds nothing."""
     keys = {(tile.frame, tile.tile) for tile in tiles if tile.kind == TileKind.LOOKS}
     return {key for key in keys if not inventory.depth(*key)}

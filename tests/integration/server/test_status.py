@@ -79,6 +79,7 @@ def record(**changes: object) -> FrameRecord:
         ({"budget_bytes": 1000, "tile_bytes": 100}, "nothing"),
         ({"budget_bytes": 1000, "tile_bytes": 950}, "link"),
         ({"budget_bytes": 1000, "tile_bytes": 950, "reference_late": True}, "renderer"),
+        ({"budget_bytes": 1000, "tile_bytes": 950, "no_place": True}, "renderer"),
     ],
 )
 def test_what_a_session_is_short_of(changes: dict, answer: str) -> None:

@@ -359,6 +359,19 @@ def test_a_phone_sees_the_picture_without_scrolling_sideways(show: BallShow, tmp
         assert complaints(running) == []
 
 
+def test_the_client_is_told_of_the_window_and_again_when_it_has_another_size(show: BallShow, tmp_path: Path) -> None:
+    show.controls.windows.clear()
+    with at_rest(show), chromium(tmp_path) as running:
+        visit(running, show)
+        size = running.execute_script("return [innerWidth, innerHeight].map((side) => side * devicePixelRatio)")
+        wait(running, lambda: show.controls.windows == [tuple(size)])
+        for width in (700, 720, 740):
+            running.set_window_size(width, 900)
+        wait(running, lambda: len(show.controls.windows) > 1 and show.controls.windows[-1][0] == 740)
+        assert len(show.controls.windows) <= 3, "not of every step on the way"
+        assert complaints(running) == []
+
+
 def test_controls_have_names_and_are_reached_by_tab(page: Any) -> None:
     click(page, "#inspect")
     unnamed = page.execute_script(

@@ -89,6 +89,26 @@ def test_overlays_and_comparison_work_on_a_real_stream(page: Any) -> None:
     assert not page.find_element("id", "toast").is_displayed()
 
 
+def test_pictures_have_the_windows_shape_and_change_with_it(page: Any) -> None:
+    """The server learns of it in mid-session; nothing is said of that, and the play goes on."""
+    click(page, "#overlay-score")
+    for width, height in ((700, 900), (1200, 700)):
+        page.set_window_size(width, height)
+        inner = page.execute_script("return innerWidth / innerHeight")
+        wait(page, lambda shape=inner: abs(shape_of(page) / shape - 1) < 0.03)
+        before = measured(page)["pictures"]
+        wait(page, lambda before=before: measured(page)["pictures"] > before + 10 and score(page) > RECOGNISABLE_DB)
+        drawn = page.execute_script("const { width, height } = cags.player.shown.pictures[0]; return width * height")
+        assert 0.9 * 320 * 240 < drawn <= 320 * 240
+        assert not page.find_element("id", "toast").is_displayed()
+        assert not page.find_element("id", "message").is_displayed()
+
+
+def shape_of(running: Any) -> float:
+    picture = "const { width, height } = window.cags.player.shown.pictures[0]; return width / height"
+    return float(running.execute_script(picture))
+
+
 def test_cap_and_delay_reach_the_shaper(page: Any) -> None:
     choose(page, "#delay", "60")
     choose(page, "#cap", "40")

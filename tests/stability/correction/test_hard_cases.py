@@ -9,9 +9,8 @@ import pytest
 
 import cags_kernels
 from cags_common.correction import Corrector, CorrectSettings, Reference, compand, create
-from cags_common.raster import RenderedView
 from support.corrections import F, assert_sound, camera, difference, empty_view, flat_view, picture, share_apart, view
-from support.hard_corrections import CLIENT, PLACES, TIES, USUAL_TIES, VIEWS, server
+from support.hard_corrections import CLIENT, PLACES, TIES, USUAL_TIES, VIEWS, missing_square, server
 
 needs_kernels = pytest.mark.skipif(not cags_kernels.native_available(), reason=cags_kernels.why_unavailable())
 BACKENDS = [pytest.param("cpu", marks=needs_kernels), "reference"]
@@ -48,18 +47,9 @@ def test_an_empty_client_shows_the_difference_itself_and_is_never_black(correcto
 
 
 def test_what_is_missing_shows_at_the_depth_around_it(corrector: Corrector) -> None:
-    """A square that no splat covers in a wall at 3 m: what the reference saw there lands at the wall's parallax."""
-    there = server((160, 120), at=(0.3, 0.0, 0.0))
-    drawn = flat_view(CLIENT, 3.0)
-    alpha, rgb = drawn.alpha.copy(), drawn.rgb.copy()
-    alpha[50:70, 70:90], rgb[50:70, 70:90] = 0, 0
-    missing = RenderedView(rgb, alpha, np.where(alpha > 0, drawn.depth, np.inf).astype(F), None)
-    lack = np.zeros((120, 160, 3))
-    i, j = CLIENT.intrinsics, there.intrinsics
-    left, right = (((u - i.cx_px) / i.fx_px * 3.0 - 0.3) / 3.0 * j.fx_px + j.cx_px for u in (70, 90))
-    top, bottom = ((v - i.cy_px) / i.fy_px * j.fy_px + j.cy_px for v in (50, 70))
-    lack[round(top) : round(bottom), round(left) : round(right)] = 0.5
-    out = corrector.correct(missing, CLIENT, Reference(compand(lack, 0.1).astype(F), there)).rgb
+    """What the reference saw there lands at the wall's parallax."""
+    missing, reference = missing_square()
+    out = corrector.correct(missing, CLIENT, reference).rgb
     np.testing.assert_allclose(out[53:67, 73:87], 0.5, atol=0.01)
     assert np.abs(out - 0.5).mean() < 0.01
 

@@ -9,7 +9,10 @@ import pytest
 
 from cags_common.raster import Exactness, Footprint, RasterScene, RenderedView, RenderOptions, create
 from cags_common.raster.cpu import BOUNDS
-from support.gpu import needs_adapter, rasteriser
+from cags_gpu.device import source
+from cags_gpu.keeper import Keeper
+from cags_gpu.raster import GpuRasteriser
+from support.gpu import any_gpu, needs_adapter, rasteriser
 from support.hard_cases import CASES, USUAL_OF_SINGLE_PRECISION
 from support.raster_scenes import assert_sound
 
@@ -36,6 +39,29 @@ def test_is_sound_and_within_the_bound_of_its_level(name: str, exactness: Exactn
     assert np.quantile(error.max(axis=2), 0.99, method="lower") <= usual
     assert error.max() <= bound.largest
     assert np.abs(ours.alpha - right.alpha).max() <= bound.largest
+
+
+@cache
+def of_whole_tiles() -> GpuRasteriser:
+    """The backend, but each quarter of a tile looks at every entry of the tile."""
+    own = Keeper(any_gpu)
+    workspace = own.current()
+    assert workspace is not None
+    every = "for (var q = 0u; q < 4u; q++) { atomicOr(&touching[q * WORDS + lane / 32u], 1u << (lane % 32u)); }"
+    text = source("blend").replace("marked(lane, drawn, tile);", every)
+    assert every in text
+    workspace.gpu._made["module", "blend"] = workspace.gpu.device.create_shader_module(code=text)
+    return GpuRasteriser(own)
+
+
+@pytest.mark.parametrize("exactness", [Exactness.EXACT, Exactness.FAST])
+@pytest.mark.parametrize("name", CASES)
+def test_quarters_of_tiles_leave_out_nothing_that_is_seen(name: str, exactness: Exactness) -> None:
+    options = RenderOptions(exactness=exactness, contribution=True)
+    make, cam = CASES[name]
+    right, ours = of_whole_tiles().load(make()).render(cam, options), drawn(name)[1].render(cam, options)
+    for field in ("rgb", "alpha", "depth", "contribution"):
+        np.testing.assert_array_equal(getattr(ours, field), getattr(right, field), err_msg=field)
 
 
 @pytest.mark.parametrize("name", CASES)

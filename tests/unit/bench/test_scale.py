@@ -11,9 +11,11 @@ from typing import Any
 import pytest
 
 from cags_bench.scale.cluster import Cluster, Load
-from cags_bench.scale.command import ScaleSettings, add_arguments, capacity, run
+from cags_bench.scale.command import add_arguments, capacity, run
+from cags_bench.scale.settings import ScaleSettings
 from cags_bench.scale.sizing import judged, sizing_table
 from cags_bench.scale.viewers import ALONE, APART, SAME, Audience, cost_of, splats_shown
+from cags_bench.sim.workers import Cores
 from cags_common.errors import ConfigError
 from cags_encoder import EncodeSettings, encode
 from cags_encoder.scenes import open_scene
@@ -111,6 +113,19 @@ def test_the_whole_command_tells_costs_and_uses_them(bundle: Path, tmp_path: Pat
     assert (tmp_path / "table.md").read_text().count("\n") == 3
 
 
+def test_on_cores_that_are_too_few_everybody_gets_a_share(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The work takes time there: 60 ms a reference, where three viewers want one every 11 ms."""
+    whole = Audience(bundle, 3, 5.0, width=80, height=60)
+    alone = [len(one.spent.references) for one in whole.played(1)]
+    taken = Cores.taken_until_us
+    monkeypatch.setattr(Cores, "taken_until_us", lambda cores, now_us, took_us: taken(cores, now_us, 60_000.0))
+    shared = [len(one.spent.references) for one in replace(whole, cores=1).played(1)]
+    seconds = 24 / 30
+    assert max(shared) < min(alone) / 2
+    assert sum(shared) >= 0.8 * seconds / 0.06
+    assert min(shared) >= 0.5 * max(shared) - 2
+
+
 def test_a_clip_that_is_too_short_says_so(bundle: Path) -> None:
     results = Audience(bundle, 1, 5.0, width=80, height=60).played(1)
     results[0].spent.playing = None
@@ -137,11 +152,14 @@ def ways(same_ms: float, alone_ms: float) -> list[dict[str, Any]]:
 
 
 def test_checks_say_what_is_not_carried() -> None:
-    crowd = {"case": "crowd", "viewers": 20, "fps": 5.0, "mbps": 3.0, "cores": 1.7, "missed": 1, "late": [0, 2, 0]}
+    crowd: dict[str, Any] = {
+        "case": "crowd", "viewers": 20, "fps": 5.0, "mbps": 3.0, "cores": 1.7, "on_cores": 2, "missed": [0, 1, 0],
+        "missed_alone": 0, "late": [0, 2, 0], "references_of_a_viewer": [[9, 10], [4, 10]],
+    }  # fmt: skip
     assert not any(entry["ok"] for entry in judged([*ways(900.0, 800.0), crowd]))
-    crowd |= {"cores": 1.5, "missed": 0, "late": [0, 0, 0]}
+    crowd |= {"cores": 1.5, "missed": [0], "late": [0, 0, 0], "references_of_a_viewer": [[9, 10], [5, 10]]}
     good = judged([*ways(400.0, 500.0), crowd])
-    assert len(good) == 5
+    assert len(good) == 7
     assert all(entry["ok"] for entry in good)
 
 

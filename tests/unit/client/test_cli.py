@@ -49,6 +49,19 @@ def test_what_is_right_goes_on_to_the_server(capsys: pytest.CaptureFixture[str],
     assert "no server answers" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("watched", [True, False])
+def test_why_no_graphics_processor_draws_is_one_line_to_who_looks(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, watched: bool
+) -> None:
+    monkeypatch.setenv("CAGS_GPU_ADAPTER", "no such adapter")
+    monkeypatch.setattr("cags_common.runtime.terminal.watched", lambda *, headless: watched)
+    assert cli.main(NOWHERE) == 1
+    first, *others = capsys.readouterr().err.splitlines()
+    assert first.startswith("cags-client: not drawing on a graphics processor: ") == watched
+    assert len(others) == (1 if watched else 0)
+    assert "no server answers" in [first, *others][-1]
+
+
 def test_without_a_built_page_view_says_how_to_build_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

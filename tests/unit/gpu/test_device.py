@@ -15,7 +15,7 @@ from cags_gpu import device
 from cags_gpu.device import Gpu, adapters, choose, why_unavailable
 from cags_gpu.keeper import Keeper
 from cags_gpu.raster import GpuRasteriser
-from support.gpu import needs_adapter
+from support.gpu import needs_adapter, software_passes
 from support.raster_scenes import assert_sound, camera, random_splats
 
 
@@ -62,6 +62,19 @@ def test_software_is_refused_unless_asked_for(present: list[Adapter], monkeypatc
     assert raster.chosen("auto") == "auto"
     monkeypatch.setenv(device.SOFTWARE_VARIABLE, "1")
     assert choose()[0].software
+
+
+@needs_adapter
+def test_auto_draws_on_an_adapter_that_passes_and_says_in_one_line_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    with software_passes():
+        assert raster.chosen("auto", told.append) == "gpu"
+        assert told == []
+    monkeypatch.setenv(device.ADAPTER_VARIABLE, "no such adapter")
+    assert raster.chosen("auto", told.append) == "auto"
+    (reason,) = told
+    assert "\n" not in reason
+    assert "not drawing on a graphics processor: no adapter is called 'no such adapter'" in reason
 
 
 def test_an_adapter_is_picked_by_a_part_of_its_name(present: list[Adapter], monkeypatch: pytest.MonkeyPatch) -> None:

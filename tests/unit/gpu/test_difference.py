@@ -75,6 +75,27 @@ def test_one_submission_brings_what_was_asked_for_and_no_more(monkeypatch: pytes
     assert read[1:] == [8 * pixels]
 
 
+@pytest.mark.parametrize("crowded", ["truth", "mirror"])
+def test_entries_that_overflow_in_either_drawing_compare_nothing_wrong(crowded: str) -> None:
+    small = Keeper(any_gpu)
+    workspace = small.current()
+    assert workspace is not None
+    few = plates().take(np.arange(3))
+    pair = (plates(), few) if crowded == "truth" else (few, plates())
+    truth, held = (GpuRasteriser(small).load(splats) for splats in pair)
+    for scene in (truth, held):
+        scene.on_device(lambda resident: resident, lambda _: None)
+    workspace.counts["capacity"] = 64
+    workspace.version += 1
+    workspace._buffers.clear()
+    ours = compared(truth, held, *Look)
+    right = compared(*(rasteriser().load(splats) for splats in pair), *Look)
+    assert workspace.counts["capacity"] > 64
+    for one, other in ((ours.truth, right.truth), (ours.lack, right.lack), (ours.contribution, right.contribution)):
+        np.testing.assert_array_equal(one, other)
+    small.close()
+
+
 def test_what_is_looked_at_late_is_what_was_drawn() -> None:
     truth, held = scenes()
     first = compared(truth, held)

@@ -19,6 +19,7 @@ from cags_gpu.work import (
     FrameCounts,
     compared_bytes,
     estimated_ms,
+    operations,
     pass_bytes,
     read_back_bytes,
     visits,
@@ -26,19 +27,22 @@ from cags_gpu.work import (
 from support.gpu import keeper, needs_adapter, rasteriser
 from support.raster_scenes import camera, random_splats, tilted_camera
 
-COUNTS = FrameCounts(150_000, 61_800, 1_800_000, 1_000_000, 1600 * 1200)
+COUNTS = FrameCounts(150_000, 61_800, 1_800_000, 1_000_000, 2_700_000, 1600 * 1200)
 EXACT = RenderOptions(exactness=Exactness.EXACT)
 
 
-def touched_tiles(splats, cam) -> tuple[int, int]:
-    """Tiles with a pixel of alpha over the cut, summed over the splats, and splats with any (float64)."""
-    entries = seen = 0
+def touched(splats, cam) -> tuple[int, int, int]:
+    """Tiles, and quarters of tiles, with a pixel of alpha over the cut, summed over the splats; splats with any
+    (float64).
+    """
+    entries = quarters = seen = 0
     for step in footsteps(project(splats, cam, EXACT), cam):
         rows, columns = np.nonzero(step.alpha >= ALPHA_CUT)
-        tiles = {(y // 16, x // 16) for y, x in zip(rows + step.window[0].start, columns + step.window[1].start)}  # noqa: B905
-        entries += len(tiles)
-        seen += bool(tiles)
-    return entries, seen
+        pixels = np.stack([rows + step.window[0].start, columns + step.window[1].start], axis=1)
+        entries += len(np.unique(pixels // 16, axis=0))
+        quarters += len(np.unique(pixels // 8, axis=0))
+        seen += bool(len(pixels))
+    return entries, quarters, seen
 
 
 @needs_adapter
@@ -48,8 +52,9 @@ def test_no_tile_with_a_pixel_is_left_out_and_few_without_one_are_kept(exactness
     scene = rasteriser().load(splats)
     options = RenderOptions(exactness=exactness)
     counts = scene.on_device(lambda resident: frame_counts(resident, cam, options, camera(48, 36)), lambda _: None)
-    right, seen = touched_tiles(splats, cam)
+    right, quarters, seen = touched(splats, cam)
     assert right <= counts.entries <= 1.1 * right
+    assert 0.999 * quarters <= counts.quarters <= 1.1 * quarters
     assert seen <= counts.visible <= seen + 0.02 * len(splats)
     assert counts.entries < 0.85 * counts.box_entries
     assert counts.reference_pixels == 48 * 36
@@ -72,7 +77,11 @@ def test_every_improvement_saves_and_the_last_is_what_runs() -> None:
     assert moved == sorted(moved, reverse=True)
     assert STEPS[0][1] == PROTOTYPE
     assert STEPS[-1][1] == Design()
-    assert visits(COUNTS) == 256 * COUNTS.entries < visits(COUNTS, PROTOTYPE)
+    whole_tiles = Design(quarters=False)
+    assert visits(COUNTS) == 64 * COUNTS.quarters < visits(COUNTS, whole_tiles) == 256 * COUNTS.entries
+    assert visits(COUNTS, whole_tiles) < visits(COUNTS, PROTOTYPE)
+    worked = [operations(COUNTS, design) for design in (PROTOTYPE, whole_tiles, Design())]
+    assert worked == sorted(worked, reverse=True)
 
 
 def test_estimates_follow_work_and_device() -> None:

@@ -19,6 +19,7 @@ OF_THE_PAGE: list[tuple[str, dict[str, Any]]] = [
         "pose",
         {"type": "pose", "at_us": 1_700_000_000_123_456, "position": [1, 2, 3], "rotation": [0.6, 0, -0.8, 0]},
     ),
+    ("window", {"type": "window", "width": 1280, "height": 720}),
     ("look", {"type": "look", "pictures": ["restored", "truth"], "overlays": ["tiles", "score"]}),
     ("pause", {"type": "set", "name": "playing", "value": False}),
     ("seek", {"type": "set", "name": "frame", "value": 12}),

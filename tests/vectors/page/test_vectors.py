@@ -7,7 +7,16 @@ from typing import Any
 
 import pytest
 
-from cags_client.output.page.messages import PageHello, PageLook, PageMessage, PagePose, PageSet, PageShown, parse
+from cags_client.output.page.messages import (
+    PageHello,
+    PageLook,
+    PageMessage,
+    PagePose,
+    PageSet,
+    PageShown,
+    PageWindow,
+    parse,
+)
 from cags_common.geometry import Pose
 
 from .make import FILE, OF_THE_PAGE, said
@@ -16,6 +25,7 @@ READ: dict[str, PageMessage] = {
     "hello": PageHello(True, False),
     "hello with a token": PageHello(True, True, "sesame"),
     "pose": PagePose(1_700_000_000_123_456, Pose((1.0, 2.0, 3.0), (0.6, 0.0, -0.8, 0.0))),
+    "window": PageWindow(1280, 720),
     "look": PageLook(("restored", "truth"), frozenset({"tiles", "score"})),
     "pause": PageSet("playing", False),
     "seek": PageSet("frame", 12.0),

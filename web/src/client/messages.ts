@@ -27,6 +27,8 @@ export type Wish =
 export const hello = (formats: Formats, token?: string): string => JSON.stringify({ type: "hello", ...formats, ...(token ? { token } : {}) });
 /** Where the camera was at `atUs` of the page's clock, told back with the picture that shows it. */
 export const moved = (atUs: number, { position, rotation }: Pose): string => JSON.stringify({ type: "pose", at_us: atUs, position, rotation });
+/** Pictures are shown on so many pixels of the screen. */
+export const windowed = (width: number, height: number): string => JSON.stringify({ type: "window", width, height });
 export const look = ({ pictures, overlays }: Look): string => JSON.stringify({ type: "look", pictures, overlays });
 export const set = (...[name, value]: Wish): string => JSON.stringify({ type: "set", name, value });
 /** The picture of this number is on the screen; `key`: it could not be, and needs one that is decoded by itself. */

@@ -17,6 +17,8 @@ import { brief, Plots } from "./plots.ts";
 import { Stage } from "./stage.ts";
 
 const HALF = "half";
+/** The client learns a window's new size when it has settled. */
+const SETTLED_MS = 300;
 /** Poses of which the middle one is told. */
 const LATELY = 60;
 
@@ -32,6 +34,7 @@ export class ClientShow implements Show {
   #open = false;
   #closed = false; // since it was open, or tried to be
   #attempts = 0;
+  #settled = 0;
 
   constructor(host: Host, path: string) {
     this.#host = host;
@@ -55,6 +58,10 @@ export class ClientShow implements Show {
         this.#stage.draw();
       },
     });
+    addEventListener("resize", () => {
+      clearTimeout(this.#settled);
+      this.#settled = window.setTimeout(() => this.#tellWindow(), SETTLED_MS);
+    });
     the("drawing").hidden = true;
     for (const id of ["client", "live"]) the(id).hidden = false;
   }
@@ -70,6 +77,7 @@ export class ClientShow implements Show {
         this.#open = true;
         this.#pictures.reset();
         this.#line!.send(to.hello(shows, this.#host.place.token));
+        this.#tellWindow();
       },
       text: (message) => this.#told(message),
       frame: (message) => this.#pictures.add(message),
@@ -88,6 +96,10 @@ export class ClientShow implements Show {
   present(): void {
     this.#stage.draw();
   }
+
+  /** Pictures come ready made, of one view: a headset has nothing from them. */
+  immerse(): void {}
+  readonly immersed = false;
 
   get trouble(): Show["trouble"] {
     if (this.#closed && !this.#open) return ["The client is not there", "The picture stands; it goes on by itself when the client is back."];
@@ -128,6 +140,11 @@ export class ClientShow implements Show {
       ["Link's capacity", state?.shaper?.capacity_mbps === undefined ? undefined : `${brief(state.shaper.capacity_mbps)} Mbit/s`],
       ["PSNR", number("psnr_restored_db", "dB")],
     ];
+  }
+
+  #tellWindow(): void {
+    const [width, height] = this.#host.place.size ?? [innerWidth, innerHeight].map((side) => Math.max(1, Math.round(side * devicePixelRatio)));
+    this.#line?.send(to.windowed(width!, height!));
   }
 
   /** From the last movement of a hand to its picture; undefined where that is a while ago. */

@@ -9,8 +9,8 @@ type Colour = readonly [number, number, number];
 /** From the base alone (red) to every layer (blue). */
 const DETAIL: readonly Colour[] = [[215, 48, 31], [252, 141, 89], [253, 204, 92], [127, 205, 187], [44, 127, 184]];
 const ALPHA = 150;
-/** A picture that would grow by less is shown pixel for pixel. */
-const NEARLY = 1.5;
+/** A picture that is smaller by no more, a side, is one of the window's own pixels. */
+const ROUNDED_PX = 2;
 const OUTLINE = "#7cf5ff";
 
 export class Stage {
@@ -60,11 +60,11 @@ export class Stage {
     if (two) this.#line([at / width, 0, at / width, 1], "#fff", 2);
   }
 
-  /** Pixel for pixel where the picture nearly fills the window: what is judged is then the client's, not a scaling. */
+  /** Pixel for pixel where the picture was made for this window: what is judged is then the client's, not a scaling. */
   #fit(): void {
     const { width, height, clientWidth, clientHeight, style } = this.#canvas;
-    const larger = Math.min(clientWidth / width, clientHeight / height);
-    style.setProperty("object-fit", larger >= 1 && larger < NEARLY && devicePixelRatio === 1 ? "none" : "");
+    const own = [clientWidth - width, clientHeight - height].every((rest) => rest >= 0 && rest <= ROUNDED_PX);
+    style.setProperty("object-fit", own && devicePixelRatio === 1 ? "none" : "");
   }
 
   #picture(image: Drawable | undefined, from: number, to: number): void {

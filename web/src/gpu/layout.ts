@@ -120,7 +120,7 @@ export const VIEW = new Layout(
   },
   400,
 );
-export const CHUNK = new Layout({ first: [0, "I", 1], count: [4, "I", 1], kind: [8, "I", 1] }, 16);
+export const CHUNK = new Layout({ first: [0, "I", 1], count: [4, "I", 1] }, 16);
 export const UPDATE = new Layout({ rows: [0, "I", 1], sh_words: [4, "I", 1], width: [8, "I", 1] }, 16);
 export const SORT = new Layout({ shift: [0, "I", 1], count: [4, "I", 1], blocks: [8, "I", 1], counted: [12, "I", 1] }, 16);
 export const COUNT = new Layout({ count: [0, "I", 1] }, 16);

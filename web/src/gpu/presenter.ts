@@ -24,15 +24,15 @@ export class Presenter {
   /** Behind the splats: red, green and blue, 0..1. */
   background: readonly [number, number, number] = [0, 0, 0];
   readonly #gpu: Gpu;
-  readonly #canvas: HTMLCanvasElement;
+  readonly #canvas: HTMLCanvasElement | OffscreenCanvas;
   readonly #context: GPUCanvasContext;
   readonly #pipeline: GPURenderPipeline;
   readonly #job: GPUBuffer;
 
-  constructor(gpu: Gpu, canvas: HTMLCanvasElement) {
+  constructor(gpu: Gpu, canvas: HTMLCanvasElement | OffscreenCanvas) {
     this.#gpu = gpu;
     this.#canvas = canvas;
-    this.#context = canvas.getContext("webgpu")!;
+    this.#context = canvas.getContext("webgpu") as GPUCanvasContext;
     const format = navigator.gpu.getPreferredCanvasFormat();
     this.#context.configure({ device: gpu.device, format, alphaMode: "opaque" });
     const module = gpu.device.createShaderModule({ label: "present", code: SHADER });

@@ -71,6 +71,8 @@ export class Renderer {
   readonly gpu: Gpu;
   readonly #workspace: Workspace;
   readonly #presenter: Presenter;
+  /** Off the page, for pictures that are taken away. */
+  #apart: { readonly canvas: OffscreenCanvas; readonly presenter: Presenter } | null = null;
   readonly #counted: GPUBuffer;
   #scene: ResidentScene | null = null;
   #sceneNumber = -1;
@@ -110,13 +112,14 @@ export class Renderer {
     this.#uploaded += this.#scene?.change(update.patches) ?? 0;
   }
 
-  /** Draw and present; resolves once the picture is on the canvas. */
-  async draw(camera: Camera, options: FrameOptions): Promise<FrameTimes> {
+  /** Draw and present; resolves once the picture is on the canvas, or (`apart`) can be {@link taken}. */
+  async draw(camera: Camera, options: FrameOptions, apart = false): Promise<FrameTimes> {
     const begun = performance.now();
     const { widthPx, heightPx } = camera.intrinsics;
-    this.#presenter.resize(widthPx, heightPx);
+    const presenter = apart ? this.#aside().presenter : this.#presenter;
+    presenter.resize(widthPx, heightPx);
     if (!this.#scene) {
-      this.#presenter.clear();
+      presenter.clear();
       return { uploadBytes: 0, entries: 0, gpuMs: 0, attempts: 0 };
     }
     const uploadBytes = this.#uploaded;
@@ -126,8 +129,9 @@ export class Renderer {
       if (!this.#workspace.grow(wanted)) continue;
       this.#scene.submitted();
       this.#held = held;
-      this.#shown = { target, width: widthPx, height: heightPx, compact: isCompact(options) };
-      this.present();
+      const made = { target, width: widthPx, height: heightPx, compact: isCompact(options) };
+      if (!apart) this.#shown = made;
+      presenter.present(made);
       return { uploadBytes, entries: wanted, gpuMs: performance.now() - begun, attempts };
     }
   }
@@ -135,6 +139,21 @@ export class Renderer {
   /** Behind the splats: red, green and blue, 0..1. */
   set background(colour: readonly [number, number, number]) {
     this.#presenter.background = colour;
+    if (this.#apart) this.#apart.presenter.background = colour;
+  }
+
+  /** The picture that was drawn apart last; the caller closes it. */
+  taken(): ImageBitmap {
+    return this.#aside().canvas.transferToImageBitmap();
+  }
+
+  #aside(): { readonly canvas: OffscreenCanvas; readonly presenter: Presenter } {
+    if (!this.#apart) {
+      const canvas = new OffscreenCanvas(16, 16);
+      this.#apart = { canvas, presenter: new Presenter(this.gpu, canvas) };
+      this.#apart.presenter.background = this.#presenter.background;
+    }
+    return this.#apart;
   }
 
   /** Put the picture that was drawn last on the canvas (again): it can be read until the page's next turn. */

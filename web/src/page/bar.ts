@@ -16,6 +16,7 @@ export interface BarWishes {
   share(): void;
   snapshot(): void;
   record(): void;
+  immerse(): void;
 }
 
 export class Bar {
@@ -33,12 +34,13 @@ export class Bar {
   constructor(wishes: BarWishes) {
     this.#wishes = wishes;
     setIcon(this.#play, "pause");
-    for (const name of ["home", "share", "snapshot", "record", "inspect", "full"] as const) setIcon(the(name), name);
+    for (const name of ["home", "share", "snapshot", "record", "inspect", "vr", "full"] as const) setIcon(the(name), name);
     this.#play.addEventListener("click", () => wishes.toggle());
     the("home").addEventListener("click", () => wishes.home());
     the("share").addEventListener("click", () => wishes.share());
     the("snapshot").addEventListener("click", () => wishes.snapshot());
     the("record").addEventListener("click", () => wishes.record());
+    the("vr").addEventListener("click", () => wishes.immerse());
     the("full").addEventListener("click", () => fullScreen());
     this.#inspect.addEventListener("click", () => this.inspect(this.#inspector.hidden));
     for (const button of this.#modes()) button.addEventListener("click", () => wishes.mode(button.dataset.mode as Mode));
@@ -101,6 +103,7 @@ export class Bar {
       KeyL: () => this.#wishes.share(),
       KeyP: () => this.#wishes.snapshot(),
       KeyR: () => this.#wishes.record(),
+      KeyV: () => this.#wishes.immerse(),
       Comma: () => player && this.#wishes.seek(player.frame - 1),
       Period: () => player && this.#wishes.seek(player.frame + 1),
       Escape: () => this.inspect(false),

@@ -4,10 +4,11 @@ import { readManifest, sceneInfo } from "../decode/manifest.ts";
 import { UnsupportedError } from "../gpu/device.ts";
 import type { Exactness } from "../gpu/layout.ts";
 import { Renderer } from "../gpu/renderer.ts";
-import { Player } from "../player/player.ts";
-import type { Chroma, Intrinsics, Pose, SceneInfo, SceneSource, SourceError } from "../seam.ts";
+import { Player, type Viewpoint } from "../player/player.ts";
+import type { Chroma, Intrinsics, SceneInfo, SceneSource, SourceError } from "../seam.ts";
 import { connectWorker } from "../source/remote.ts";
 import { finestChroma } from "../video/decoder.ts";
+import { Immersive, watchHeadset } from "../xr/immersive.ts";
 import { coloursOf, openedAs, titleOf } from "./author.ts";
 import { onChange, the } from "./dom.ts";
 import * as embed from "./embed.ts";
@@ -15,14 +16,16 @@ import { drawnFigures, type Figure } from "./inspector.ts";
 import { type Verdict, verdictOf } from "./light.ts";
 import { beside, sceneOf } from "./place.ts";
 import { type Host, NOWHERE, SERVER_AWAY, type Show } from "./show.ts";
-import { anglesOf, intrinsicsOf, pixelsOf } from "./view.ts";
+import { anglesOf, intrinsicsOf, MOST_PIXELS, pixelsOf } from "./view.ts";
 
 /** The server is asked again after a while when it was not there at all. */
 const RETRY_MS = 2000;
 /** The server learns a window's new shape when it has settled. */
 const SETTLED_MS = 700;
-/** Shapes that differ by more than this factor begin a new session. */
+/** Shapes that differ by more than this factor are told the server; within it, the picture is a part of what it knows. */
 const OTHER_SHAPE = 1.3;
+/** {@link Show.trouble} while a headset shows the scene. */
+const IN_HEADSET = ["In virtual reality", "The scene is in the headset; this page shows it again when you leave."] as const;
 /** Of a published scene that has yet to say how fast it is. */
 const DEFAULT_FPS = 30;
 
@@ -35,6 +38,7 @@ class MissingError extends Error {}
 export class DrawnShow implements Show {
   player: Player | null = null;
   renderer: Renderer | null = null;
+  immersive: Immersive | null = null;
   readonly #host: Host;
   #rendering: Promise<Renderer> | undefined;
   #source: SceneSource | undefined; // started, and of no scene yet
@@ -47,6 +51,7 @@ export class DrawnShow implements Show {
   constructor(host: Host) {
     this.#host = host;
     addEventListener("resize", () => this.#resized());
+    watchHeadset((there) => (the("vr").hidden = !there));
     onChange<HTMLInputElement>("correct", (box) => this.player && (this.player.correct = box.checked));
     onChange<HTMLInputElement>("adapt", (box) => this.player && (this.player.adaptResolution = box.checked));
     onChange<HTMLSelectElement>("exactness", (list) => this.player && (this.player.exactness = list.value as Exactness));
@@ -77,7 +82,8 @@ export class DrawnShow implements Show {
   }
 
   get trouble(): Show["trouble"] {
-    return this.player?.status?.link === "away" ? SERVER_AWAY : null;
+    if (this.player?.status?.link === "away") return SERVER_AWAY;
+    return this.immersed ? IN_HEADSET : null;
   }
 
   get verdict(): Verdict {
@@ -90,6 +96,43 @@ export class DrawnShow implements Show {
 
   present(): void {
     this.renderer?.present();
+  }
+
+  get immersed(): boolean {
+    return this.immersive !== null;
+  }
+
+  immerse(): void {
+    if (this.immersive) this.immersive.leave();
+    else if (!the("vr").hidden && this.player?.shown) void this.#enter();
+  }
+
+  async #enter(): Promise<void> {
+    const host = this.#host;
+    try {
+      this.immersive = await Immersive.enter({
+        up: this.player!.info!.up,
+        mostPixels: MOST_PIXELS,
+        background: this.#background,
+        start: () => host.camera!.pose,
+        began: ({ intrinsics }) => this.player?.reshape(intrinsics),
+        step: () => host.step(performance.now()),
+        toggle: () => (this.player?.playing ? this.player.pause() : this.player?.play()),
+        rest: (rested) => this.player?.rest(rested),
+        ended: () => {
+          this.immersive = null;
+          this.player?.rest(document.hidden);
+          this.player?.reshape(this.#intrinsics);
+        },
+      });
+    } catch (error) {
+      host.messages.toast(`The headset cannot be used (${error instanceof Error ? error.message : String(error)})`);
+    }
+  }
+
+  /** From where the viewer looks: the page's camera, or the head in a headset. */
+  get #viewpoint(): Viewpoint {
+    return this.immersive?.viewpoint ?? { pose: this.#host.camera?.pose ?? NOWHERE, intrinsics: this.#intrinsics };
   }
 
   get #intrinsics(): Intrinsics {
@@ -143,9 +186,12 @@ export class DrawnShow implements Show {
     const source = this.#source!;
     this.#source = undefined;
     const startFrame = Math.floor((place.seconds ?? 0) * (scene?.fps ?? DEFAULT_FPS) + 1e-6);
-    const view = (): { pose: Pose; intrinsics: Intrinsics } => ({ pose: this.#host.camera?.pose ?? NOWHERE, intrinsics: this.#intrinsics });
-    const player = new Player(source, rendering, view, this.#options(startFrame), {
+    const player = new Player(source, rendering, () => this.#viewpoint, this.#options(startFrame), {
       changed: () => undefined,
+      drew: (eye, of, camera, picture) => {
+        this.immersive?.keep(eye, of, camera, picture);
+        picture.close();
+      },
       info: (info) => {
         if (PUBLISHED) this.#stand(info);
         this.#host.ready();
@@ -157,7 +203,8 @@ export class DrawnShow implements Show {
     source.connect(
       PUBLISHED ? new URL(PUBLISHED, location.href).href : beside("stream").href.replace(/^http/, "ws"),
       {
-        ...view(),
+        pose: this.#viewpoint.pose,
+        intrinsics: this.#viewpoint.intrinsics,
         startFrame,
         reconnectS: Infinity,
         references: this.#chroma ? "any" : "none",
@@ -213,17 +260,16 @@ export class DrawnShow implements Show {
     location.reload();
   }
 
-  /** A window of another shape begins a new session where the play stands. */
+  /** A window of another shape is drawn whole, and the server told. */
   #resized(): void {
     clearTimeout(this.#settled);
     this.#settled = window.setTimeout(() => {
       const wanted = anglesOf(innerWidth, innerHeight);
-      const { angles, place, camera } = this.#host;
+      const { angles, place } = this.#host;
       const other = (wanted.tanX * angles.tanY) / (wanted.tanY * angles.tanX);
-      if (!this.player?.shown || !camera || place.size || Math.max(other, 1 / other) < OTHER_SHAPE) return;
-      const { seconds, playing } = this.player;
-      this.#host.place = { ...place, seconds, playing, pose: camera.pose, mode: camera.mode };
-      void this.begin();
+      if (!this.player || place.size || this.immersed || Math.max(other, 1 / other) < OTHER_SHAPE) return;
+      this.#host.angles = wanted;
+      this.player.reshape(this.#intrinsics);
     }, SETTLED_MS);
   }
 }

@@ -8,6 +8,7 @@ const PATHS = {
   snapshot: "M4.5 8h3l1.5-2.5h6L16.5 8h3v10.5h-15zM12 16a3 3 0 1 0 0-6 3 3 0 0 0 0 6z",
   record: "M12 20a8 8 0 1 0 0-16 8 8 0 0 0 0 16zM12 14.5a2.5 2.5 0 1 0 0-5 2.5 2.5 0 0 0 0 5z",
   inspect: "M5 7h8M17 7h2M5 12h2M11 12h8M5 17h9M18 17h1M13 5v4M7 10v4M14 15v4",
+  vr: "M3.5 8h17v8.5h-4.8L13.8 14h-3.6l-1.9 2.5H3.5zM8 12.3a1 1 0 1 0 0-2 1 1 0 0 0 0 2zM16 12.3a1 1 0 1 0 0-2 1 1 0 0 0 0 2z",
   full: "M4.5 9V4.5H9M15 4.5h4.5V9M19.5 15v4.5H15M9 19.5H4.5V15",
 } as const;
 export type Icon = keyof typeof PATHS;

@@ -56,12 +56,13 @@ class Viewer implements Host {
       share: () => void this.#share(),
       snapshot: () => void this.#snapshot(),
       record: () => this.#record(),
+      immerse: () => this.show.immerse(),
     });
     the("record").hidden = Film.kind === undefined;
     the("scenes").hidden = SCENE === undefined;
     this.#listen();
     const tick = (now: number): void => {
-      this.#step(now);
+      if (!this.show.immersed) this.step(now);
       requestAnimationFrame(tick);
     };
     requestAnimationFrame(tick);
@@ -101,7 +102,7 @@ class Viewer implements Host {
 
   // ---------------------------------------------------------------------------------------------------------- in time
 
-  #step(now: number): void {
+  step(now: number): void {
     this.#gestures.step(now);
     const { player } = this;
     const there = this.#there;
@@ -205,7 +206,7 @@ class Viewer implements Host {
       if (this.#bar.key(event, this.player) || this.#gestures.key(event, true)) event.preventDefault();
     });
     window.addEventListener("keyup", (event) => void this.#gestures.key(event, false));
-    document.addEventListener("visibilitychange", () => this.player?.rest(document.hidden));
+    document.addEventListener("visibilitychange", () => !this.show.immersed && this.player?.rest(document.hidden));
     addEventListener("hashchange", () => {
       this.place = { ...placeOf(location.hash), ...(this.place.token ? { token: this.place.token } : {}) };
       void this.show.begin();

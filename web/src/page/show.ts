@@ -47,12 +47,16 @@ export interface Show {
   /** Headline and hint of what keeps the picture from going on; null where nothing does. */
   readonly trouble: readonly [headline: string, hint: string] | null;
   readonly verdict: Verdict;
+  /** Whether a headset shows the scene, and sets the pace, in place of this page. */
+  readonly immersed: boolean;
   /** For the inspector; `rate`: pictures a second. */
   figures(rate: number): readonly Figure[];
   /** Join, from the beginning. */
   begin(): Promise<void>;
   /** Have what is shown on the canvas, to be read in this turn. */
   present(): void;
+  /** Go into the headset, or come back; where there is none nothing happens. */
+  immerse(): void;
 }
 
 /** The page, as a {@link Show} sees it. */
@@ -68,6 +72,8 @@ export interface Host {
   stand(scene: Opened): void;
   /** The scene plays. */
   ready(): void;
+  /** Before each refresh of whatever shows the scene. */
+  step(nowMs: number): void;
   /** Put where the play and the camera are into the address. */
   keepPlace(): void;
   /** Say why not, here and to a page around this one. */

@@ -5,7 +5,7 @@ import type { Intrinsics } from "../seam.ts";
 /** Of the longer side. */
 const FOV_RAD = Math.PI / 3;
 /** More are brought up by the browser: nobody sees them in motion. */
-const MOST_PIXELS = 2_100_000;
+export const MOST_PIXELS = 2_100_000;
 
 /** Tangents of half the angles of view. */
 export interface Angles {

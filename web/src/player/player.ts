@@ -29,15 +29,26 @@ const REFERENCE_AGE = 10;
 /** Shares of the full picture's width that are drawn, where the device may choose. */
 const SCALES = [0.35, 0.5, 0.7, 1];
 const WHOLE = [1];
-/** Of the screen, until it has been watched; longer pauses between two refreshes say nothing. */
+/** Of the screen, until it has been watched; shorter and longer pauses are not those of a screen. */
 const REFRESH_US = 1e6 / 60;
-const LONGEST_REFRESH_US = 50_000;
+const [SHORTEST_REFRESH_US, LONGEST_REFRESH_US] = [1000, 50_000] as const;
 /** Weight of the newest refresh in their mean. */
 const MEMORY = 0.05;
 /** A refresh is the one that a picture is due at from this share of a step before it on. */
 const NEARLY = 0.25;
 /** Poses are kept for the next message; the oldest go first. */
 const MOST_SAMPLES = 64;
+
+/** What a picture is drawn of. */
+export interface Viewed {
+  readonly pose: Pose;
+  readonly intrinsics: Intrinsics;
+}
+
+/** From where the viewer looks, and with what the server is told that they see; in a headset each eye has a picture of its own. */
+export interface Viewpoint extends Viewed {
+  readonly eyes?: readonly Viewed[];
+}
 
 export interface PlayerOptions {
   readonly startFrame: number;
@@ -65,6 +76,8 @@ export interface Shown {
 }
 
 export interface PlayerEvents {
+  /** A picture of one of the viewpoint's `of` eyes; whoever hears it closes it. */
+  drew?(eye: number, of: number, camera: Camera, picture: ImageBitmap): void;
   /** Something that a page shows has changed: the state of play, a frame, the link. */
   changed(): void;
   info(info: SceneInfo): void;
@@ -106,7 +119,7 @@ export class Player {
   readonly #source: SceneSource;
   #renderer!: Renderer; // there once `#ready`
   readonly #events: PlayerEvents;
-  readonly #view: () => { pose: Pose; intrinsics: Intrinsics };
+  readonly #view: () => Viewpoint;
   readonly #video: ReferenceVideo;
   readonly #references: Decoded = new References<CodedReference | null>();
   readonly #quality = new Quality(WHOLE, REFRESH_US);
@@ -133,7 +146,7 @@ export class Player {
   #ended = false;
 
   /** `renderer` may still be on its way: the scene is joined, and its first frame refined, meanwhile. */
-  constructor(source: SceneSource, renderer: Promise<Renderer>, view: () => { pose: Pose; intrinsics: Intrinsics }, options: PlayerOptions, events: PlayerEvents) {
+  constructor(source: SceneSource, renderer: Promise<Renderer>, view: () => Viewpoint, options: PlayerOptions, events: PlayerEvents) {
     this.#source = source;
     this.#startup = new Startup(this.#holdUs, nowUs());
     this.#view = view;
@@ -200,6 +213,11 @@ export class Player {
     if (this.#startedUs === null || !this.playing || this.#awaited) return;
     if (rested) this.#tell("pause", this.frame, nowUs());
     else this.#tell("play", this.frame, nowUs() + START_DELAY_US);
+  }
+
+  /** The viewer's pinhole is another from now on. */
+  reshape(intrinsics: Intrinsics): void {
+    this.#source.reshape(intrinsics);
   }
 
   close(): void {
@@ -316,7 +334,7 @@ export class Player {
   #watchScreen(now: number): void {
     const passed = now - this.#steppedUs;
     this.#steppedUs = now;
-    if (passed < LONGEST_REFRESH_US) this.#quality.displayUs += MEMORY * (passed - this.#quality.displayUs);
+    if (passed > SHORTEST_REFRESH_US && passed < LONGEST_REFRESH_US) this.#quality.displayUs += MEMORY * (passed - this.#quality.displayUs);
   }
 
   #samplePose(): void {
@@ -358,7 +376,7 @@ export class Player {
 
   #redraw(_now: number): (() => Promise<void>) | null {
     const { shown } = this;
-    if (!shown || this.#viewKey() === this.#drawnView) return null;
+    if (!shown || this.#keyOf(this.#view()) === this.#drawnView) return null;
     return () => this.#draw(shown.frame, shown.share, shown.update, performance.now(), false);
   }
 
@@ -383,7 +401,8 @@ export class Player {
     this.#references.show(frame, this.info!.frames);
     const reference = this.#references.newest(REFERENCE_AGE);
     const basis = this.#references.basis(reference);
-    const { camera } = this.#camera();
+    const { pose, intrinsics } = this.#view();
+    const camera = this.#cameraOf({ pose, intrinsics });
     const speaks = this.correct && reference?.picture ? reference : undefined;
     const update = await this.#source.frame({
       frame,
@@ -398,21 +417,32 @@ export class Player {
   }
 
   async #draw(frame: number, share: number, update: FrameUpdate, begun: number, media: boolean): Promise<void> {
-    const { camera, footprint, key } = this.#camera();
+    const view = this.#view();
+    const key = this.#keyOf(view);
     const found = this.correct ? this.#references.newest(REFERENCE_AGE) : undefined;
-    const options = this.#frameOptions(frame, share, update, camera, footprint, found?.picture ? found : undefined);
-    const times = await this.#renderer.draw(camera, options);
+    const drawn = [];
+    const eyes = view.eyes ?? [view];
+    for (const [i, eye] of eyes.entries()) {
+      const camera = this.#cameraOf(eye);
+      const options = this.#frameOptions({ frame, share, update, camera, display: view.intrinsics }, found?.picture ? found : undefined);
+      const times = await this.#renderer.draw(camera, options, view.eyes !== undefined);
+      if (view.eyes) this.#events.drew?.(i, eyes.length, camera, this.#renderer.taken());
+      drawn.push({ camera, options, times });
+    }
+    const { camera, options, times } = drawn.at(-1)!;
     this.#drawnView = key;
     this.pictures++;
     const frameMs = performance.now() - begun;
+    const gpuMs = drawn.reduce((sum, eye) => sum + eye.times.gpuMs, 0);
     // Before the play everything is decoded for the first time: that says nothing of what the device keeps up with.
-    if (this.#startedUs !== null) this.#quality.observe(nowUs(), frameMs * 1000, times.gpuMs * 1000, media);
+    if (this.#startedUs !== null) this.#quality.observe(nowUs(), frameMs * 1000, gpuMs * 1000, media);
     this.shown = { frame, share, camera, reference: found?.reference, update, times, frameMs, atUs: nowUs(), options };
     this.#events.changed();
   }
 
-  #frameOptions(frame: number, share: number, update: FrameUpdate, camera: Camera, footprint: Footprint, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
-    const plain = { exactness: this.exactness, footprint, maxShDegree: update.shDegree, display: this.#view().intrinsics };
+  #frameOptions(of: { frame: number; share: number; update: FrameUpdate; camera: Camera; display: Intrinsics }, found: { reference: Reference; picture: CodedReference | null } | undefined): FrameOptions {
+    const { frame, share, update, camera, display } = of;
+    const plain = { exactness: this.exactness, footprint: footprintAt(this.scale), maxShDegree: update.shDegree, display };
     if (!found?.picture) return plain;
     const { changed } = update;
     const away = frame - found.reference.frame;
@@ -421,15 +451,12 @@ export class Player {
   }
 
   /** The camera of the next picture, at the pixels that its time allows. */
-  #camera(): { camera: Camera; footprint: Footprint; key: string } {
-    const { pose, intrinsics } = this.#view();
-    const camera = { intrinsics: smaller(intrinsics, this.scale), pose, near: this.info!.near };
-    return { camera, footprint: footprintAt(this.scale), key: this.#viewKey() };
+  #cameraOf({ pose, intrinsics }: Viewed): Camera {
+    return { intrinsics: smaller(intrinsics, this.scale), pose, near: this.info!.near };
   }
 
-  #viewKey(): string {
-    const { pose, intrinsics } = this.#view();
-    return JSON.stringify([pose, intrinsics, this.scale, this.correct, this.exactness]);
+  #keyOf(view: Viewpoint): string {
+    return JSON.stringify([view, this.scale, this.correct, this.exactness]);
   }
 
   // ------------------------------------------------------------------------------------------------------ state of play

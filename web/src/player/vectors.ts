@@ -44,6 +44,30 @@ export function quaternionOf([r, d, f]: Axes): Quat {
   return canonical([(r[1] - d[0]) / s, (f[0] + r[2]) / s, (f[1] + d[2]) / s, s / 4]);
 }
 
+/** `a` after `b`. */
+export function product(a: Quat, b: Quat): Quat {
+  return [
+    a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+    a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+    a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+    a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+  ];
+}
+
+export const inverse = ([w, x, y, z]: Quat): Quat => [w, -x, -y, -z];
+
+/** A vector turned by a unit quaternion. */
+export function turned(q: Quat, v: Vec3): Vec3 {
+  const [x, y, z] = axesOf(q);
+  return plus(plus(scaled(x, v[0]), y, v[1]), z, v[2]);
+}
+
+/** By `angle` radians about a unit axis, right-handed. */
+export function about(axis: Vec3, angle: number): Quat {
+  const s = Math.sin(angle / 2);
+  return [Math.cos(angle / 2), axis[0] * s, axis[1] * s, axis[2] * s];
+}
+
 /** Of length 1, with w >= 0. */
 export function canonical(q: Quat): Quat {
   const size = Math.hypot(...q) * (q[0] < 0 ? -1 : 1) || 1;

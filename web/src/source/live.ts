@@ -5,8 +5,8 @@
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import { readManifest, sceneInfo } from "../decode/manifest.ts";
 import {
-  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type LinkState, nowUs, type PlayState, type PoseSample,
-  type Reference, type SceneSource, type SourceEvent,
+  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type Intrinsics, type LinkState, nowUs, type PlayState,
+  type PoseSample, type Reference, type SceneSource, type SourceEvent,
 } from "../seam.ts";
 import { arrivalOf } from "../store/tileStore.ts";
 import { splitLayers } from "../wire/encoding.ts";
@@ -85,6 +85,8 @@ export class LiveSource implements SceneSource {
   private timerUs = Infinity;
   private pingedUs = 0;
   private decoding = false;
+  private said: Intrinsics | undefined; // to the server
+  private rejoining = false; // by our own wish, which is no trouble to tell of
   private tilesCame = false; // or a part of a message, since that was told last
 
   constructor(decoders: Decoders, openSocket: OpenSocket = openWebSocket) {
@@ -133,6 +135,12 @@ export class LiveSource implements SceneSource {
     this.wake();
   }
 
+  /** A server learns a display's shape by a Hello alone: it is joined anew, with what is held. */
+  reshape(intrinsics: Intrinsics): void {
+    this.options = { ...this.options, intrinsics };
+    if (!this.ended && this.session.state === "open" && this.reconnect.possible) this.rejoin();
+  }
+
   async frame(request: FrameRequest): Promise<FrameUpdate> {
     if (!this.scene) throw new Error("no frame before the scene is known");
     const view: Camera = { intrinsics: this.options.intrinsics, pose: this.pose, near: this.scene.manifest.near };
@@ -171,6 +179,7 @@ export class LiveSource implements SceneSource {
     this.resumeOf = this.playState;
     const hello = this.hello(this.resumeAt?.frame ?? this.playState?.frame ?? this.options.startFrame ?? 0);
     if (this.scene) this.queue.add({ type: "restarted", inventory: unpackInventory(hello.inventory) });
+    this.said = hello.intrinsics;
     this.session.hello(hello, now);
     this.wake();
   }
@@ -217,6 +226,17 @@ export class LiveSource implements SceneSource {
     this.drop();
     this.session.connectionLost(reason);
     this.pump();
+    this.wake();
+  }
+
+  private rejoin(): void {
+    const now = nowUs();
+    this.rejoining = true;
+    this.session.bye("", now);
+    while (this.session.nextEvent()); // its end is known
+    this.flushOut();
+    this.drop();
+    this.reconnect.lost(now);
     this.wake();
   }
 
@@ -309,15 +329,17 @@ export class LiveSource implements SceneSource {
     if (this.playState !== this.resumeOf) this.resumeAt = this.stateOfPlay(nowUs());
     const returned = this.reconnect.away;
     this.reconnect.restored();
+    this.meter.reconnects += returned && !this.rejoining ? 1 : 0;
+    this.rejoining = false;
     this.welcome = welcome;
     if (!this.scene && !this.makeScene(welcome)) return;
     if (returned && this.connection > 1) {
       if (!welcome.resumed) this.queue.add({ type: "restarted", inventory: [] }); // everything comes again
-      this.meter.reconnects += 1;
       this.tellRestarted();
     }
     if (this.resumeAt) this.session.control(this.resumeAt, nowUs());
     this.resumeAt = undefined;
+    if (this.said !== this.options.intrinsics) this.reshape(this.options.intrinsics); // it changed while this was on its way
   }
 
   private tellRestarted(): void {
@@ -369,6 +391,7 @@ export class LiveSource implements SceneSource {
     else if (code !== "refused") this.why = `the session ended early (${code}: ${reason})`;
     this.flushOut();
     this.drop();
+    this.rejoining = false;
     if (FATAL_ENDS.has(code) || !this.reconnect.possible) return this.fail(code, this.why);
     if (!this.reconnect.away) this.listen({ type: "error", error: { code, message: this.why, fatal: false } });
     this.reconnect.lost(nowUs());
@@ -421,7 +444,7 @@ export class LiveSource implements SceneSource {
   private tellStatus(): void {
     const now = nowUs();
     const { session, reconnect, meter } = this;
-    const link: LinkState = this.ended ? "ended" : reconnect?.away ? "away" : session.state === "open" ? "open" : "connecting";
+    const link: LinkState = this.ended ? "ended" : this.rejoining ? "connecting" : reconnect?.away ? "away" : session.state === "open" ? "open" : "connecting";
     const figures = meter.figures(now);
     this.listen({
       type: "status",

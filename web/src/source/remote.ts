@@ -1,5 +1,5 @@
 /** A source in a worker, with the same interface on the page: what `worker.ts` answers. */
-import type { ConnectOptions, FrameRequest, FrameUpdate, PlayState, PoseSample, SceneInfo, SceneSource, SourceEvent } from "../seam.ts";
+import type { ConnectOptions, FrameRequest, FrameUpdate, Intrinsics, PlayState, PoseSample, SceneInfo, SceneSource, SourceEvent } from "../seam.ts";
 import type { KeepingState } from "./live.ts";
 
 /** What the page asks of the worker. */
@@ -8,6 +8,7 @@ export type Request =
   | { readonly ask: "control"; readonly state: KeepingState }
   | { readonly ask: "poses"; readonly samples: readonly PoseSample[]; readonly cadence: number | undefined }
   | { readonly ask: "keyframe"; readonly seq: number }
+  | { readonly ask: "reshape"; readonly intrinsics: Intrinsics }
   | { readonly ask: "frame"; readonly number: number; readonly request: FrameRequest }
   | { readonly ask: "close" };
 
@@ -71,6 +72,10 @@ export class RemoteSource implements SceneSource {
 
   requestKeyframe(seq: number): void {
     this.port.postMessage({ ask: "keyframe", seq });
+  }
+
+  reshape(intrinsics: Intrinsics): void {
+    this.port.postMessage({ ask: "reshape", intrinsics });
   }
 
   frame(request: FrameRequest): Promise<FrameUpdate> {

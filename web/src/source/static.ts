@@ -6,7 +6,7 @@ import { crc32 } from "../bytes/crc32.ts";
 import { BundleError, DecodeError } from "../bytes/errors.ts";
 import { gofOf, gofRange, type Manifest, readManifest, sceneInfo } from "../decode/manifest.ts";
 import {
-  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type LinkState, nowUs, type PlayState, type PoseSample,
+  type Camera, type ConnectOptions, type FrameRequest, type FrameUpdate, type Intrinsics, type LinkState, nowUs, type PlayState, type PoseSample,
   type SceneSource, type SourceEvent,
 } from "../seam.ts";
 import { viewCone } from "../store/gofBuffer.ts";
@@ -104,6 +104,10 @@ export class StaticSource implements SceneSource {
   }
 
   requestKeyframe(): void {}
+
+  reshape(intrinsics: Intrinsics): void {
+    this.options = { ...this.options, intrinsics };
+  }
 
   async frame(request: FrameRequest): Promise<FrameUpdate> {
     if (!this.scene) throw new Error("no frame before the scene is known");

@@ -23,6 +23,7 @@ test("the page says what the client reads", () => {
     hello: to.hello({ h264: true, raw: false }),
     "hello with a token": to.hello({ h264: true, raw: true }, "sesame"),
     pose: to.moved(AT_US, { position: [1, 2, 3], rotation: [0.6, 0, -0.8, 0] }),
+    window: to.windowed(1280, 720),
     look: to.look({ pictures: ["restored", "truth"], overlays: ["tiles", "score"] }),
     pause: to.set("playing", false),
     seek: to.set("frame", 12),

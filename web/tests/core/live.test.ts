@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { after, test } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import { crc32 } from "../../src/bytes/crc32.ts";
-import { type ConnectOptions, type FrameUpdate, nowUs, type SourceEvent } from "../../src/seam.ts";
+import { type ConnectOptions, type FrameUpdate, type Intrinsics, nowUs, type SourceEvent } from "../../src/seam.ts";
 import { LiveSource } from "../../src/source/live.ts";
 import { draco, kernels, vectors } from "./vectors.ts";
 
@@ -22,10 +22,16 @@ class Page {
   readonly events: SourceEvent[] = [];
   readonly source = new LiveSource(decoders, (to, protocol) => {
     const socket = new WebSocket(to, protocol);
+    const send = socket.send.bind(socket);
+    socket.send = (data) => {
+      send(data);
+      if (this.sockets.length > 2) this.onSent();
+    };
     this.sockets.push(socket);
     return socket as never;
   });
   readonly sockets: WebSocket[] = [];
+  onSent = (): void => {};
   private rows = new Map<number, Uint32Array>();
   private sh = 0;
 
@@ -62,6 +68,10 @@ class Page {
       }
     }
     return update;
+  }
+
+  told<T extends SourceEvent["type"]>(type: T): Extract<SourceEvent, { type: T }>[] {
+    return this.events.filter((event): event is Extract<SourceEvent, { type: T }> => event.type === type);
   }
 
   /** Splats that are there, and the CRC-32 of each of their columns. */
@@ -136,6 +146,33 @@ test("a stream is the bundle, through seeks and a lost connection", { timeout: 1
   const back = await page.until("status", (event) => event.type === "status" && event.status.link === "open" && event.status, lost + 2);
   assert.equal(back.reconnects, 1);
   assert.equal(back.decodeErrors, 0);
+});
+
+test("a display of another shape gets references of its own, and nothing of the scene again", { timeout: 60_000 }, async () => {
+  const page = opened();
+  await page.until("frame 0", (event) => event.type === "whole" && event.frame === 0);
+  page.source.control({ action: "pause", frame: 0, atUs: nowUs() });
+  const flat = await page.until("a reference", (event) => event.type === "reference" && event.reference.camera.intrinsics);
+  const aspect = ({ widthPx, heightPx, fxPx, fyPx }: Intrinsics): number => (widthPx / fxPx) / (heightPx / fyPx);
+  const before = page.events.length;
+  page.source.reshape({ widthPx: 300, heightPx: 400, fxPx: 60, fyPx: 60, cxPx: 150, cyPx: 200 });
+  const tall = await page.until("one of the new shape", (event) => event.type === "reference" && event.reference.connection === 2 && event.reference.camera.intrinsics, before);
+  assert.ok(aspect(flat) > 1.1 && aspect(tall) < 0.9, `${aspect(flat)} and ${aspect(tall)}`);
+  await page.complete(0);
+  await sleep(600); // a status later
+  const bytes = page.told("status").at(-1)!.status.bytesTiles;
+  page.onSent = () => {
+    page.onSent = () => {};
+    page.source.reshape({ ...OPTIONS.intrinsics, fxPx: 70, fyPx: 70 }); // while that is on its way
+  };
+  page.source.reshape(OPTIONS.intrinsics);
+  await page.until("the newest shape", (event) => event.type === "restarted" && event.connection === 4, before);
+  await page.complete(0);
+  await sleep(600);
+  const { status } = page.told("status").at(-1)!;
+  assert.deepEqual([status.decodeErrors, status.reconnects, status.bytesTiles], [0, 0, bytes]);
+  const since = page.events.slice(before);
+  assert.ok(!since.some((event) => event.type === "error" || event.type === "flushed" || (event.type === "status" && event.status.link === "away")));
 });
 
 test("a wrong token ends the source with one line", { timeout: 20_000 }, async () => {

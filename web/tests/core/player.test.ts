@@ -26,6 +26,7 @@ class Source implements SceneSource {
   }
   sendPoses(): void {}
   requestKeyframe(): void {}
+  reshape(): void {}
   frame(request: FrameRequest): Promise<FrameUpdate> {
     this.asked.push(request);
     const { frame } = request;

@@ -151,6 +151,9 @@ class Controls(Protocol):
     def set_resolution(self, name: str) -> None:
         """Change the pixels that a frame is worked out at, from the next frame on."""
 
+    def set_window(self, width: int, height: int) -> None:
+        """The page that steers shows pictures on so many pixels of its screen."""
+
     def truth(self, frame: int, camera: Camera) -> F32:
         """The unquantised scene [H, W, 3]. Called from the page's worker thread, only while somebody looks."""
         ...

@@ -31,6 +31,7 @@ NUMBERS = ("frame", "rate", "cap_mbps", "delay_ms")
 NAMED = ("restorer", "exactness", "resolution")
 """Chosen by name."""
 MAX_TOKEN = 256
+MAX_WINDOW_PX = 32768
 _WORLD = 1e7
 
 
@@ -50,6 +51,14 @@ class PagePose:
 
     at_us: int
     pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class PageWindow:
+    """The page shows pictures on so many pixels of its screen."""
+
+    width: int
+    height: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +85,7 @@ class PageShown:
     key: bool
 
 
-PageMessage = PageHello | PagePose | PageLook | PageSet | PageShown
+PageMessage = PageHello | PagePose | PageWindow | PageLook | PageSet | PageShown
 
 
 def parse(text: str) -> PageMessage:
@@ -109,6 +118,13 @@ def _pose(fields: dict[str, Any]) -> PagePose:
         raise ProtocolError(f"page pose: {error}") from error
 
 
+def _window(fields: dict[str, Any]) -> PageWindow:
+    width, height = _whole(fields, "width"), _whole(fields, "height")
+    if not (0 < width <= MAX_WINDOW_PX and 0 < height <= MAX_WINDOW_PX):
+        raise ProtocolError(f"page message: a window of {width} x {height} pixels; 1 to {MAX_WINDOW_PX} a side are")
+    return PageWindow(width, height)
+
+
 def _look(fields: dict[str, Any]) -> PageLook:
     pictures = _names(fields, "pictures", PICTURES, MAX_PANES)
     if not pictures:
@@ -135,6 +151,7 @@ def _shown(fields: dict[str, Any]) -> PageShown:
 _PARSERS: dict[str, Callable[[dict[str, Any]], PageMessage]] = {
     "hello": _hello,
     "pose": _pose,
+    "window": _window,
     "look": _look,
     "set": _set,
     "shown": _shown,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cags_client.output.page.controls import SceneInfo, SplatDetail
-from cags_client.output.page.messages import PageHello, PageLook, pack
+from cags_client.output.page.messages import PageHello, PageLook, PageWindow, pack
 from cags_client.output.page.overlays import (
     Grid,
     confidence_grid,
@@ -47,6 +47,8 @@ class Page:
     settings: ViewSettings
     scene: SceneInfo
     look: PageLook = DEFAULT_LOOK
+    window: PageWindow | None = None
+    """What its pictures are shown on, once it has said."""
     sent: int = 0
     drawn: int = 0
     _wants_key: bool = False

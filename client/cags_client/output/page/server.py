@@ -34,6 +34,7 @@ from cags_client.output.page.messages import (
     PagePose,
     PageSet,
     PageShown,
+    PageWindow,
     parse,
 )
 from cags_client.output.page.open_page import Page, kind_of
@@ -188,6 +189,10 @@ class LiveView:
             case PageShown(number, key):
                 page.shown(number, key)
                 self._wake.set()
+            case PageWindow():
+                page.window = message
+                if self._steers(socket):
+                    self._fit(page)
             case PageLook():
                 page.look = message
                 self._wake.set()
@@ -203,9 +208,17 @@ class LiveView:
 
     def _forget(self, socket: web.WebSocketResponse) -> None:
         """The page is gone. Where it steered, the next one does, with a clock of its own."""
-        if self._steers(socket):
-            self.poses.forget_times()
+        steered = self._steers(socket)
         self._pages.pop(socket, None)
+        if steered:
+            self.poses.forget_times()
+            if (following := next(iter(self._pages.values()), None)) is not None:
+                self._fit(following)
+
+    def _fit(self, page: Page) -> None:
+        """Have pictures drawn for the window of the page that steers."""
+        if page.window is not None and self._controls is not None:
+            self._controls.set_window(page.window.width, page.window.height)
 
     async def _welcome(self, socket: web.WebSocketResponse, hello: PageHello) -> None:
         assert self._scene is not None

@@ -11,6 +11,7 @@ from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cags_bench.doctor import cli, machine, parts
@@ -18,6 +19,8 @@ from cags_bench.doctor import timings as timing
 from cags_bench.doctor.findings import Verdict, fine, missing, note
 from cags_bench.doctor.timings import SizeTimes, Timings, advise
 from cags_client.settings import ClientSettings
+from cags_common.correction import Reference
+from cags_common.raster import RenderOptions
 from cags_common.settings import add_settings, load_settings
 from cags_kernels import native_available
 from cags_server.settings import ServerSettings
@@ -175,7 +178,7 @@ def test_every_stage_of_a_frame_and_of_a_reference_is_timed(monkeypatch: pytest.
     for size in timings.sizes:
         assert size.total_ms == size.raster_ms + size.correct_ms + size.own_ms
         assert min(size.raster_ms, size.correct_ms, size.own_ms) > 0
-        assert size.gpu_ms is None
+        assert size.gpu_draw_ms is size.gpu_total_ms is timings.gpu_reference_ms is None
 
 
 @pytest.mark.parametrize(
@@ -256,14 +259,28 @@ def test_wrong_use_is_told(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_graphics_processor_is_named_with_driver_and_limits_and_timed() -> None:
     with software_passes():
         found = parts.gpu()
-        scene, adapter = timing._gpu_scene(random_splats(100))
-        times = timing._with_gpu(SizeTimes(64, 48, 1.0, 1.0, 1.0), scene, camera().pose)
+        gpu = timing._on_gpu(random_splats(100), random_splats(100, seed=1))
+        assert gpu is not None
+        there = camera(48, 36)
+        picture = Reference(np.full((36, 48, 3), 0.5, np.float32), there, picture=True)
+        times = timing._with_gpu(SizeTimes(64, 48, 1.0, 1.0, 1.0), gpu, there.pose, picture)
+        assert timing._gpu_reference_ms(gpu, there, RenderOptions(contribution=True)) > 0
     assert found.verdict is Verdict.OK
-    assert adapter in found.found
+    assert gpu.adapter in found.found
     assert "MiB" in found.found
     assert "timestamps" in found.found
-    assert times.gpu_ms is not None
-    assert times.gpu_ms > 0
+    assert times.gpu_draw_ms is not None
+    assert times.gpu_total_ms is not None
+    assert min(times.gpu_draw_ms, times.gpu_total_ms) > 0
+
+
+def test_where_there_is_one_what_is_recommended_is_for_it() -> None:
+    cpu = timed((400, 18, 40), (1600, 70, 90))
+    sizes = tuple(replace(size, gpu_draw_ms=1.0, gpu_total_ms=2.0) for size in cpu.sizes)
+    best = advise(replace(cpu, reference_ms=90, sizes=sizes, adapter="a card", gpu_reference_ms=2.0))
+    assert best.client == "--width 1600 --height 1200 --resolution full --threads 2"
+    assert best.server == "--render-threads 2"
+    assert "on the GPU a frame takes 1 ms, one that is corrected 2" in best.reason
 
 
 def test_without_one_the_reason_is_noted_and_nothing_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,4 +288,4 @@ def test_without_one_the_reason_is_noted_and_nothing_is_timed(monkeypatch: pytes
     found = parts.gpu()
     assert found.verdict is Verdict.NOTE
     assert found.remedy == "not needed: frames are drawn by the CPU"
-    assert timing._gpu_scene(random_splats(10)) == (None, "")
+    assert timing._on_gpu(random_splats(10), random_splats(10)) is None

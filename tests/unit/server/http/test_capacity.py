@@ -7,33 +7,44 @@ import pytest
 from cags_protocol import events as ev
 from cags_server.cli import _spelt_out
 from cags_server.http import app
-from cags_server.http.capacity import Capacity, capacity
-from cags_server.records import StreamStats
+from cags_server.http.capacity import LEAST_MEASURED, Capacity, capacity
+from cags_server.records import ReferenceCosts, StreamStats, Totals
 from cags_server.settings import ServeSettings
 from support.live_server import Client, serving
 
+NONE = ReferenceCosts()
+SERVED = ServeSettings(bundle="x", workers=4)
+
 
 def test_a_viewer_a_core_until_something_is_known() -> None:
-    assert capacity(ServeSettings(bundle="x"), 30.0, [StreamStats(references=5)], cores=4) == Capacity(4, None)
+    assert capacity(ServeSettings(bundle="x"), 30.0, [(ReferenceCosts(5), NONE)], cores=4) == Capacity(4, None)
 
 
 def test_what_references_cost_says_how_many() -> None:
     """10 ms on two threads and 5 ms of coding: 25 ms of a core, 30 times a second; 80 % of 4 cores carry 4."""
-    measured = StreamStats(references=100, render_ns=1_000_000_000, encode_ns=500_000_000)
-    found = capacity(ServeSettings(bundle="x", workers=4), 30.0, [measured, StreamStats()], cores=4)
+    measured = [(ReferenceCosts(100, 1_000_000_000, 500_000_000), NONE), (NONE, NONE)]
+    found = capacity(SERVED, 30.0, measured, cores=4)
     assert found.clients == 4
     assert found.reference_ms == pytest.approx(25.0)
     assert "carries 4 viewers of this scene (a reference takes 25.0 ms of a core)" in found.reason()
-    half = capacity(ServeSettings(bundle="x", workers=4, reference_every=2), 30.0, [measured], cores=4)
+    half = capacity(ServeSettings(bundle="x", workers=4, reference_every=2), 30.0, measured, cores=4)
     assert half.clients == 8
 
 
-def test_the_mirror_s_render_is_part_of_a_reference() -> None:
-    """10 ms for the truth and 10 ms for the mirror, on two threads, and 5 ms of coding."""
-    measured = StreamStats(references=100, render_ns=10**9, mirror_ns=10**9, encode_ns=5 * 10**8)
-    found = capacity(ServeSettings(bundle="x", workers=4), 30.0, [measured], cores=4)
-    assert found.reference_ms == pytest.approx(45.0)
-    assert found.clients == 2
+def test_where_many_watch_references_are_light_and_that_is_what_counts() -> None:
+    careful, light = ReferenceCosts(100, 10**9, 10**9), ReferenceCosts(LEAST_MEASURED, 2 * 10**8, 10**8)
+    assert capacity(SERVED, 30.0, [(careful, light)], cores=4).reference_ms == pytest.approx(25.0)
+    few = ReferenceCosts(LEAST_MEASURED - 1, 1, 1)
+    assert capacity(SERVED, 30.0, [(careful, few)], cores=4).reference_ms == pytest.approx(30.0)
+
+
+def test_those_who_left_count_on() -> None:
+    """Once what their mirrors took was forgotten."""
+    ended = Totals()
+    ended.add(StreamStats(careful=ReferenceCosts(60, 6 * 10**8, 10**8), light=ReferenceCosts(1, 2, 3)))
+    ended.add(StreamStats(careful=ReferenceCosts(40, 4 * 10**8, 10**8)))
+    assert ended.careful == ReferenceCosts(100, 10**9, 2 * 10**8)
+    assert ended.light == ReferenceCosts(1, 2, 3)
 
 
 def test_auto_is_the_number_for_it() -> None:

@@ -253,3 +253,11 @@ def test_an_account_in_which_all_is_settled_is_as_new(moves: list[tuple[str, int
     assert budget.timely(1e5, PERIOD_US, 0, 0) == new.timely(1e5, PERIOD_US, 0, 0)
     assert budget.room(PERIOD_US, 0) == new.room(PERIOD_US, 0)
     assert budget.waiting_us(10**6) == 0
+
+
+def test_over_an_idle_link_one_message_may_take_all_that_was_earned() -> None:
+    budget, _ = account(10.0)
+    budget.planned(tile(49_000), 0)
+    assert budget.alone(128_000, PERIOD_US, 0) == 128_000, "half a frame's carry is what ends and references take"
+    budget.planned(tile(2_000), 0)
+    assert budget.alone(128_000, PERIOD_US, 0) == 0

@@ -77,3 +77,19 @@ def test_what_begins_later_need_not_arrive_before_the_display() -> None:
     for tile, sent in ((later, 1), (now, 0)):
         observation = Observation(FRAME, 1000, (tile,), (), 10, timely_bytes=20)
         assert len(create_rate_policy("utility").decide(observation).upgrades) == sent
+
+
+@pytest.mark.parametrize("policy", ["utility", "paper"])
+def test_a_chunk_larger_than_any_budget_goes_alone(policy: str) -> None:
+    """Once such a chunk waited, over an idle link, until it was late."""
+    large = replace(CHUNK, frame=FRAME + 4, lod_bytes=(900, 950), weight=5_000.0)
+    seen = Observation(FRAME, 500, (large, replace(LOOKS, weight=0.1)), (2.0, 2.0, 2.0), 10, alone_bytes=910)
+    assert levels(create_rate_policy(policy).decide(seen)) == {(FRAME + 4, 1): (0, 1)}
+    for less in (replace(seen, alone_bytes=909), replace(seen, tiles=(replace(large, passing=True),))):
+        assert (FRAME + 4, 1) not in levels(create_rate_policy(policy).decide(less))
+
+
+def test_nothing_larger_than_the_budget_goes_beside_something_else() -> None:
+    large = replace(CHUNK, frame=FRAME + 4, lod_bytes=(900, 950), weight=1.0)
+    seen = Observation(FRAME, 500, (large, CHUNK), (2.0, 2.0, 2.0), 10, alone_bytes=2_000)
+    assert levels(create_rate_policy("utility").decide(seen)) == {(18, 1): (0, 2)}

@@ -198,6 +198,43 @@ def test_where_references_come_late_pictures_are_sent_without_a_mirror_until_the
     assert kinds[-1] is ReferenceKind.DIFFERENCE
 
 
+def test_a_light_reference_brings_about_as_much_and_a_change_of_care_begins_a_new_video() -> None:
+    one, decoder = coder(replace(SMALL, references="difference", reference_crf=10.0)), H264Decoder()
+    begun, left = [], {False: [], True: []}
+    for number, picture in enumerate(moving(24)):
+        light = 8 <= number < 16
+        mirror = cv2.blur(picture, (9, 9))
+        coded = one.code(picture, mirror, idr=not number, light=light)
+        decoded = decoder.decode(coded.access_unit)
+        assert decoded is not None
+        left[light].append(power(picture - mirror - expand(decoded, coded.knee)))
+        begun.append(is_idr(coded.access_unit))
+        assert (coded.after is None) is light, "nobody looks at what it leaves"
+    assert [number for number, anew in enumerate(begun) if anew] == [0, 8, 16]
+    assert np.mean(left[True]) < 1.3 * np.mean(left[False])
+
+
+def test_light_references_are_not_tried_in_another_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, coded = coder(), []
+    monkeypatch.setattr(one, "_try_other", lambda *arguments: coded.append(arguments))
+    for number, picture in enumerate(moving(30)):
+        one.code(picture, cv2.blur(picture, (9, 9)), idr=not number, light=True)
+    assert not coded
+    one.code(picture, cv2.blur(picture, (9, 9)), idr=False)
+    assert coded
+
+
+def test_lightly_too_good_splats_end_pictures() -> None:
+    """What takes no trial: the client's splats are better than what a picture would make of them."""
+    one, truth = coder(), moving(12)
+    kinds = []
+    for number, picture in enumerate(truth):
+        mirror = cv2.blur(picture, (25, 25)) if number < 6 else picture + np.float32(0.004)
+        kinds.append(one.code(picture, mirror, idr=not number, light=True).kind)
+    assert set(kinds[:6]) == {ReferenceKind.PICTURE}
+    assert kinds[-1] is ReferenceKind.DIFFERENCE
+
+
 def test_a_client_that_takes_differences_alone_is_compared_with_however_late_they_come() -> None:
     one = coder(replace(SMALL, references="difference"))
     for _ in range(50):

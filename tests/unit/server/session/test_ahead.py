@@ -213,3 +213,15 @@ def test_references_and_mirrors_are_drawn_with_the_footprint_that_is_set(
     assert wanted != (Footprint.classic() if footprint != PLAIN else None)
     assert len(used) == 3, "the truth, what is new ahead, and the client's render from the reference camera"
     assert (rendered.render_ns, rendered.mirror_ns, rendered.encode_ns) == (1, 1, 1)
+
+
+@pytest.mark.parametrize("bps", [20_000, 40_000, 80_000])
+def test_where_a_difference_comes_too_soon_tiles_come_for_the_display(bps: float) -> None:
+    """Once tiles had to be there when they were compared with: over a link that was busy until then none was sent."""
+    sent = []
+    for references in ("picture", "difference"):
+        rig = Rig(replace(FAR, references=references), initial_bps=bps)
+        rig.play()
+        sent.append([first_levels(rig.step()) for _ in range(3)])
+    assert sent[0] == sent[1]
+    assert sum(map(len, sent[1])) >= 2

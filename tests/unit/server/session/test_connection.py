@@ -242,8 +242,8 @@ def test_a_client_that_goes_gives_its_place_at_the_renderer_back() -> None:
     assert pair.connection.next_job(due_us) is not None
     assert slots._out == 1
     pair.connection.connection_lost("cut", due_us)
-    pair.connection.release()
-    pair.connection.release()
+    pair.connection.release(due_us)
+    pair.connection.release(due_us)
     assert slots._out == 0
 
 

@@ -8,7 +8,7 @@ from cags_common.geometry import Pose
 from cags_common.tiles.inventory import InventoryEntry
 from cags_common.video.h264 import H264Decoder
 from cags_protocol import events as ev
-from cags_protocol.wire.messages import Blob, FrameEnd, ReferenceFrame, TileLayers
+from cags_protocol.wire.messages import Blob, FrameEnd, Mark, ReferenceFrame, TileLayers
 from cags_server.link import MeasuredLink
 from cags_server.link.byte_budget import MESSAGE_OVERHEAD_BYTES
 from cags_server.session.streamer import Streamer
@@ -132,10 +132,13 @@ def test_a_tile_that_waited_past_its_display_is_chosen_anew() -> None:
     assert not any(rig.streamer.outdated(each, 10**12) for each in opening), "a first picture is never taken back"
 
 
-def test_no_more_is_chosen_than_arrives_before_the_display() -> None:
+@pytest.mark.parametrize("marks", [0, 200])
+def test_no_more_is_chosen_than_arrives_before_the_display(marks: int) -> None:
+    """Marks that arrive leave the account as it was: once each gave back bytes that nothing had taken."""
     late = replace(SETTINGS, tile_deadline_ms=60_000.0)
     rig = Rig(settings=late, initial_bps=64_000)
     rig.play()
+    rig.deliver([ev.Outgoing(Mark(number)) for number in range(100, 100 + marks)])
     for _ in range(8):  # nothing is acknowledged: all of it stays on its way
         rig.step(deliver=False)
     records = rig.streamer.stats.records

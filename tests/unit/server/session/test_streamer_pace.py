@@ -288,6 +288,32 @@ def test_frames_are_counted_on_through_a_loop() -> None:
     assert planned == [0, 3, 5, 8, 10, 13, 15, 18, 20, 23]
 
 
+def test_a_frame_that_found_no_place_at_the_renderer_is_told_from_a_late_one() -> None:
+    rig = Rig()
+    rig.play()
+    rig.step()
+    rig.streamer._may_render = lambda now_us: False
+    rig.step()
+    rig.streamer._may_render = lambda now_us: True
+    rig.step()
+    assert [(record.no_place, record.reference_late) for record in rig.streamer.stats.records] == [
+        (False, False), (True, False), (False, False),
+    ]  # fmt: skip
+
+
+def test_references_are_light_while_the_renderer_says_so() -> None:
+    rig = Rig()
+    rig.play()
+    light = []
+    for number in range(6):
+        rig.streamer._lightly = lambda number=number: 2 <= number < 4
+        rig.step()
+        light.append(rig.streamer.stats.light.references)
+    assert light == [0, 0, 1, 2, 2, 2]
+    assert rig.streamer.stats.careful.references == 5, "with the greeting"
+    assert rig.streamer.lacking is not None
+
+
 def be_short(rig: Rig) -> None:
     """Let the machine have taken too long for references, often."""
     for _ in range(20):

@@ -219,6 +219,23 @@ async def test_the_first_page_steers_and_the_next_one_after_it(show: BallShow, c
         pass
 
 
+async def test_pictures_are_drawn_for_the_window_of_the_page_that_steers(
+    show: BallShow, client: aiohttp.ClientSession
+) -> None:
+    show.controls.windows.clear()
+    first, second = await visit(client, show), await visit(client, show)
+    await second.say(type="window", width=390, height=844)
+    await first.say(type="window", width=1280, height=720)
+    await first.say(type="window", width=1600, height=900)
+    await first.socket.close()
+    while not (await second.told("state"))["steers"]:
+        pass
+    await second.say(type="window", width=844, height=390)
+    await second.say(type="set", name="rate", value=1.0)
+    await second.told("state")
+    assert show.controls.windows == [(1280, 720), (1600, 900), (390, 844), (844, 390)]
+
+
 async def test_a_page_without_the_token_is_shown_nothing(client: aiohttp.ClientSession) -> None:
     async with BallShow(ViewSettings(view_port=0, view_token="sesame")) as show:
         for token, reason in ((None, "token needed"), ("wrong", "wrong token"), ("sésame", "wrong token")):

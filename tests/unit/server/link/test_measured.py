@@ -1,8 +1,9 @@
+"""The rate of a link, measured from acknowledgements alone."""
+
 import pytest
 
 from cags_protocol.events import Stance
 from cags_protocol.wire.limits import PACKET_BYTES
-from cags_server.link import OracleLink
 from support.links import ToldLink
 
 RTT_US = 40_000
@@ -97,16 +98,6 @@ def test_samples_without_a_rate_change_nothing() -> None:
     before = link.estimate_bps(0)
     link.ack(0, 0, RTT_US, False, None)
     assert link.estimate_bps(0) == before
-
-
-def test_the_oracle_reads_the_trace_ahead() -> None:
-    class Step:
-        def mean_bps(self, start_us: int, end_us: int) -> float:
-            return float(start_us)
-
-    oracle = OracleLink(Step(), origin_us=1_000_000, share=0.5)
-    assert oracle.estimate_bps(5_000_000) == 2_000_000
-    assert oracle.estimate_bps(0) == 1000  # before the trace, and never zero
 
 
 def test_a_busy_machine_does_not_look_like_a_loaded_link() -> None:
