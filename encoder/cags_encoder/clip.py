@@ -18,7 +18,7 @@ from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.execution.executors import Shared, Workers, ahead
 from cags_encoder.execution.journal import FrameRecord, Journal
 from cags_encoder.frames.differential import DecoderCopy
-from cags_encoder.frames.moving import MovingGroups
+from cags_encoder.frames.moving import SHARE, MovingGroups
 from cags_encoder.frames.tasks import AnyCut, look, pack, quantise, quantise_looks
 from cags_encoder.motion.tolerance import Tolerances
 from cags_encoder.motion.trails import Trails
@@ -98,7 +98,7 @@ class ClipEncoder:
         """Looks once, attributes where they change, and motion apart from both."""
         codec, span = self._codec.get(), self._settings.motion_span
         assert isinstance(codec, SvqCodec)
-        trails = Trails(span)
+        trails = Trails(span, SHARE * self._settings.change_threshold)
         groups = MovingGroups(codec, motion, trails, self._settings, tolerances)
         followed = trails.follow(placed)
         for frame, quantised in ahead(self._workers, quantise_looks, followed, lambda frame: (self._codec, frame)):

@@ -64,7 +64,7 @@ class FrameRecord:
         self.position_error_m = sum(squares) ** 0.5
 
 
-@dataclass
+@dataclass(frozen=True)
 class ReferenceCosts:
     """What references of one kind took, by the clock of those who made them."""
 
@@ -73,11 +73,11 @@ class ReferenceCosts:
     """Truth and mirror drawn."""
     encode_ns: int = 0
 
-    def add(self, render_ns: int, encode_ns: int, references: int = 1) -> None:
-        """Count references in."""
-        self.references += references
-        self.render_ns += render_ns
-        self.encode_ns += encode_ns
+    def __add__(self, other: ReferenceCosts) -> ReferenceCosts:
+        """Those of both."""
+        return ReferenceCosts(
+            self.references + other.references, self.render_ns + other.render_ns, self.encode_ns + other.encode_ns
+        )
 
 
 @dataclass
@@ -132,8 +132,8 @@ class Totals:
         self.bytes_other += stats.bytes_other
         self.render_ns += stats.render_ns
         self.encode_ns += stats.encode_ns
-        for mine, theirs in ((self.careful, stats.careful), (self.light, stats.light)):
-            mine.add(theirs.render_ns, theirs.encode_ns, theirs.references)
+        self.careful += stats.careful
+        self.light += stats.light
 
 
 def write_session(folder: Path, name: str, stats: StreamStats, ending: Closed | None) -> Path:

@@ -53,7 +53,7 @@ OF_THE_PAGE = {
     ("motion/chunk", "cags_common.motion.chunk"): """MOTION_VERSION=VERSION LEVELS REFINEMENT MAX_SPAN MAX_SPLATS
         MAX_SAMPLES MAX_BLOCK MAX_FINER MAX_UNIT FADE_STEP""",
     ("motion/chunk", "cags_common.motion.symbols"): "MAX_ESCAPES ESCAPE LIFE_EDGES",
-    ("motion/knots", "cags_common.motion.knots"): "FRACTION_BITS",
+    ("motion/knots", "cags_common.motion.knots"): "FRACTION_BITS WEIGHT_BITS",
     ("motion/knots", "cags_common.motion.contexts"): "MAGNITUDE EDGES=_EDGES",
     ("motion/apply", "cags_common.motion.apply"): "ABSENT_LOGIT",
     ("gpu/graph", "cags_gpu.graph"): "MAX_GROUPS RADIX_BITS BLOCK",
@@ -72,7 +72,7 @@ OF_THE_KERNELS = {
     ): """kProbabilityBits=PROBABILITY_BITS kTotal=TOTAL kMaxLanes=MAX_LANES
         kMaxTables=MAX_TABLES""",
     ("motion/tree.cpp", "cags_common.motion.chunk"): "kMaxSamples=MAX_SAMPLES",
-    ("motion/tree.cpp", "cags_common.motion.knots"): "kFractionBits=FRACTION_BITS",
+    ("motion/tree.cpp", "cags_common.motion.knots"): "kFractionBits=FRACTION_BITS kWeightBits=WEIGHT_BITS",
     ("motion/tree.cpp", "cags_common.motion.symbols"): "kEscape=ESCAPE",
     (
         "motion/tree.cpp",

@@ -61,7 +61,7 @@ class Referring:
         picture = H264Decoder().decode(coded.access_unit)
         assert picture is not None, "it needs no other"
         frame = self.moment.frame
-        return Received(frame, 1, 1, self.camera, coded.kind, picture, coded.knee, error=coded.after)
+        return Received(frame, 1, 1, self.camera, coded.kind, picture, coded.knee, error=coded.after or 0.0)
 
     def corrected(self, reference: Received | None, view: RenderedView | None = None) -> F32:
         """The client's picture [H, W, 3]: its ``view`` (None: as it draws by itself) with what is lacking added."""

@@ -22,6 +22,7 @@ from cags_common.metrics import covered_mask, psnr
 from cags_common.raster import RenderOptions
 from cags_common.tiles.kinds import TileKind
 from cags_encoder import EncodeSettings, encode
+from cags_encoder.bundles.parts import byte_parts
 from cags_encoder.execution.executors import open_workers
 from cags_encoder.scenes import FrameSource, open_scene
 from cags_encoder.views import cameras_around
@@ -89,6 +90,10 @@ def frame_bytes(reader: BundleReader) -> JsonObject:
         "base_bytes_a_frame": round(base),
         "top_bytes_a_frame": round(top),
         "with_key_bytes_a_frame": round((key + top * count) / manifest.frames),
+        "by_part": {
+            kind: {part: round(size / count) for part, size in parts.items()}
+            for kind, parts in byte_parts(reader).items()
+        },
         "by_kind": {kind.name.lower(): [round(float(size) / count) for size in later[kind]] for kind in TileKind},
     }
 

@@ -208,7 +208,7 @@ class Quality:
             return takes_us > self.period_us
         if self.permille == EVERY_FRAME:
             return self._skips and SLOW * takes_us > self.period_us
-        return self._possible < (1.0 - STEADY) * self.permille
+        return self.permille > LEAST_PERMILLE and self._affordable < (1.0 - STEADY) * self.permille
 
     @property
     def _room(self) -> bool:
@@ -219,11 +219,15 @@ class Quality:
         return self._level < self._top and self._takes_us(self._level + 1) <= UP_SHARE * self.period_us
 
     @property
+    def _affordable(self) -> float:
+        """How many pictures there is time for while 1,000 media frames are due: of any size."""
+        takes_us = self._takes_us(self._level)
+        return HEADROOM * EVERY_FRAME * self.period_us / takes_us if takes_us > 0 else inf
+
+    @property
     def _possible(self) -> int:
         """How many of 1,000 media frames to display, by what they take."""
-        takes_us = self._takes_us(self._level)
-        possible = HEADROOM * EVERY_FRAME * self.period_us / takes_us if takes_us > 0 else inf
-        return max(int(min(possible, EVERY_FRAME)), LEAST_PERMILLE)
+        return max(int(min(self._affordable, EVERY_FRAME)), LEAST_PERMILLE)
 
     # ----------------------------------------------------------------------------------------------------------- steps
 

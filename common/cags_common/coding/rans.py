@@ -174,6 +174,11 @@ class Decoder:
         self._words = np.frombuffer(rest, "<u2", count, 4 * self._lanes).astype(np.uint64)
         self._at = 0
 
+    @property
+    def read_bytes(self) -> int:
+        """Bytes of words that were read."""
+        return 2 * self._at
+
     def take(self, which: U8) -> U8:
         """The next symbols [n], by the table of each [n]."""
         if len(which) and int(which.max()) >= self.tables:

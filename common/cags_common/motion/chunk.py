@@ -8,6 +8,7 @@ rigid bodies, and coarse residuals; each further level refines the residuals by 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -20,7 +21,7 @@ from cags_common.geometry import F32, F64
 from cags_common.motion.knots import I32, knots
 from cags_common.motion.symbols import SymbolReader, SymbolWriter, fade_tables, life_tables
 
-VERSION = 5
+VERSION = 6
 LEVELS = 3
 REFINEMENT = 4
 """A level's unit is so many times the next one's."""
@@ -38,7 +39,7 @@ MAX_UNIT = 1e30
 MAX_UNITS = (1 << 25) - (1 << 10)
 """Residuals, finest units: fixed point fits 32 bits."""
 
-STARTS, TURNS, LIVES, FADES, MOVES, STILLS = 1, 2, 4, 8, 16, 32
+STARTS, TURNS, LIVES, FADES, MOVES, STILLS, CURVED_MOVES, CURVED_TURNS = 1, 2, 4, 8, 16, 32, 64, 128
 DEADZONES = (0.2, 0.1, 0.15)
 """Of each level, units beyond half a one up to which a residual is none: most of the bits tell such noise."""
 
@@ -90,6 +91,8 @@ class Chunk:
     """Whether the samples of the first frame are coded; else they are zero."""
     finer: tuple[int, int] = (0, 0)
     """How often the units of ``moves`` and of ``turns`` are the tile's halved."""
+    curved: tuple[bool, bool] = (False, False)
+    """Whether middles of ``moves`` and of ``turns`` are told against curves, not lines."""
 
 
 def encode(
@@ -103,12 +106,14 @@ def encode(
     blocks: Blocks | None = None,
     finer: tuple[int, int] = (0, 0),
     told: tuple[int, int] = (LEVELS, LEVELS),
+    curved: tuple[bool, bool] = (False, False),
     native: bool | None = None,
 ) -> tuple[bytes, ...]:
     """The payload of each level. ``moves`` [span + 1, n, 3] and ``turns`` [span + 1, n, 4] are in finest units, those
     of ``turns`` against (1, 0, 0, 0); ``fades`` [n, 2] are an index of :data:`FADE_WIDTHS` plus one (0: none) and the
     centre in ``FADE_STEP`` parts of the width, from the middle of the life. ``finer`` says how often the finest
-    units of ``moves`` and of ``turns`` are the tile's halved, ``told`` how many levels say anything of them.
+    units of ``moves`` and of ``turns`` are the tile's halved, ``told`` how many levels say anything of them, ``curved``
+    whether their middles are told against curves.
 
     ``native`` None takes the kernel where there is one, to the same bytes. Raises ``ValueError`` for arrays that do not
     fit each other, are beyond the format's bounds or not finite.
@@ -118,9 +123,12 @@ def encode(
     _check_sides(span, splats, lives, fades, blocks)
     if not all(0 <= halvings <= MAX_FINER for halvings in finer):
         raise ValueError(f"motion: units halved {finer} times, 0 to {MAX_FINER} expected")
-    order = knots(span, start=starts)
+    orders = {
+        name: knots(span, start=starts, curved=bent) for name, bent in zip(("moves", "turns"), curved, strict=True)
+    }
     flags = STARTS * starts | MOVES * (moves is not None) | TURNS * (turns is not None)
     flags |= LIVES * (lives is not None) | FADES * (fades is not None)
+    flags |= CURVED_MOVES * (moves is not None and curved[0]) | CURVED_TURNS * (turns is not None and curved[1])
     levels = {"moves": told[0], "turns": told[1]}
     movers = _movers(left, levels)
     if movers is not None:
@@ -136,7 +144,7 @@ def encode(
             unit, deadzone = REFINEMENT ** (LEVELS - 1 - level), DEADZONES[level]
             if level >= levels[name]:
                 part[:] = 0.0
-            writer.tree(order, part, apart[name], unit, deadzone, turn=name == "turns")
+            writer.tree(orders[name], part, apart[name], unit, deadzone, turn=name == "turns")
         escapes, symbols = writer.to_bytes()
         sizes = len(escapes), len(symbols)
         if level == 0:
@@ -240,13 +248,9 @@ class ChunkDecoder:
 
     def add_level(self, payload: bytes | memoryview) -> None:
         """Take the next level. Raises :class:`DecodeError`, and then nothing is changed."""
-        view = memoryview(payload)
-        if self.levels >= LEVELS or len(view) < 4:
-            raise DecodeError(f"motion: level {self.levels} of {LEVELS} is too much or cut short")
-        escapes = 4 + struct.unpack_from("<I", view)[0]
-        if escapes > len(view):
-            raise DecodeError("motion: a level's escapes are cut short")
-        reader = SymbolReader(view[4:escapes], view[escapes:], native=self._native)
+        if self.levels >= LEVELS:
+            raise DecodeError(f"motion: level {self.levels} of {LEVELS} is too much")
+        reader = SymbolReader(*_finer_sections(payload), native=self._native)
         chunk, told = self.chunk, self._told.copy()
         more = _read_trees(reader, chunk, self.levels, told)
         reader.finish()
@@ -265,7 +269,8 @@ class ChunkDecoder:
             raise DecodeError(f"motion: a life of {int(lives.max())} frames in a span of {head.span}")
         fades = _read_fades(reader, head, lives) if head.has(FADES) else None
         blocks = _read_blocks(head, rigid)
-        blank = Chunk(head.looks, head.span, n, lives, fades, blocks, None, None, head.has(STARTS), head.finer)
+        curved = head.has(CURVED_MOVES), head.has(CURVED_TURNS)
+        blank = Chunk(head.looks, head.span, n, lives, fades, blocks, None, None, head.has(STARTS), head.finer, curved)
         self._trees = _read_trees(reader, blank, 0, self._told)
         reader.finish()
         return self._with_trees(blank)
@@ -326,7 +331,8 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
     if len(view) < _HEAD.size:
         raise DecodeError(f"motion: {len(view)} bytes are too few for a chunk")
     version, flags, span, levels, frame, tile, splats, block, finer, finer_turns, unit, *sizes = _HEAD.unpack_from(view)
-    if version != VERSION or levels != LEVELS or flags & ~(STARTS | TURNS | LIVES | FADES | MOVES | STILLS):
+    bent = (flags & CURVED_MOVES and not flags & MOVES) or (flags & CURVED_TURNS and not flags & TURNS)
+    if version != VERSION or levels != LEVELS or bent:
         raise DecodeError(f"motion: version {version}, {levels} levels, flags {flags}; this program reads {VERSION}")
     small = splats <= MAX_SPLATS and splats * (span + 1) <= MAX_SAMPLES
     bounds = 1 <= span <= MAX_SPAN and small and block <= MAX_BLOCK and 0.0 <= unit <= MAX_UNIT
@@ -338,6 +344,43 @@ def _sections(payload: bytes | memoryview) -> tuple[_Head, memoryview, memoryvie
     escapes = who + sizes[2]
     head = _Head(flags, span, (frame, tile), splats, block, (finer, finer_turns), unit)
     return head, view[_HEAD.size : rigid], view[rigid:who], view[who:escapes], view[escapes:]
+
+
+def _finer_sections(payload: bytes | memoryview) -> tuple[memoryview, memoryview]:
+    """Large numbers and symbols of a payload of a further level. Raises :class:`DecodeError`."""
+    view = memoryview(payload)
+    escapes = 4 + struct.unpack_from("<I", view)[0] if len(view) >= 4 else 0
+    if not 4 <= escapes <= len(view):
+        raise DecodeError("motion: a level is cut short")
+    return view[4:escapes], view[escapes:]
+
+
+def spent(payloads: Sequence[bytes | memoryview]) -> dict[str, int]:
+    """Bytes by what they tell, of the first ``payloads`` of a chunk. Read by numpy, which takes its time.
+
+    Raises :class:`DecodeError`.
+    """
+    head, rigid, who, *sections = _sections(payloads[0])
+    movers = _read_movers(head, who)
+    told = _Told.of(head, head.splats if movers is None else len(movers))
+    curved = head.has(CURVED_MOVES), head.has(CURVED_TURNS)
+    out = {"heads and tables": _HEAD.size, "blocks": len(rigid), "movers": len(who), "large numbers": 0}
+    for level, payload in enumerate(payloads):
+        escapes, symbols = _finer_sections(payload) if level else sections
+        reader, before = SymbolReader(escapes, symbols, native=False), 0
+        if level == 0 and head.has(LIVES | FADES):
+            lives = reader.plain(life_tables(head.splats)) if head.has(LIVES) else None
+            out["lives"], before = reader.read_bytes, reader.read_bytes
+            if head.has(FADES):
+                _read_fades(reader, head, lives)
+            out["fades"], before = reader.read_bytes - before, reader.read_bytes
+        for i, (name, part) in enumerate((("positions", told.moves), ("rotations", told.turns))):
+            if part is not None:
+                reader.tree(knots(head.span, start=head.has(STARTS), curved=curved[i]), part, turn=i == 1)
+            out[f"{name}, level {level}"], before = reader.read_bytes - before, reader.read_bytes
+        out["large numbers"] += len(escapes)
+        out["heads and tables"] += 4 * (level > 0) + len(symbols) - reader.read_bytes
+    return out
 
 
 def _read_movers(head: _Head, who: memoryview) -> NDArray[np.intp] | None:
@@ -352,11 +395,11 @@ def _read_movers(head: _Head, who: memoryview) -> NDArray[np.intp] | None:
 
 def _read_trees(reader: SymbolReader, chunk: Chunk, level: int, told: _Told) -> tuple[I32 | None, I32 | None]:
     """What ``level`` adds to the positions and rotations of ``chunk``, where it has them."""
-    order, unit = knots(chunk.span, start=chunk.starts), np.int32(REFINEMENT ** (LEVELS - 1 - level))
+    unit = np.int32(REFINEMENT ** (LEVELS - 1 - level))
     trees: list[I32 | None] = [None, None]
     for i, part in enumerate((told.moves, told.turns)):
         if part is not None:
-            tree = reader.tree(order, part, turn=i == 1)
+            tree = reader.tree(knots(chunk.span, start=chunk.starts, curved=chunk.curved[i]), part, turn=i == 1)
             trees[i] = tree if unit == 1 else np.multiply(tree, unit, out=tree)
     return trees[0], trees[1]
 

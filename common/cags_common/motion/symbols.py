@@ -136,8 +136,8 @@ def kernel_tree(order: tuple[Knot, ...], shape: tuple[int, ...], *, turn: bool) 
 
 @cache
 def _knot_rows(order: tuple[Knot, ...]) -> I32:
-    rows = [(knot.kind, knot.at, knot.left, knot.right, knot.parent) for knot in order]
-    return np.array(rows, np.int32).reshape(-1, 5)
+    rows = [(k.kind, k.at, k.left, k.right, k.parent, k.before, k.after, *k.weights) for k in order]
+    return np.array(rows, np.int32).reshape(-1, 9)
 
 
 def _packed(escapes: I32) -> bytes:
@@ -173,6 +173,12 @@ class SymbolReader:
     def __init__(self, escapes: memoryview, symbols: memoryview, *, native: bool | None = None) -> None:
         self._escapes, self._at = _unpacked(escapes), 0
         self._symbols = rans.decoder(symbols, native=native)
+
+    @property
+    def read_bytes(self) -> int:
+        """Bytes of symbols that were read; numpy's reader alone knows."""
+        assert isinstance(self._symbols, rans.Decoder)
+        return self._symbols.read_bytes
 
     def plain(self, tables: U8) -> U8:
         """The next numbers [n], by the table of each."""

@@ -155,6 +155,13 @@ def _base_layers(data: memoryview, count: int, codebooks: CodebookSet) -> dict[s
     return layers
 
 
+def base_parts(payload: bytes | memoryview) -> dict[str, int]:
+    """Bytes of a LoD 0 payload by what they tell. Raises :class:`DecodeError`."""
+    head = _read_header(payload, None)
+    told = {"heads": _BASE_HEADER.size, "ids": head.id_bytes, "positions": head.draco_bytes}
+    return told | {"base codes": len(payload) - sum(told.values())}
+
+
 def decode_base_ids(payload: bytes | memoryview) -> Ids:
     """Only the ids [n] of a LoD 0 payload, without unpacking the rest."""
     return _read_ids(payload, _read_header(payload, None))

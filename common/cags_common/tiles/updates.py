@@ -165,6 +165,13 @@ def _read_ids(payload: bytes | memoryview) -> tuple[Ids, int, int, memoryview]:
     return ids, attributes, mask_bytes, view[_HEAD.size + id_bytes :]
 
 
+def update_parts(payload: bytes | memoryview) -> dict[str, int]:
+    """Bytes of an update's LoD 0 by what they tell. Raises :class:`DecodeError`."""
+    _, _, masks, rest = _read_ids(payload)
+    told = {"heads": _HEAD.size, "ids": len(payload) - _HEAD.size - len(rest), "masks": masks}
+    return told | {"base codes": len(rest) - masks}
+
+
 def _opened(
     payload: bytes | memoryview, books: CodebookSet
 ) -> tuple[Ids, dict[str, NDArray[np.bool_]], dict[str, U32]]:

@@ -11,6 +11,7 @@ import numpy as np
 from cags_common.bundle import BundleReader, FrameEntry
 from cags_common.tiles.kinds import TileKind
 from cags_common.tiles.svq import CodebookSet
+from cags_encoder.bundles.parts import byte_parts
 
 Description = dict[str, Any]
 
@@ -74,6 +75,7 @@ def describe(reader: BundleReader, url: str) -> Description:
             }
             for entry in entries
         ],
+        "bytes_by_part": byte_parts(reader) if manifest.codec == "svq" else {},
         "codebooks": _codebooks(reader),
         "quality": asdict(quality) if quality else None,
     }
@@ -97,6 +99,8 @@ def lines(found: Description) -> Iterator[str]:
     moving = {name: sizes for name, sizes in found["bytes_of"].items() if name != "looks" and sizes}
     for name, sizes in moving.items():
         yield f"{name} tiles: {sum(sizes)} bytes in all, {sizes[0]} of their first levels"
+    for name, parts in found["bytes_by_part"].items():
+        yield f"{name} after key frames: {', '.join(f'{part} {size}' for part, size in parts.items())}"
     if found["tracks"]:
         yield from _track_lines(found["tracks"])
     if found["pruning"]:

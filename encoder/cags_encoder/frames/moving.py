@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cags_common.bundle.manifest import MotionSteps
 from cags_common.geometry import F32, F64, Vec3
 from cags_common.motion.apply import Steps
-from cags_common.splats import SH_C0, Ids, Splats
+from cags_common.splats import Ids, Splats
 from cags_common.tiles.morton import morton_order, tile_ranges
 from cags_common.tiles.payloads import DELTA_TILE_SPLATS, KEY_TILE_SPLATS
 from cags_common.tiles.svq import CodebookSet
@@ -29,14 +29,24 @@ from cags_encoder.motion.trails import Trails, Window
 from cags_encoder.settings import EncodeSettings
 from cags_encoder.tiling import CutTile, corners, cut_tiles
 from cags_encoder.tracks.effect import drawn
-from cags_encoder.tracks.placing import Placed
+from cags_encoder.tracks.lasting import EFFECTS
+from cags_encoder.tracks.placing import Placed, Told
 from cags_encoder.tracks.rows import SplatTable
 
 PHASES = 4
 """The first chunks of a key frame's tiles are of so many lengths, so that later ones do not all begin at one frame."""
 
+
 SHARE = 0.25
 """Part of the change threshold by which a single attribute may be wrong: it stays so for long, and others are, too."""
+
+COLUMNS = {"scale": "log_scales", "sh0": "sh0", "sh_rest": "sh_rest"}
+"""Attributes that change by themselves, and their columns of splats."""
+
+MOST_CHANGE = 0.5
+"""Share of the splats from which on those that change are cut into tiles by their ids, which then take no bytes: a key
+frame's rise along the curve that tiles follow.
+"""
 
 STILL = 2.0
 """Splats that stay within so many times the tolerance of where they are held need no chunk; nor within a finest unit at
@@ -101,15 +111,17 @@ class MovingGroups:
         self._room(frame.capacity)
         coded = _svq(quantised)
         fresh = self._codec.decode(coded)
-        changed = self._changed(ids, births, quantised.prepared, fresh, frame.delta.splats.take(rows))
+        assert frame.told is not None
+        source, told = frame.delta.splats.take(rows), frame.told.splats
+        changed = self._changed(ids, births, source, frame.told, (quantised.prepared, fresh))
         whole = births | changed.pop("whole")
-        looks = self._looks(frame, ids[whole], quantised, np.flatnonzero(whole))
+        looks = self._looks(frame, ids[whole], quantised, np.flatnonzero(whole), told.take(whole))
         if frame.key:
             self._tolerated = self._tolerances.over(self._moving_share(frame.index))
         self._mark_gone(frame.delta.removed)
         self._faded = []
         chunks = self._chunks(frame.index)
-        changed["opacity"] = self._brighter(ids, frame.delta.splats.take(rows), fresh)
+        changed["opacity"] = self._brighter(ids, source, fresh)
         for name in ("scale", "sh0", "sh_rest"):
             changed[name] &= ~whole
         updates = [*self._updates(ids, changed, quantised, fresh), *self._after_fades(frame.index, ids)]
@@ -128,19 +140,20 @@ class MovingGroups:
 
     # --------------------------------------------------------------------------------------------------------- looks
 
-    def _looks(self, frame: Placed, ids: Ids, quantised: QuantisedDelta, rows: NDArray[np.intp]) -> list[CutTile]:
-        """Tiles of splats that come, or come anew."""
+    def _looks(
+        self, frame: Placed, ids: Ids, quantised: QuantisedDelta, rows: NDArray[np.intp], told: Splats
+    ) -> list[CutTile]:
+        """Tiles of splats ``told`` [n] that come, or come anew."""
         if not len(ids):
             return []
         coded = _svq(quantised).take(rows)
         largest = KEY_TILE_SPLATS if frame.key else DELTA_TILE_SPLATS
         tiles = cut_tiles(ids, quantised.prepared.take(rows).means, coded, largest=largest, id_range=frame.key)
-        source = frame.delta.splats.take(np.searchsorted(frame.delta.ids, ids))
         for number, tile in enumerate(tiles):
             assert isinstance(tile.coded, SvqSplats)
             shown = self._codec.shown(tile.coded)
             self._hold(tile.ids, shown)
-            mine = source.take(np.searchsorted(ids, tile.ids))
+            mine = told.take(np.searchsorted(ids, tile.ids))
             if self._codec.quantiser.canonical_axes:
                 self._axes[tile.ids] = np.argsort(-mine.log_scales, axis=1, kind="stable")
             self._fading[tile.ids], self._owner[tile.ids] = False, (frame.index, number)
@@ -165,24 +178,30 @@ class MovingGroups:
     # ------------------------------------------------------------------------------------------------------- updates
 
     def _changed(
-        self, ids: Ids, births: NDArray[np.bool_], true: Splats, fresh: Splats, source: Splats
+        self, ids: Ids, births: NDArray[np.bool_], source: Splats, told: Told, coded: tuple[Splats, Splats]
     ) -> dict[str, NDArray[np.bool_]]:
-        """Attribute -> which splats [k] must be told of anew; ``whole``: those whose looks as a whole must be."""
-        names = ("scale", "sh0", "sh_rest")
+        """Attribute -> which splats [k] must be told of anew; ``whole``: those whose looks as a whole must be.
+
+        What would be ``told`` is ``coded``: as it was prepared, and as it is decoded.
+        """
+        prepared, fresh = coded
+        names = tuple(COLUMNS)
         out = {name: np.zeros(len(ids), bool) for name in (*names, "whole")}
         old = np.flatnonzero(~births)
         if self._held is None or not len(old):
             return out
-        held, now, new = self._held.take(ids[old]), true.take(old), fresh.take(old)
-        axes = self._axes[ids[old]]
-        scales = np.take_along_axis(source.log_scales[old], axes, axis=1)
-        same_axes = np.abs(scales - now.log_scales).max(axis=1, initial=0.0) < 1e-6
-        weight = np.maximum(drawn(held.logit_opacities), drawn(now.logit_opacities))
-        wrong = _effects(held, now, scales, weight)
-        noise = _effects(new, now, now.log_scales, weight)
+        held, true, now, axes = self._held.take(ids[old]), source.take(old), prepared.take(old), self._axes[ids[old]]
+        scales, asked = (np.take_along_axis(s.log_scales, axes, axis=1) for s in (true, told.splats.take(old)))
+        weight = np.maximum(drawn(held.logit_opacities), drawn(true.logit_opacities))
+        wrong = _effects(held, true, scales, weight)
+        noise = _effects(fresh.take(old), now, now.log_scales, weight)
+        # Codes tell the largest axis first. Where other axes were the largest when the looks came, an update is wrong.
+        swapped = weight * EFFECTS["log_scales"](np.abs(fresh.log_scales[old] - asked))
+        other_axes = swapped > noise["scale"] + told.wrong["log_scales"][old]
+        noise["scale"] = np.where(other_axes, noise["scale"], swapped)
         for name in names:
-            out[name][old] = wrong[name] > noise[name] + SHARE * self._threshold
-        out["whole"][old] = out["scale"][old] & ~same_axes
+            out[name][old] = wrong[name] > noise[name] + told.wrong[COLUMNS[name]][old]
+        out["whole"][old] = out["scale"][old] & other_axes
         return out
 
     def _brighter(self, ids: Ids, true: Splats, fresh: Splats) -> NDArray[np.bool_]:
@@ -202,7 +221,8 @@ class MovingGroups:
             return []
         self._take_over(ids, changed, rows, fresh)
         means = quantised.prepared.means
-        order = rows[morton_order(means[rows])]
+        most = len(rows) > MOST_CHANGE * int(self._held.alive.sum())
+        order = rows if most else rows[morton_order(means[rows])]
         tiles = []
         for first, end in tile_ranges(len(order), DELTA_TILE_SPLATS):
             run = np.sort(order[first:end])
@@ -244,8 +264,7 @@ class MovingGroups:
         assert self._held is not None
         held = {name: array.copy() for name, array in self._held.take(ids[rows]).arrays()}
         new = dict(fresh.take(rows).arrays())
-        columns = {"scale": "log_scales", "opacity": "logit_opacities", "sh0": "sh0", "sh_rest": "sh_rest"}
-        for name, column in columns.items():
+        for name, column in {**COLUMNS, "opacity": "logit_opacities"}.items():
             mask = changed[name][rows]
             held[column][mask] = new[column][mask]
         self._held.put(ids[rows], Splats(**held))
@@ -340,9 +359,9 @@ def _effects(shown: Splats, true: Splats, scales: F32, weight: F64) -> dict[str,
 
     ``scales`` are the true log scales in the order of the axes that are shown; ``weight`` [n] are drawn opacities.
     """
-    rest = np.abs(shown.sh_rest - true.sh_rest).max(axis=2, initial=0.0).sum(axis=1)
-    return {
-        "scale": weight * np.abs(shown.log_scales - scales).max(axis=1),
-        "sh0": weight * SH_C0 * np.abs(shown.sh0 - true.sh0).max(axis=1),
-        "sh_rest": weight * 0.5 * rest,
+    pairs = {
+        "scale": (shown.log_scales, scales),
+        "sh0": (shown.sh0, true.sh0),
+        "sh_rest": (shown.sh_rest, true.sh_rest),
     }
+    return {name: weight * EFFECTS[COLUMNS[name]](np.abs(a - b)) for name, (a, b) in pairs.items()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TypeAlias
 
 from cags_common.bundle import SourceDelta, TilePayloads
@@ -47,11 +46,9 @@ def quantise(codec: Shared[ClipCodec], delta: SourceDelta, key: bool) -> Quantis
 
 
 def quantise_looks(codec: Shared[ClipCodec], frame: Placed) -> QuantisedDelta:
-    """Quantise those of a frame's changes that are more than motion; with the opacities that fades begin from."""
-    machine, splats = codec.get(), frame.delta.splats
-    if frame.peaks is not None:
-        splats = replace(splats, logit_opacities=frame.peaks)
-    prepared = machine.prepare(splats.take(frame.looks))
+    """Quantise what is to be coded of those of a frame's changes that are more than motion."""
+    machine, told = codec.get(), frame.told
+    prepared = machine.prepare(frame.delta.splats.take(frame.looks) if told is None else told.splats)
     return QuantisedDelta(prepared, machine.quantise(prepared), None, encode_source(frame.delta))
 
 

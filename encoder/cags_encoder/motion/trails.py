@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from cags_common.geometry import F32
 from cags_common.splats import Ids
 from cags_encoder.motion.fades import fit_fades, peaks
 from cags_encoder.tracks.effect import drawn
+from cags_encoder.tracks.lasting import lasting
 from cags_encoder.tracks.placing import Placed
 
 
@@ -43,8 +44,9 @@ class Window:
 class Trails:
     """Follows the frames of one group after another, ``span`` frames ahead."""
 
-    def __init__(self, span: int) -> None:
-        self._span = span
+    def __init__(self, span: int, wrong: float) -> None:
+        """Follow ``span`` frames ahead; looks may be wrong by a visible effect of ``wrong``."""
+        self._span, self._wrong = span, wrong
         self._moments: dict[int, _Moment] = {}
         self._newest: _Moment | None = None
         self._ends: dict[int, int] = {}  # first frame of a group -> its last
@@ -53,7 +55,8 @@ class Trails:
     def follow(self, placed: Iterable[Placed]) -> Iterator[Placed]:
         """The same frames, each once the ``span`` frames after it, or the last of its group, are known.
 
-        New splats that fade come with their largest opacity, which motion then takes down.
+        New splats that fade come with their largest opacity, which motion then takes down. Other looks that change are
+        those that last (:mod:`cags_encoder.tracks.lasting`).
         """
         waiting: deque[Placed] = deque()
         for frame in placed:
@@ -64,7 +67,7 @@ class Trails:
             self._add(frame)
             waiting.append(frame)
             if frame.index - waiting[0].index >= self._span:
-                yield self._ready(waiting.popleft(), frame.index)
+                yield self._ready(waiting.popleft(), waiting)
         yield from self._last(waiting)
 
     def forget(self, frame: int) -> None:
@@ -89,9 +92,8 @@ class Trails:
         )
 
     def _last(self, waiting: deque[Placed]) -> Iterator[Placed]:
-        last = waiting[-1].index if waiting else 0
         while waiting:
-            yield self._ready(waiting.popleft(), last)
+            yield self._ready(waiting.popleft(), waiting)
 
     def _add(self, frame: Placed) -> None:
         delta, before = frame.delta, self._newest
@@ -103,20 +105,25 @@ class Trails:
         self._newest = self._moments[frame.index] = moment
         self._ends[self._group] = frame.index
 
-    def _ready(self, frame: Placed, known: int) -> Placed:
-        rows = np.flatnonzero(frame.births)
-        if not len(rows):
-            return frame
-        window = self.window(frame.delta.ids[rows], frame.index, min(frame.index + self._span, known))
+    def _ready(self, frame: Placed, later: Sequence[Placed]) -> Placed:
+        splats, births = frame.delta.splats, np.flatnonzero(frame.births)
+        if len(births):
+            last = later[-1].index if later else frame.index
+            splats = replace(splats, logit_opacities=self._peaks(frame, births, last))
+        looks = np.flatnonzero(frame.looks)
+        return replace(frame, told=lasting(splats.take(looks), frame.delta.ids[looks], later, self._wrong))
+
+    def _peaks(self, frame: Placed, births: NDArray[np.intp], last: int) -> F32:
+        """Opacity logits [m] of the delta's splats; of ``births`` that fade the largest that they will have."""
+        window = self.window(frame.delta.ids[births], frame.index, last)
         opacities = window.opacities.astype(np.float64)
         peak = peaks(opacities, window.present)
         middles = (window.present.sum(axis=0) - 1) / 2
         fades, fits = fit_fades(opacities, window.present, peak, middles)
-        raised = rows[(fades[:, 0] > 0) & fits]
-        logits = frame.delta.splats.logit_opacities.copy()
-        top = peak[(fades[:, 0] > 0) & fits]
-        logits[raised] = np.log(top / (1.0 - top))
-        return replace(frame, peaks=logits)
+        raised = (fades[:, 0] > 0) & fits
+        logits, top = frame.delta.splats.logit_opacities.copy(), peak[raised]
+        logits[births[raised]] = np.log(top / (1.0 - top))
+        return logits
 
 
 def _grown(before: _Moment | None, capacity: int) -> _Moment:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cags_common.bundle import SourceDelta
 from cags_common.bundle.tracks import TrackStatistics
-from cags_common.geometry import F32, F64, axis_bounds
+from cags_common.geometry import F64, axis_bounds
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.morton import morton_order
 from cags_encoder.sampling import check_degree
@@ -22,6 +22,16 @@ MOTION = ("means", "quats")
 """Columns of splats that motion is told of, apart from everything else."""
 
 LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What is coded of splats [n] that look different."""
+
+    splats: Splats
+    """With the largest opacity of what fades, and looks that last."""
+    wrong: Mapping[str, F64]
+    """Column of splats -> visible effect [n] by which what is held of it may be wrong before it is told anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +48,8 @@ class Placed:
     """[m] which of the delta's splats are new."""
     looks: NDArray[np.bool_]
     """[m] which are new, or differ in more than position and rotation."""
-    peaks: F32 | None = None
-    """[m] opacity logits to code instead of the delta's own: the largest of a splat that fades."""
+    told: Told | None = None
+    """What to code of those that look different; None: what is in the delta."""
 
 
 ROOM = 1.5

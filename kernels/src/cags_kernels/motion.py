@@ -89,7 +89,7 @@ class Tree:
     span: int
     splats: int
     turn: bool
-    order: I32  # [knots, 5] kind, at, left, right, parent
+    order: I32  # [knots, 9] kind, at, left, right, parent, before, after, weights of these two
     classes: U8  # [9, 1513]
     first_table: int
     first_real_table: int
@@ -106,7 +106,7 @@ class Tree:
 
     def structure(self) -> _Tree:
         """What the library takes; valid while ``self`` lives."""
-        if self.classes.shape != _CLASSES or self.order.shape[1:] != (5,):
+        if self.classes.shape != _CLASSES or self.order.shape[1:] != (9,):
             raise ValueError(f"classes of shape {self.classes.shape}, knots of {self.order.shape}")
         numbers = (self.span, self.splats, self.shape[2], int(self.turn), len(self.order))
         return _Tree(

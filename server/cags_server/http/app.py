@@ -135,7 +135,8 @@ class App:
         return now.reason() if self._served() >= now.clients else None
 
     def _capacity(self) -> Capacity:
-        costs = [(each.careful, each.light) for each in (*(stats for _, stats in self.sessions()), self._ended)]
+        costs = [(stats.careful, stats.light) for _, stats in self.sessions()]
+        costs.append((self._ended.careful, self._ended.light))
         fps = max((manifest.fps for manifest in self._scenes.manifests), default=DEFAULT_FPS)
         return capacity(self._settings, fps, costs)
 

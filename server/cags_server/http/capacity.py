@@ -48,8 +48,7 @@ def capacity(
     cores = cores or available_cores()
     careful, light = ReferenceCosts(), ReferenceCosts()
     for one, other in costs:
-        careful.add(one.render_ns, one.encode_ns, one.references)
-        light.add(other.render_ns, other.encode_ns, other.references)
+        careful, light = careful + one, light + other
     known = light if light.references >= LEAST_MEASURED else careful
     if known.references < LEAST_MEASURED:
         return Capacity(cores, None)

@@ -40,7 +40,7 @@ class ReferenceVideo:
         if coded.idr:
             self._idr_seq = self._seq
         pose, kind = plan.predicted.pose, coded.kind.value
-        error = coded.after if coded.kind is ReferenceKind.PICTURE else 0.0
+        error = coded.after if coded.kind is ReferenceKind.PICTURE and coded.after is not None else 0.0
         message = ReferenceFrame(
             plan.frame, self._seq, pose, render.intrinsics, coded.idr, kind, plan.basis, coded.knee, error
         )

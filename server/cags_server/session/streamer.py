@@ -30,7 +30,7 @@ from cags_server.link.pace import MARGIN_US
 from cags_server.link.reference_budget import ReferenceBudget
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.outlook import lacking_bytes
-from cags_server.records import Ahead, FrameRecord, StreamStats
+from cags_server.records import Ahead, FrameRecord, ReferenceCosts, StreamStats
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
 from cags_server.reference.mirror import Mirror
@@ -452,8 +452,11 @@ class Streamer:
         self.stats.encode_ns += render.encode_ns
         if plan.speaks:
             self.lacking = render.coded.before
-            kind = self.stats.light if plan.light else self.stats.careful
-            kind.add(render.render_ns + render.mirror_ns, render.encode_ns)
+            cost = ReferenceCosts(1, render.render_ns + render.mirror_ns, render.encode_ns)
+            if plan.light:
+                self.stats.light += cost
+            else:
+                self.stats.careful += cost
         if plan.generation != self._schedule.generation:  # the viewer seeked meanwhile
             self._video.broken()
             return []

@@ -58,6 +58,24 @@ def cases() -> dict[str, dict[str, Any]]:
             "turns": smooth(random, 7, 50, 4, 0.25) * (np.arange(50) % 5 == 0)[:, None],
             "starts": True,
         },
+        "curved": {
+            "moves": smooth(random, 16, 33, 3, 1.0),
+            "turns": smooth(random, 16, 33, 4, 0.25),
+            "starts": True,
+            "curved": (True, True),
+        },
+        "curved-uneven": {
+            "moves": smooth(random, 13, 9, 3, 3.0),
+            "turns": None,
+            "starts": False,
+            "curved": (True, False),
+        },
+        "curved-large": {
+            "moves": smooth(random, 11, 6, 3, 999_999.0),
+            "turns": None,
+            "starts": True,
+            "curved": (True, False),
+        },
         "all-still": {"moves": np.full((4, 9, 3), 0.5), "turns": None, "starts": True},
         "one-frame": {
             "moves": smooth(random, 1, 3, 3, 1.0),

@@ -1,10 +1,10 @@
-/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 5, three levels. */
+/** A chunk of motion as far as it has come, as `cags_common.motion.chunk`: format 6, three levels. */
 import { DecodeError } from "../bytes/errors.ts";
 import { unsqueeze } from "../bytes/inflate.ts";
 import type { Kernels } from "../decode/kernels.ts";
-import { classTables, CLASSES, knots } from "./knots.ts";
+import { classTables, CLASSES, KNOT_NUMBERS, knots } from "./knots.ts";
 
-export const MOTION_VERSION = 5;
+export const MOTION_VERSION = 6;
 export const LEVELS = 3;
 const REFINEMENT = 4;
 const MAX_SPAN = 64;
@@ -15,7 +15,7 @@ const MAX_FINER = 8;
 const MAX_UNIT = 1e30;
 const MAX_ESCAPES = 1 << 23;
 const ESCAPE = 254;
-const [STARTS, TURNS, LIVES, FADES, MOVES, STILLS] = [1, 2, 4, 8, 16, 32] as const;
+const [STARTS, TURNS, LIVES, FADES, MOVES, STILLS, CURVED_MOVES, CURVED_TURNS] = [1, 2, 4, 8, 16, 32, 64, 128] as const;
 const HEAD_BYTES = 40;
 /** Size of the kernel's tree, and where the length of its classes is (`cags_motion.h`, pointers of 4 bytes). */
 const [TREE_BYTES, TREE_LENGTHS] = [48, 40];
@@ -52,6 +52,8 @@ export interface Chunk {
   readonly starts: boolean;
   /** How often the units of moves and of turns are the tile's halved. */
   readonly finer: readonly [number, number];
+  /** Whether middles of moves and of turns are told against curves, not lines. */
+  readonly curved: readonly [boolean, boolean];
 }
 
 interface Head {
@@ -198,7 +200,8 @@ function sections(payload: Uint8Array): { head: Head; rigid: Uint8Array; who: Ui
   const [frame, tile, splats, block] = [v.getUint32(4, true), v.getUint32(8, true), v.getUint32(12, true), v.getUint16(16, true)];
   const [finer, finerTurns, unit] = [v.getUint8(18), v.getUint8(19), v.getFloat32(20, true)];
   const sizes = [24, 28, 32, 36].map((at) => v.getUint32(at, true)) as [number, number, number, number];
-  if (version !== MOTION_VERSION || levels !== LEVELS || flags & ~(STARTS | TURNS | LIVES | FADES | MOVES | STILLS)) {
+  const bent = (flags & CURVED_MOVES && !(flags & MOVES)) || (flags & CURVED_TURNS && !(flags & TURNS));
+  if (version !== MOTION_VERSION || levels !== LEVELS || bent) {
     throw new DecodeError(`motion: version ${version}, ${levels} levels, flags ${flags}; this program reads ${MOTION_VERSION}`);
   }
   const small = splats <= MAX_SPLATS && splats * (span + 1) <= MAX_SAMPLES;
@@ -224,7 +227,7 @@ function opened(head: Head, rigid: Uint8Array, reader: SymbolReader, told: (Uint
   const fades = flags & FADES ? readFades(reader, head, lives) : undefined;
   const blank: Chunk = {
     looks: head.looks, span, splats, lives, fades, blocks: readBlocks(head, rigid), moves: undefined, turns: undefined,
-    starts: (flags & STARTS) > 0, finer: head.finer,
+    starts: (flags & STARTS) > 0, finer: head.finer, curved: [(flags & CURVED_MOVES) > 0, (flags & CURVED_TURNS) > 0],
   };
   const trees = readTrees(reader, blank, 0, told);
   reader.finish();
@@ -234,11 +237,10 @@ function opened(head: Head, rigid: Uint8Array, reader: SymbolReader, told: (Uint
 function readTrees(
   reader: SymbolReader, chunk: Chunk, level: number, told: (Uint8Array | undefined)[],
 ): [Int32Array | undefined, Int32Array | undefined] {
-  const order = knots(chunk.span, chunk.starts);
   const unit = REFINEMENT ** (LEVELS - 1 - level);
   const [moves, turns] = told.map((part, i) => {
     if (!part) return undefined;
-    const tree = reader.tree(order, part, chunk, i === 1);
+    const tree = reader.tree(knots(chunk.span, chunk.starts, chunk.curved[i]!), part, chunk, i === 1);
     if (unit !== 1) for (let k = 0; k < tree.length; k++) tree[k] = Math.imul(tree[k]!, unit);
     return tree;
   });
@@ -373,7 +375,7 @@ class SymbolReader {
       const tree = scope.take(TREE_BYTES);
       const first = turn ? TURN_TABLE : MOVE_TABLE;
       const parts = turn ? 4 : 3;
-      const numbers = [chunk.span, told.length / parts / (chunk.span + 1), parts, turn ? 1 : 0, order.length / 5, first, REAL_TABLE];
+      const numbers = [chunk.span, told.length / parts / (chunk.span + 1), parts, turn ? 1 : 0, order.length / KNOT_NUMBERS, first, REAL_TABLE];
       k.i32(tree, 9).set([...numbers, knotsAt, classesAt]);
       k.view(escape, 8).setBigInt64(0, BigInt(this.at), true);
       k.writeLengths(tree + TREE_LENGTHS, [classes.length]);

@@ -178,7 +178,7 @@ export class Quality {
     const takesUs = this.#takesUs(this.#level);
     if (this.#lower) return takesUs > this.periodUs;
     if (this.permille === EVERY_FRAME) return this.#skips && SLOW * takesUs > this.periodUs;
-    return this.#possible < (1 - STEADY) * this.permille;
+    return this.permille > LEAST_PERMILLE && this.#affordable < (1 - STEADY) * this.permille;
   }
 
   /** Whether there is time for the next level up. */
@@ -190,11 +190,15 @@ export class Quality {
     return this.#level < this.#top && this.#takesUs(this.#level + 1) <= UP_SHARE * this.periodUs;
   }
 
+  /** How many pictures there is time for while 1,000 media frames are due: of any size. */
+  get #affordable(): number {
+    const takesUs = this.#takesUs(this.#level);
+    return takesUs > 0 ? (HEADROOM * EVERY_FRAME * this.periodUs) / takesUs : Infinity;
+  }
+
   /** How many of 1,000 media frames to display, by what they take. */
   get #possible(): number {
-    const takesUs = this.#takesUs(this.#level);
-    const possible = takesUs > 0 ? (HEADROOM * EVERY_FRAME * this.periodUs) / takesUs : Infinity;
-    return Math.max(Math.floor(Math.min(possible, EVERY_FRAME)), LEAST_PERMILLE);
+    return Math.max(Math.floor(Math.min(this.#affordable, EVERY_FRAME)), LEAST_PERMILLE);
   }
 
   // --------------------------------------------------------------------------------------------------------------- steps

@@ -17,6 +17,8 @@ enum CagsKnotKind : int32_t { CAGS_KNOT_START = 0, CAGS_KNOT_END = 1, CAGS_KNOT_
 
 struct CagsKnot {
   int32_t kind, at, left, right, parent;  // samples; parent -1: none
+  int32_t before, after;                  // samples beyond left and right that a curve goes through; -1: none
+  int32_t weight_before, weight_after;    // in 1/4096, of what these are off the line through left and right
 };
 
 // How the residuals of one level are laid out, coded and told apart.

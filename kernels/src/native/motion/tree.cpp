@@ -11,7 +11,7 @@ namespace cags::motion {
 namespace {
 
 constexpr int64_t kMaxSamples = int64_t{1} << 20;
-constexpr int kFractionBits = 6;
+constexpr int kFractionBits = 6, kWeightBits = 12;
 constexpr int kEscape = 254;
 constexpr int kMagnitude = 63, kClasses = 10, kRealClasses = 4;  // and one more table each: residuals told before
 constexpr int kSums = 2 * 3 * kMagnitude + 2 * 6 * kMagnitude + 3 * 2 * kMagnitude + 1;  // as cags_common.motion.contexts
@@ -29,7 +29,11 @@ bool valid(const CagsMotionTree& tree) {
   return std::all_of(tree.order, tree.order + tree.knots, [&](const CagsKnot& knot) {
     const bool samples = within(knot.at) && within(knot.left) && within(knot.right);
     const bool between = knot.kind != CAGS_KNOT_MIDDLE || (knot.left < knot.at && knot.at < knot.right);
-    return samples && between && knot.kind >= 0 && knot.kind <= 2 && (knot.parent == -1 || within(knot.parent));
+    const bool kind = knot.kind >= 0 && knot.kind <= 2 && (knot.parent == -1 || within(knot.parent));
+    auto beyond = [&](int32_t sample, int32_t weight) {
+      return sample == -1 || (within(sample) && knot.kind == CAGS_KNOT_MIDDLE && std::abs(weight) <= 1 << kWeightBits);
+    };
+    return samples && between && kind && beyond(knot.before, knot.weight_before) && beyond(knot.after, knot.weight_after);
   });
 }
 
@@ -56,6 +60,33 @@ int64_t floor_of_quotient(int64_t rise, int32_t width) {
   return whole - (whole * width > rise);
 }
 
+// What `far` is off the line through `left` and `right`, `way` from the left one; differences in 64 bits.
+struct OffLine {
+  const int32_t *far, *left, *right;
+  int32_t way, width;
+
+  int64_t operator()(int64_t i) const {
+    const int64_t rise = int64_t{right[i]} - left[i];
+    const int64_t line = way % width == 0 ? rise * (way / width) : floor_of_quotient(rise * way, width);
+    return int64_t{far[i]} - left[i] - line;
+  }
+};
+
+// Bends the line `guess` to the curve that goes through the samples beyond the ends of the interval of `knot`, too.
+void bend(const CagsKnot& knot, int64_t count, const int32_t* samples, int32_t* guess) {
+  auto off = [&](int32_t at) {
+    const int32_t far = at < 0 ? knot.left : at;
+    return OffLine{samples + far * count, samples + knot.left * count, samples + knot.right * count, far - knot.left,
+                   knot.right - knot.left};
+  };
+  const OffLine before = off(knot.before), after = off(knot.after);
+  const int32_t weights[] = {knot.before < 0 ? 0 : knot.weight_before, knot.after < 0 ? 0 : knot.weight_after};
+  for (int64_t i = 0; i < count; i++) {
+    const int64_t bent = (weights[0] * before(i) + weights[1] * after(i)) >> kWeightBits;
+    guess[i] = wrapped_sum(guess[i], static_cast<int32_t>(bent));
+  }
+}
+
 // What the samples before `knot` lead to expect of it, for `count` numbers of a row.
 void predict(const CagsKnot& knot, int64_t count, const int32_t* samples, int32_t* guess) {
   const int32_t* left = samples + knot.left * count;
@@ -73,6 +104,7 @@ void predict(const CagsKnot& knot, int64_t count, const int32_t* samples, int32_
       guess[i] = wrapped_sum(left[i], static_cast<int32_t>(floor_of_quotient(rise, width)));
     }
   }
+  if (knot.before >= 0 || knot.after >= 0) bend(knot, count, samples, guess);
 }
 
 // One part of the splats of a group on its way.

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from cags_bench.network import clients
 from cags_bench.network.checks import checks
 from cags_bench.network.clients import margins_us, missed
 from cags_bench.network.command import NetworkSettings
@@ -18,12 +19,14 @@ from cags_bench.network.sockets import direct_lines, kernel_bps, run_direct
 from cags_bench.parallel import in_parallel
 from cags_bench.traces import scaled_trace
 from cags_common.errors import ConfigError, TraceError
+from cags_common.transport.base import ConnectionEndedError
 from cags_protocol import ServerSession
 from cags_protocol.sessions.tracing import EventTrace
 from cags_server.link import MeasuredLink, OracleLink
 from cags_shaper.link import LinkSettings
 from cags_shaper.trace import open_trace, trace_of_rates
 from cags_shaper.tun import why_unavailable
+from support.server_scene import CLIENT
 from support.wire_pair import Pair, tile
 
 LINK = LinkSettings(delay_us=10_000)
@@ -194,3 +197,31 @@ def test_a_direct_path_shows_both_estimates():
     assert len(log.estimates) > 5
     assert log.kernel
     assert all(rate_bps > 0 for _, rate_bps in log.kernel)
+
+
+class OneMessage:
+    """A transport that brings one message and ends."""
+
+    def __init__(self, data: bytes) -> None:
+        self._left = [data]
+
+    async def recv(self) -> bytes:
+        if not self._left:
+            raise ConnectionEndedError("over")
+        return self._left.pop()
+
+
+async def test_what_a_headless_client_is_sent_counts_when_its_link_delivers_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """25,000 bytes over 1 Mbps take 0.2 s and what TCP adds, and then they travel."""
+    clock, received = [0], []
+    monkeypatch.setattr(clients, "now_us", lambda: clock[0])
+    for mbps, there_us in ((1.0, 200_000 + clients.DELAY_US), (None, 0)):
+        client = clients.HeadlessClient(OneMessage(bytes(25_000)), CLIENT, "synthetic:walking", mbps)
+        monkeypatch.setattr(client._session, "receive", lambda data, now_us: received.append((len(data), now_us)))
+        clock[0] = 0
+        await client._read()
+        for clock[0] in range(0, 300_000, 1000):
+            client._receive()
+        (size, at_us), received[:] = received[0], []
+        assert size == 25_000
+        assert there_us <= at_us <= 1.06 * there_us

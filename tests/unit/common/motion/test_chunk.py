@@ -204,3 +204,69 @@ def test_a_list_of_movers_that_nobody_announced_is_refused() -> None:
     payload[1] &= ~chunks.STILLS
     with pytest.raises(DecodeError, match="who moves"):
         ChunkDecoder(bytes(payload))
+
+
+@pytest.mark.parametrize("span", [1, 2, 3, 7, SPAN, 16, 64])
+@pytest.mark.parametrize("starts", [False, True])
+def test_curved_chunks_say_the_same_within_the_same_units(span: int, starts: bool) -> None:
+    random = np.random.default_rng(8)
+    moves, turns = (np.cumsum(random.normal(size=(span + 1, 9, parts)), axis=0) * 20 for parts in (3, 4))
+    chunk = decoded(encode((0, 0), moves, turns, starts=starts, curved=(True, True)))
+    for part, wanted in ((chunk.moves, moves), (chunk.turns, turns)):
+        assert part is not None and chunk.curved == (True, True)
+        assert np.abs(part / 64 - wanted)[0 if starts else 1 :].max() <= FINEST + 1 / 64
+
+
+def test_what_moves_smoothly_takes_fewer_bytes_against_curves() -> None:
+    time = np.linspace(0, 2, 17)[:, None, None]
+    moves = 300 * np.sin(time + np.random.default_rng(9).uniform(0, 6, (SPLATS, 3)))
+    straight, curved = (
+        sum(map(len, encode((0, 0), moves, None, starts=True, curved=(c, False)))) for c in (False, True)
+    )
+    assert curved < 0.8 * straight
+
+
+@pytest.mark.skipif(not cags_kernels.native_available(), reason="compares the kernel with numpy")
+@pytest.mark.parametrize("size", [1.0, 1e3, chunks.MAX_UNITS / 2])
+def test_curved_chunks_are_the_same_in_numpy_and_the_kernel(size: float) -> None:
+    random = np.random.default_rng(10)
+    for span in (*range(1, 20), 63, 64):
+        moves = random.uniform(-size, size, (span + 1, 5, 3))
+        made = [
+            encode((0, 0), moves, None, starts=True, curved=(True, False), native=native) for native in (False, True)
+        ]
+        assert made[0] == made[1]
+        decoders = [ChunkDecoder(made[0][0], native=native) for native in (False, True)]
+        for payload in made[0][1:]:
+            for decoder in decoders:
+                decoder.add_level(payload)
+        assert np.array_equal(*(decoder.chunk.moves for decoder in decoders))
+
+
+@pytest.mark.parametrize("flag", [chunks.CURVED_MOVES, chunks.CURVED_TURNS])
+def test_a_curve_of_what_is_not_told_is_refused(flag: int) -> None:
+    payload = bytearray(encode((0, 0), None, np.zeros((3, 2, 4)), starts=True)[0])
+    payload[1] = payload[1] & ~chunks.TURNS | flag
+    with pytest.raises(DecodeError, match="flags"):
+        ChunkDecoder(bytes(payload))
+
+
+def test_what_is_spent_on_each_part_adds_up_to_the_payloads() -> None:
+    random = np.random.default_rng(11)
+    lives = random.integers(0, SPAN + 2, SPLATS).astype(np.uint8)
+    fades = np.stack([random.integers(0, 49, SPLATS), random.integers(-20, 20, SPLATS)], axis=1)
+    sides = {"lives": lives, "fades": fades, "blocks": blocks_of(random)}
+    payloads = encode((7, 3), wavy(random, 3, 4e5), wavy(random, 4), starts=True, curved=(True, False), **sides)
+    found = chunks.spent(payloads)
+    assert sum(found.values()) == sum(map(len, payloads)) and min(found.values()) >= 0
+    named = (
+        "heads and tables",
+        "blocks",
+        "large numbers",
+        "lives",
+        "fades",
+        "positions, level 0",
+        "rotations, level 2",
+    )
+    assert all(found[name] > 0 for name in named)
+    assert chunks.spent(payloads[:1])["positions, level 0"] == found["positions, level 0"]

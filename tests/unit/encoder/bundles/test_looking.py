@@ -57,6 +57,24 @@ def test_inspect_says_what_is_there(bundle: Path, capsys: pytest.CaptureFixture[
     assert f"position {shift:.1%}, rotation 0.0%, scale 0.0%" in text
 
 
+def test_inspect_says_what_bytes_tell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first = cloud(600, 1, 1)
+    some = (np.arange(600) < 100)[:, None]
+    second = with_changes(first, means=first.means + np.float32(0.02) * some, sh0=first.sh0 + np.float32(0.3) * some)
+    encode([first, second, cloud(650, 2, 1)], EncodeSettings(train_splats=1000), str(tmp_path / "a.cags"))
+    found = json.loads(said(capsys, "--inspect", str(tmp_path / "a.cags"), "--json"))
+    with BundleReader.open(str(tmp_path / "a.cags")) as reader:
+        entries = [reader.frame(k) for k in range(3)]
+    for kind in TileKind:
+        tiles = [t for e in entries for t in e.tiles if t.kind == kind and not (e.keyframe and kind == TileKind.LOOKS)]
+        parts = found["bytes_by_part"].get(kind.name.lower(), {})
+        whole = sum(sum(tile.lod_bytes) for tile in tiles)
+        assert abs(sum(parts.values()) - whole) <= len(parts) * (kind == TileKind.MOTION)  # shares of a sample, rounded
+    assert found["bytes_by_part"]["update"]["sh0, finer"] > 0
+    assert found["bytes_by_part"]["motion"]["positions, level 0"] > 0
+    assert "update after key frames: heads " in said(capsys, "--inspect", str(tmp_path / "a.cags"))
+
+
 @pytest.mark.parametrize("name", ["plot.png", "plot.svg"])
 def test_a_plot_is_drawn(bundle: Path, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said(capsys, "--inspect", str(bundle), "--plot", str(tmp_path / name))

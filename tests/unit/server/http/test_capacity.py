@@ -8,6 +8,7 @@ from cags_protocol import events as ev
 from cags_server.cli import _spelt_out
 from cags_server.http import app
 from cags_server.http.capacity import LEAST_MEASURED, Capacity, capacity
+from cags_server.http.metrics import exposition
 from cags_server.records import ReferenceCosts, StreamStats, Totals
 from cags_server.settings import ServeSettings
 from support.live_server import Client, serving
@@ -45,6 +46,14 @@ def test_those_who_left_count_on() -> None:
     ended.add(StreamStats(careful=ReferenceCosts(40, 4 * 10**8, 10**8)))
     assert ended.careful == ReferenceCosts(100, 10**9, 2 * 10**8)
     assert ended.light == ReferenceCosts(1, 2, 3)
+
+
+def test_looking_at_the_metrics_changes_no_totals() -> None:
+    """What goes on is not what has ended, however often somebody asks."""
+    ended = Totals()
+    for _ in range(2):
+        exposition(ended, [StreamStats(careful=ReferenceCosts(60, 1, 1))])
+    assert ended == Totals()
 
 
 def test_auto_is_the_number_for_it() -> None:

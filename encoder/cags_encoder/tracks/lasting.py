@@ -1,0 +1,140 @@
+"""Looks that last: what to code of an attribute that changes, for it to stay within a tolerance as long as it can.
+
+A decoder holds what it was told until it is told anew. Told a splat's colour of this moment it is right now and ever
+more wrong; told the middle of what the colour will be, it is within the same tolerance for twice as long, and with the
+same error in the mean. Noise of the source, which stays around one value, is then told once.
+
+Updates cost their number, ``speed / tolerance``, and errors grow with the square of the tolerance: the sum of both is
+least where tolerances grow with the cube root of the speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cags_common.geometry import F32, F64
+from cags_common.splats import SH_C0, Ids, Splats
+from cags_encoder.tracks.effect import drawn
+from cags_encoder.tracks.placing import Placed, Told
+
+Effect = Callable[[NDArray[Any]], NDArray[Any]]
+"""Visible effect [n] of differences [n, ...] of one attribute of opaque splats."""
+
+EFFECTS: dict[str, Effect] = {
+    "log_scales": lambda off: off.max(axis=1),
+    "sh0": lambda off: SH_C0 * off.max(axis=1),
+    "sh_rest": lambda off: SH_C0 * np.sqrt(np.square(off.max(axis=2, initial=0.0)).sum(axis=1)),
+}
+"""Column of splats -> effect of its absolute differences, share of a pixel's colour; of harmonics in the root mean
+square over all directions.
+"""
+
+
+FASTER = 4.0
+"""Splats that change fast may be more wrong: so many times as much at most."""
+
+
+def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float) -> Told:
+    """What to code of ``splats`` [n], which are ``ids`` [n] now: scales, colours and harmonics that stay for the
+    longest time within a tolerance of what they are now and in the frames ``later``, in the mean of that time.
+
+    Tolerances are a visible effect of ``most`` for what changes by no more than twice that in those frames.
+    """
+    changes = _changes(ids, later)
+    weight = drawn(splats.logit_opacities)
+    columns = dict(splats.arrays())
+    found = {
+        name: _lasting(
+            columns[name],
+            [(dict(now.arrays())[name], rows, there) for now, rows, there in changes],
+            effect,
+            most,
+            weight,
+        )
+        for name, effect in EFFECTS.items()
+    }
+    told = replace(splats, **{name: values for name, (values, _) in found.items()})
+    return Told(told, {name: tolerances for name, (_, tolerances) in found.items()})
+
+
+def _changes(ids: Ids, later: Sequence[Placed]) -> list[tuple[Splats, NDArray[np.intp], NDArray[np.bool_]]]:
+    """Of each later frame: looks that differ, rows of ``ids`` that they are of, and which [n] are still there."""
+    found, there = [], np.ones(len(ids), bool)
+    for frame in later:
+        changed = frame.delta.ids[frame.looks]
+        there = there & ~np.isin(ids, frame.delta.removed) & ~np.isin(ids, frame.delta.ids[frame.births])
+        at = np.minimum(np.searchsorted(changed, ids), max(len(changed) - 1, 0))
+        rows = np.flatnonzero(changed[at] == ids) if len(changed) else np.zeros(0, np.intp)
+        found.append((frame.delta.splats.take(np.flatnonzero(frame.looks)[at[rows]]), rows, there))
+    return found
+
+
+def _lasting(
+    now: F32,
+    changes: Sequence[tuple[F32, NDArray[np.intp], NDArray[np.bool_]]],
+    effect: Effect,
+    most: float,
+    weight: F64,
+) -> tuple[F32, F64]:
+    """:func:`lasting` for one column ``now`` [n, ...], its ``changes`` and the opacities ``weight`` [n]: values, and
+    tolerances [n].
+    """
+    differs = np.zeros(len(now), bool)
+    for values, rows, _ in changes:
+        differs[rows] |= (values != now[rows]).any(axis=tuple(range(1, now.ndim)))
+    mine = np.flatnonzero(differs)
+    frames, weight = list(_frames(now, changes, mine)), weight[mine]
+    tolerance = np.full(len(now), most)
+    tolerance[mine] *= _slack(now[mine], frames, effect, weight / most)
+    limit = tolerance[mine]
+    low = high = total = now[mine].astype(np.float64)
+    count, within = np.ones(len(mine)), np.ones(len(mine), bool)
+    for values, there in frames:
+        lower, higher = np.minimum(low, values), np.maximum(high, values)
+        within = within & there & (weight * effect((higher - lower) / 2) <= limit)
+        taken = _as_wide(within, now)
+        low, high, total = (
+            np.where(taken, lower, low),
+            np.where(taken, higher, high),
+            total + np.where(taken, values, 0),
+        )
+        count += within
+    mean = total / _as_wide(count, now)
+    fits = weight * effect(np.maximum(high - mean, mean - low)) <= limit
+    out = now.copy()
+    out[mine] = np.where(_as_wide(fits, now), mean, (low + high) / 2)
+    return out, tolerance
+
+
+def _frames(
+    now: F32, changes: Sequence[tuple[F32, NDArray[np.intp], NDArray[np.bool_]]], mine: NDArray[np.intp]
+) -> Iterator[tuple[F32, NDArray[np.bool_]]]:
+    """Values [m, ...] of the rows ``mine`` [m] in each later frame, and which of them are still there."""
+    place = np.full(len(now), -1)
+    place[mine] = np.arange(len(mine))
+    current = now[mine]
+    for values, rows, there in changes:
+        known = place[rows]
+        current = current.copy()
+        current[known[known >= 0]] = values[known >= 0]
+        yield current, there[mine]
+
+
+def _slack(now: F32, frames: Sequence[tuple[F32, NDArray[np.bool_]]], effect: Effect, weight: F64) -> F64:
+    """By how many times each tolerance [m] is larger for what changes fast; ``weight`` [m] are of tolerances."""
+    before, gone = now, np.zeros(len(now))
+    for values, there in frames:
+        gone += np.where(there, weight * effect(np.abs(values - before)), 0.0)
+        before = values
+    slack: F64 = np.clip(np.cbrt(gone / 2), 1.0, FASTER)
+    return slack
+
+
+def _as_wide(rows: NDArray[Any], like: F32) -> NDArray[Any]:
+    """``rows`` [n] in a shape that goes with ``like`` [n, ...]."""
+    return rows.reshape(len(rows), *[1] * (like.ndim - 1))

@@ -1,0 +1,104 @@
+"""Looks that last: fewer values tell the same changes within the same tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from cags_common.bundle import SourceDelta
+from cags_common.splats import SH_C0, Splats
+from cags_encoder.tracks.lasting import FASTER, lasting
+from cags_encoder.tracks.placing import Placed
+
+N, MOST = 6, 0.01
+OPAQUE = 30.0
+
+
+def splats(sh0: np.ndarray, **columns: np.ndarray) -> Splats:
+    n = len(sh0)
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
+    given = {
+        "means": np.zeros((n, 3)),
+        "quats": quats,
+        "log_scales": np.zeros((n, 3)),
+        "logit_opacities": np.full(n, OPAQUE),
+        "sh0": sh0,
+        "sh_rest": np.zeros((n, 3, 3)),
+        **columns,
+    }
+    return Splats(**{name: np.ascontiguousarray(value, np.float32) for name, value in given.items()})
+
+
+def frames(of: Sequence[Splats], removed: Sequence[Sequence[int]] | None = None) -> list[Placed]:
+    ids, no = np.arange(N, dtype=np.int32), np.zeros(N, bool)
+    gone = removed or [()] * len(of)
+    return [
+        Placed(at, False, SourceDelta(ids, each, np.array(went, np.int32)), N, no, ~no)
+        for at, (each, went) in enumerate(zip(of, gone, strict=True), start=1)
+    ]
+
+
+def grey(effect: float | np.ndarray) -> np.ndarray:
+    """Colours [N, 3] that differ by ``effect`` from nothing."""
+    return np.broadcast_to(np.asarray(effect, float).reshape(-1, 1) / SH_C0, (N, 3))
+
+
+def test_what_drifts_is_told_as_the_middle_of_what_it_will_be() -> None:
+    steps = [0.002 * at for at in range(20)]
+    told = lasting(splats(grey(0)), np.arange(N), frames([splats(grey(step)) for step in steps[1:]]), MOST)
+    tolerance = told.wrong["sh0"]
+    assert np.all(tolerance > MOST)
+    lasts = sum(step <= 2 * tolerance[0] + 1e-9 for step in steps)
+    assert np.allclose(told.splats.sh0, grey(np.mean(steps[:lasts])), atol=1e-6)
+    assert SH_C0 * np.abs(told.splats.sh0).max() <= tolerance[0] + 1e-6
+
+
+def test_noise_is_told_as_its_mean() -> None:
+    noise = np.random.default_rng(1).uniform(-MOST, MOST, (16, N)) / 2
+    told = lasting(splats(grey(noise[0])), np.arange(N), frames([splats(grey(row)) for row in noise[1:]]), MOST)
+    assert np.allclose(told.splats.sh0, grey(noise.mean(axis=0)), atol=1e-6)
+
+
+def test_what_stays_keeps_its_bits_and_a_jump_ends_what_lasts() -> None:
+    stays = np.arange(N) < 3
+    after = splats(np.where(stays[:, None], grey(0.3), grey(0.9)))
+    told = lasting(splats(grey(0.3)), np.arange(N), frames([after] * 4), MOST)
+    assert np.array_equal(told.splats.sh0, np.float32(grey(0.3)))
+    assert np.all(told.wrong["sh0"][stays] == MOST) and np.all(told.wrong["sh0"][~stays] > MOST)
+
+
+def test_tolerances_grow_with_the_cube_root_of_the_speed_up_to_a_bound() -> None:
+    speed = MOST * np.array([0.5, 2, 16, 54, 128, 1e5])
+    told = lasting(splats(grey(0)), np.arange(N), frames([splats(grey(speed))]), MOST)
+    wanted = np.clip(np.cbrt(speed / MOST / 2), 1, FASTER)
+    assert np.allclose(told.wrong["sh0"], MOST * wanted)
+
+
+@pytest.mark.parametrize("column", ["log_scales", "sh_rest"])
+def test_scales_and_harmonics_last_as_colours_do(column: str) -> None:
+    shape = {"log_scales": (N, 3), "sh_rest": (N, 3, 3)}[column]
+    values = [np.full(shape, 0.001 * at) for at in range(3)]
+    made = [splats(grey(0), **{column: value}) for value in values]
+    told = lasting(made[0], np.arange(N), frames(made[1:]), MOST)
+    assert np.allclose(dict(told.splats.arrays())[column], 0.001, atol=1e-7)
+
+
+def test_what_ends_does_not_last_longer_and_its_id_is_another_splats_then() -> None:
+    made = [splats(grey(step)) for step in (0.0, 0.002, 0.004)]
+    told = lasting(made[0], np.arange(N), frames(made[1:], removed=[(), (0,)]), MOST)
+    assert np.allclose(told.splats.sh0[0], grey(0.001)[0], atol=1e-6)
+    assert np.allclose(told.splats.sh0[1], grey(0.002)[1], atol=1e-6)
+
+
+def test_few_splats_change_or_none_do() -> None:
+    nothing = splats(np.zeros((0, 3)))
+    later = [
+        Placed(
+            1, False, SourceDelta(np.zeros(0, np.int32), nothing, np.zeros(0, np.int32)), N, *[np.zeros(0, bool)] * 2
+        )
+    ]
+    told = lasting(splats(grey(0.5)), np.arange(N), later, MOST)
+    assert np.array_equal(told.splats.sh0, np.float32(grey(0.5)))
+    assert len(lasting(nothing, np.zeros(0, np.int32), frames([splats(grey(0.1))]), MOST).splats) == 0
