@@ -30,7 +30,7 @@ class ClientSettings:
     height: int = setting(600, "picture height, pixels", low=1, high=8192)
     fov: float = setting(60.0, "horizontal field of view, degrees", low=1, high=170)
     raster: str = setting(
-        "auto", "rasteriser: auto (gpu if there is a graphics processor, else cpu), gpu, cpu or reference (slow, exact)"
+        "auto", "rasteriser: auto (gpu if there is a graphics processor, else cpu), gpu, cpu or oracle (slow, exact)"
     )
     exactness: str = setting(
         "balanced",

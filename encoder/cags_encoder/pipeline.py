@@ -146,7 +146,7 @@ class _Encoding:
     def _thumbnail(self, manifest: Manifest, writer: BundleWriter) -> None:
         """A thumbnail for galleries, if the rasteriser is fast enough; otherwise servers make one."""
         rasteriser = create("auto")
-        if rasteriser.name == "reference":
+        if rasteriser.name == "oracle":
             return
         with writer.open_file(THUMBNAIL_NAME) as file:
             file.write(thumbnail(rasteriser.load(self._source.frame(0)), manifest))
@@ -170,7 +170,7 @@ class _Encoding:
         if known is not None:
             return Tolerances(Tolerance(**known["moves"]), Tolerance(**known["turns"]))
         rasteriser = create("auto")
-        if rasteriser.name == "reference":
+        if rasteriser.name == "oracle":
             return Tolerances()
         cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
         looked = Looked(cameras, rasteriser, self._settings.change_threshold / 2)
@@ -207,7 +207,7 @@ class _Encoding:
     def _weights(self, samples: Splats) -> F64 | None:
         """Weights of the samples, if the rasteriser is fast enough to measure contributions."""
         rasteriser = create("auto")
-        if rasteriser.name == "reference" or self._settings.codec != "svq":
+        if rasteriser.name == "oracle" or self._settings.codec != "svq":
             return None
         return importance(samples, cameras_around(self._source.focus, self._source.up, IMPORTANCE_VIEWS), rasteriser)
 
@@ -233,7 +233,7 @@ class _Encoding:
             order = tuple(LodLayer(attribute, layer) for attribute, layer in known["order"])
             return LodMeasurement(order, tuple(known["gains_db"]), LodQuality.from_json(known["quality"].encode()))
         rasteriser = create("auto")
-        if rasteriser.name == "reference":
+        if rasteriser.name == "oracle":
             return None
         cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
         first = self._source.frame(0)

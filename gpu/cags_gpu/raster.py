@@ -144,7 +144,7 @@ class GpuScene:
     def _on_cpu(self) -> RasterScene:
         with self._lock:
             if self._stand_in is None:
-                name = "cpu" if cags_kernels.native_available() else "reference"
+                name = "cpu" if cags_kernels.native_available() else "oracle"
                 self._stand_in = raster.create(name).load(self._splats)
             return self._stand_in
 

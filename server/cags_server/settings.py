@@ -80,7 +80,7 @@ class ServerSettings:
     )
     opening_tiles: bool = setting(True, "send the base layers of the first frame before playback begins", research=True)
     rasteriser: str = setting(
-        "auto", "rasteriser: auto (gpu if there is a graphics processor, else cpu), gpu, cpu or reference (slow, exact)"
+        "auto", "rasteriser: auto (gpu if there is a graphics processor, else cpu), gpu, cpu or oracle (slow, exact)"
     )
     render_threads: int = setting(2, "threads per reference render", low=1, high=256)
     visible_px: float = setting(

@@ -84,7 +84,7 @@ def train(source: FrameSource, splats: Splats, variant: Variant) -> SvqCodec:
     """Codebooks of a sample and, with a rasteriser, the measured LoD order."""
     rows = np.sort(np.random.default_rng(0).permutation(len(splats))[:TRAIN_SPLATS])
     samples, rasteriser = splats.take(rows), create("auto")
-    if rasteriser.name == "reference":
+    if rasteriser.name == "oracle":
         return SvqCodec.train(samples, variant.settings, None, variant.config)
     around = cameras_around(source.focus, source.up, IMPORTANCE_VIEWS)
     weights = importance(samples, around, rasteriser) if variant.weighted else None

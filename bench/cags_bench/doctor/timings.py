@@ -121,7 +121,7 @@ def measure(threads: int) -> Timings:
     from cags_encoder.scenes import open_scene
 
     rasteriser = raster.create()
-    native = rasteriser.name != "reference"
+    native = rasteriser.name != "oracle"
     splats = NATIVE_SPLATS if native else READABLE_SPLATS
     source = open_scene(SCENE.format(splats=splats))
     truth, focus = source.frame(0), source.focus

@@ -93,7 +93,7 @@ def _case(
 ) -> Iterator[Line]:
     camera = view_of(source, *size)
     view: Line = {"scene": source.name, "splats": len(splats), "size": size_text(size)}
-    right = create("reference").load(splats).render(camera, EXACT)
+    right = create("oracle").load(splats).render(camera, EXACT)
     options = RenderOptions(threads=max(settings.thread_list))
     times = interleaved([_drawing(scene, camera, options) for scene in scenes.values()], settings)
     for (name, scene), taken in zip(scenes.items(), times, strict=True):

@@ -116,7 +116,7 @@ def size_text(size: tuple[int, int]) -> str:
 
 def errors_of(splats: Splats, camera: Camera) -> dict[str, Line]:
     """PSNR, largest error and depth error of each level against the reference."""
-    right = create("reference").load(splats).render(camera, RenderOptions())
+    right = create("oracle").load(splats).render(camera, RenderOptions())
     scene = create("cpu").load(splats)
     return {level: _errors(scene.render(camera, RenderOptions(exactness=level)), right) for level in Exactness}
 

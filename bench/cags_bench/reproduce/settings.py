@@ -22,7 +22,7 @@ class ReproduceSettings:
     frames: int = setting(0, "frames a session; 0: 300, or 45 when quick", low=0, high=100_000)
     width: int = setting(0, "client width in pixels; 0: 1600, or 640 when quick", low=0, high=8192)
     height: int = setting(0, "client height in pixels; 0: 1200, or 480 when quick", low=0, high=8192)
-    device: str = setting("auto", "renderer: auto, reference, cpu or gpu", choices=("auto", "reference", "cpu", "gpu"))
+    device: str = setting("auto", "renderer: auto, oracle, cpu or gpu", choices=("auto", "oracle", "cpu", "gpu"))
     workers: int = setting(0, "sessions simulated at the same time; 0: as many as there are cores", low=0, high=256)
     lpips: str = setting("", "weights of LPIPS (.npz), to measure it too; empty: leave it out")
     video_metrics: str = setting(

@@ -1,6 +1,6 @@
 """The client's last step behind one seam: what is lacking, sampled by depth and added; backends picked by name.
 
-``create("auto")`` gives ``cpu`` where the native kernels are installed, else ``reference``, and says so once.
+``create("auto")`` gives ``cpu`` where the native kernels are installed, else ``oracle``, and says so once.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 
-NAMES = ("auto", "cpu", "reference")
+NAMES = ("auto", "cpu", "oracle")
 """What :func:`create` takes."""
 
 
@@ -60,10 +60,10 @@ def create(name: str = "auto", threads: int = 2) -> Corrector:
     import cags_kernels
 
     if name == "auto":
-        name = "cpu" if cags_kernels.native_available() else "reference"
-        if name == "reference":
+        name = "cpu" if cags_kernels.native_available() else "oracle"
+        if name == "oracle":
             _warn_once(cags_kernels.why_unavailable())
-    if name == "reference":
+    if name == "oracle":
         from cags_common.correction.oracle import ReferenceCorrector
 
         return ReferenceCorrector()

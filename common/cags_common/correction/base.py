@@ -1,7 +1,7 @@
 """The correction seam: from a client's view and a reference to the displayed frame.
 
 A :class:`Corrector` samples the reference's correction by the client's own depth and adds it to the view (PRPA,
-post-render perspective alignment, as the last step of a frame). Implementations: ``reference`` (float64, the readable
+post-render perspective alignment, as the last step of a frame). Implementations: ``oracle`` (float64, the readable
 definition: :mod:`.oracle`), ``cpu`` (``cags-kernels``: :mod:`.cpu`). :mod:`cags_gpu` does the same in shaders,
 together with drawing.
 """

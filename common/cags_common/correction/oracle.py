@@ -37,7 +37,7 @@ LEAST_WEIGHT = 1e-6
 class ReferenceCorrector:
     """The definition behind the seam; keeps the render from the reference camera that came with a picture."""
 
-    name = "reference"
+    name = "oracle"
 
     def __init__(self) -> None:
         self._held: tuple[Reference, F32] | None = None

@@ -1,7 +1,7 @@
 """The rasteriser seam and its backends, picked by name.
 
 ``create("auto")`` gives the fastest backend of the processor: ``cpu`` where the native kernels are installed, else
-``reference``, and says so once. ``chosen("auto")`` is ``gpu`` where a graphics processor is there.
+``oracle``, and says so once. ``chosen("auto")`` is ``gpu`` where a graphics processor is there.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = [
 _log = logging.getLogger(__name__)
 
 
-def _reference() -> Rasteriser:
+def _oracle() -> Rasteriser:
     from cags_common.raster.oracle import OracleRasteriser
 
     return OracleRasteriser()
@@ -51,7 +51,7 @@ def _cpu() -> Rasteriser:
 
 
 FACTORIES: Registry[Callable[[], Rasteriser]] = Registry(
-    "rasteriser", "cags.rasterisers", {"reference": _reference, "cpu": _cpu}, extra="gpu"
+    "rasteriser", "cags.rasterisers", {"oracle": _oracle, "cpu": _cpu}, extra="gpu"
 )
 """Backends by name: ``gpu`` comes from :mod:`cags_gpu`.
 
@@ -90,7 +90,7 @@ def _automatic() -> Rasteriser:
     if cags_kernels.native_available():
         return _cpu()
     _warn_once(cags_kernels.why_unavailable())
-    return _reference()
+    return _oracle()
 
 
 @cache

@@ -1,7 +1,7 @@
 """The rasteriser seam.
 
 A :class:`Rasteriser` loads splats into a :class:`RasterScene` that lives on the renderer's side between frames; the
-scene is updated in part and rendered from any camera. Implementations: ``reference`` (float64, readable, the definition
+scene is updated in part and rendered from any camera. Implementations: ``oracle`` (float64, readable, the definition
 of right), ``cpu`` (``cags-kernels``), ``gpu`` (WGSL shaders, :mod:`cags_gpu`).
 """
 

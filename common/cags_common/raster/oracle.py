@@ -1,4 +1,4 @@
-"""The ``reference`` backend: float64, readable, the definition of right.
+"""The ``oracle`` backend: float64, readable, the definition of right.
 
 EWA splatting (Zwicker et al. 2001) as in 3D Gaussian Splatting (Kerbl et al. 2023): every splat is composited over
 every pixel that it reaches, front to back, to the last. The cut-offs are the named constants of :mod:`.definition`; the
@@ -44,9 +44,9 @@ class Footstep:
 
 
 class OracleRasteriser:
-    """The backend called ``reference``."""
+    """The backend called ``oracle``."""
 
-    name = "reference"
+    name = "oracle"
 
     def load(self, splats: Splats) -> RasterScene:
         """Take a copy of ``splats``. Raises :class:`cags_common.errors.SceneError` for values that cannot be drawn."""

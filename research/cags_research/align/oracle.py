@@ -29,7 +29,7 @@ Mask = NDArray[np.bool_]
 class OracleAligner:
     """Float64, one idea a line, slow."""
 
-    name = "reference"
+    name = "oracle"
 
     def __init__(self, settings: AlignSettings | None = None) -> None:
         self._settings = settings or AlignSettings()

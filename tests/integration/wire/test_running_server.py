@@ -44,7 +44,7 @@ async def server():
     """Port of a running server of a small scene."""
     app = App(
         Collection.of(library()),
-        ServeSettings(bundle="unused", rasteriser="reference", reference_width=64, reference_height=48),
+        ServeSettings(bundle="unused", rasteriser="oracle", reference_width=64, reference_height=48),
     )
     async with listening(app.web_app()) as port:
         yield port

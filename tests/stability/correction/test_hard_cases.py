@@ -13,7 +13,7 @@ from support.corrections import F, assert_sound, camera, difference, empty_view,
 from support.hard_corrections import CLIENT, PLACES, TIES, USUAL_TIES, VIEWS, missing_square, server
 
 needs_kernels = pytest.mark.skipif(not cags_kernels.native_available(), reason=cags_kernels.why_unavailable())
-BACKENDS = [pytest.param("cpu", marks=needs_kernels), "reference"]
+BACKENDS = [pytest.param("cpu", marks=needs_kernels), "oracle"]
 
 
 @pytest.fixture(params=BACKENDS)
@@ -25,7 +25,7 @@ def corrector(request: pytest.FixtureRequest) -> Corrector:
 @pytest.mark.parametrize("name", VIEWS)
 def test_every_frame_is_sound_and_the_definitions(name: str, place: str) -> None:
     drawn, reference = VIEWS[name], difference(PLACES[place], contrast=0.6)
-    right = create("reference").correct(drawn, CLIENT, reference)
+    right = create("oracle").correct(drawn, CLIENT, reference)
     assert_sound(right.rgb, right.confidence)
     if not cags_kernels.native_available():
         return
@@ -83,7 +83,7 @@ def test_clients_of_any_size(size: tuple[int, int], holes: float) -> None:
     cam, reference = camera(size), difference(server())
     drawn = view(cam, holes=holes)
     veto = np.random.default_rng(0).random((-(-size[1] // 16), -(-size[0] // 16)), dtype=F)
-    right = create("reference").correct(drawn, cam, reference, veto=veto)
+    right = create("oracle").correct(drawn, cam, reference, veto=veto)
     assert_sound(right.rgb, right.confidence)
     if cags_kernels.native_available():
         ours = create("cpu", threads=3).correct(drawn, cam, reference, veto=veto)
@@ -95,7 +95,7 @@ def test_references_of_any_size(size: tuple[int, int]) -> None:
     drawn = view(CLIENT, holes=0.1)
     for reference in (difference(server(size)), picture(server(size))):
         own = np.full(reference.coded.shape, 0.3, F) if reference.picture else None
-        right = create("reference").correct(drawn, CLIENT, reference, own)
+        right = create("oracle").correct(drawn, CLIENT, reference, own)
         assert_sound(right.rgb, right.confidence)
         if cags_kernels.native_available():
             ours = create("cpu").correct(drawn, CLIENT, reference, own)
@@ -108,7 +108,7 @@ def test_a_large_client_of_another_field_of_view(fov_rad: float) -> None:
     """Large enough for the frame to be written past the caches."""
     cam = camera((803, 601), fov_rad=fov_rad)
     drawn, reference = view(cam, holes=0.05), difference(server((200, 150), at=(0.2, 0.0, 0.0)))
-    ours, right = (create(name).correct(drawn, cam, reference) for name in ("cpu", "reference"))
+    ours, right = (create(name).correct(drawn, cam, reference) for name in ("cpu", "oracle"))
     assert_sound(ours.rgb, ours.confidence)
     assert share_apart(ours.rgb, right.rgb) <= 1e-3
 

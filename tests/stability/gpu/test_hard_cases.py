@@ -24,7 +24,7 @@ def drawn(name: str) -> tuple[RenderedView, RasterScene]:
     """The case's reference view, and the scene on the device."""
     make, cam = CASES[name]
     splats = make()
-    return create("reference").load(splats).render(cam, RenderOptions(contribution=True)), rasteriser().load(splats)
+    return create("oracle").load(splats).render(cam, RenderOptions(contribution=True)), rasteriser().load(splats)
 
 
 @pytest.mark.parametrize("exactness", Exactness)

@@ -20,7 +20,7 @@ from support.codec_scenes import cloud, with_changes
 
 FOCUS = Focus((0.0, 0.0, 0.0), 1.5)
 UP = (0.0, 1.0, 0.0)
-needs_kernels = pytest.mark.skipif(create("auto").name == "reference", reason="dozens of renders need the kernels")
+needs_kernels = pytest.mark.skipif(create("auto").name == "oracle", reason="dozens of renders need the kernels")
 
 
 def half_hidden() -> Splats:

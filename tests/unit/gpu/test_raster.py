@@ -109,7 +109,7 @@ def test_two_frames_have_the_same_bytes() -> None:
 @pytest.mark.parametrize("footprint", [Footprint.classic(), Footprint(0.0, 0.3), Footprint(0.02, 1 / 12)])
 def test_depth_alpha_and_contribution_are_the_definitions(footprint: Footprint) -> None:
     splats, options = random_splats(3000, degree=2), replace(EXACT, footprint=footprint)
-    right = create("reference").load(splats).render(tilted_camera(), options)
+    right = create("oracle").load(splats).render(tilted_camera(), options)
     ours = rasteriser().load(splats).render(tilted_camera(), options)
     assert psnr_db(ours.rgb, right.rgb) > 120, "no pixel at a splat's rim falls on the other side of the cut"
     assert psnr_db(ours.alpha, right.alpha) > 120
@@ -129,7 +129,7 @@ def test_options_leave_out_what_they_say() -> None:
     assert plain.rgb.max() > 1
     shown = scene.render(camera(), replace(EXACT, displayed=True)).rgb
     assert shown.max() == 1
-    right = create("reference").load(splats).render(camera(), replace(EXACT, displayed=True)).rgb
+    right = create("oracle").load(splats).render(camera(), replace(EXACT, displayed=True)).rgb
     assert psnr_db(shown, right) > 100, "splats brighter than white are not cut off before they are blended"
     flat = rasteriser().load(replace(splats, sh_rest=np.zeros_like(splats.sh_rest))).render(camera(), EXACT)
     np.testing.assert_allclose(scene.render(camera(), replace(EXACT, max_sh_degree=0)).rgb, flat.rgb, atol=1e-6)
@@ -160,7 +160,7 @@ def test_entries_that_overflow_are_drawn_again_and_nothing_wrong_shows() -> None
     first = scene.render(wide, EXACT)
     assert workspace.counts["capacity"] > LEAST_CAPACITY
     assert_same(first, scene.render(wide, EXACT))
-    assert psnr_db(first.rgb, create("reference").load(splats).render(wide, EXACT).rgb) > 100
+    assert psnr_db(first.rgb, create("oracle").load(splats).render(wide, EXACT).rgb) > 100
     own.close()
 
 

@@ -149,7 +149,7 @@ def test_keys_follow_content_and_configuration(tmp_path):
     case = StreamCase("procedural:size=500,frames=2", "cags", "synthetic:still", 2, 64, 48, "generated:steady-5")
     key = case.key("cpu")
     assert key == replace(case).key("cpu")
-    assert key != case.key("reference")
+    assert key != case.key("oracle")
     assert key != replace(case, method="no-prpa").key("cpu")
     walk = tmp_path / "walk.csv"
     walk.write_text("one")

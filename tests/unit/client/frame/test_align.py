@@ -142,9 +142,7 @@ def test_what_the_reference_cannot_see_is_occluded_and_filled_from_behind(aligne
     assert (out.confidence[out.occluded] == 0).all()
     hidden = out.rgb[out.occluded]
     green = (hidden[:, 1] > 0.6).mean()
-    bare = create("reference", AlignSettings(erosion_iterations=0)).align(
-        reference, depth, Camera(LARGE, Pose.identity())
-    )
+    bare = create("oracle", AlignSettings(erosion_iterations=0)).align(reference, depth, Camera(LARGE, Pose.identity()))
     assert green > 0.6 > (bare.rgb[out.occluded][:, 1] > 0.6).mean()
 
 
@@ -273,7 +271,7 @@ def test_unaligned_ignores_the_pose_but_not_the_field_of_view() -> None:
         create("unaligned").align(picture(wide, p), flat(LARGE, 2.0), camera) for p in (Pose.identity(), turned(1))
     )
     np.testing.assert_array_equal(here.rgb, there.rgb)
-    straight = create("reference").align(picture(wide), flat(LARGE, 2.0), camera)
+    straight = create("oracle").align(picture(wide), flat(LARGE, 2.0), camera)
     np.testing.assert_allclose(here.rgb, straight.rgb, atol=1e-4)
 
 
@@ -288,7 +286,7 @@ def test_colours_are_made_at_once_where_they_are_asked_for_and_are_the_same_late
 
 
 def test_an_unknown_aligner_is_named() -> None:
-    with pytest.raises(ConfigError, match="'magic' is unknown; known: fast, reference"):
+    with pytest.raises(ConfigError, match="'magic' is unknown; known: fast, oracle"):
         create("magic")
 
 

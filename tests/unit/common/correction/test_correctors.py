@@ -17,7 +17,7 @@ from cags_common.geometry import Camera
 from support.corrections import F, assert_sound, camera, difference, flat_view, picture, share_apart, view
 
 needs_kernels = pytest.mark.skipif(not cags_kernels.native_available(), reason=cags_kernels.why_unavailable())
-BACKENDS = [pytest.param("cpu", marks=needs_kernels), "reference"]
+BACKENDS = [pytest.param("cpu", marks=needs_kernels), "oracle"]
 
 CLIENT = camera((208, 150))
 SERVER = camera((52, 38), fov_rad=1.3, at=(0.3, 0.05, -0.1), turned_rad=0.05)
@@ -55,7 +55,7 @@ def test_the_kernels_give_what_the_definition_gives(
     shape = {"none": None, "coarse": veto_shape(CLIENT), "fine": (150, 208)}[veto]
     vetoed = None if shape is None else np.random.default_rng(2).random(shape, dtype=F)
     drawn = view(CLIENT, holes=holes)
-    ours, right = (create(name).correct(drawn, CLIENT, reference, own, veto=vetoed) for name in ("cpu", "reference"))
+    ours, right = (create(name).correct(drawn, CLIENT, reference, own, veto=vetoed) for name in ("cpu", "oracle"))
     assert_sound(ours.rgb, ours.confidence)
     assert (right.confidence > 0).mean() > 0.5
     if holes < 1:
@@ -82,7 +82,7 @@ def test_settings_mean_the_same_to_both(settings: CorrectSettings) -> None:
     drawn = view(CLIENT, holes=0.2)
     drawn = replace(drawn, alpha=np.random.default_rng(1).random(drawn.alpha.shape, dtype=F))
     ours, right = (
-        create(name).correct(drawn, CLIENT, difference(SERVER), settings=settings) for name in ("cpu", "reference")
+        create(name).correct(drawn, CLIENT, difference(SERVER), settings=settings) for name in ("cpu", "oracle")
     )
     assert share_apart(ours.rgb, right.rgb) <= 1e-3
 
@@ -185,14 +185,14 @@ def test_frames_that_are_held_are_not_written_over() -> None:
 
 
 def test_backends_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigError, match="corrector 'magic' is unknown; known: auto, cpu, reference"):
+    with pytest.raises(ConfigError, match="corrector 'magic' is unknown; known: auto, cpu, oracle"):
         create("magic")
     monkeypatch.setattr(cags_kernels, "native_available", lambda: False)
     monkeypatch.setattr(cags_kernels, "why_unavailable", lambda: "no library")
     with pytest.raises(ConfigError, match="corrector 'cpu' cannot run: no library"):
         create("cpu")
     correction._warn_once.cache_clear()
-    assert create("auto").name == "reference"
+    assert create("auto").name == "oracle"
 
 
 @needs_kernels

@@ -95,7 +95,7 @@ def test_splats_that_stand_where_they_were_do_not_show_at_the_displays_size() ->
     small = [cv2.resize(image, (80, 60), interpolation=cv2.INTER_AREA) for image in (own, truth)]
     drawn = RenderedView(own.clip(0, 1), np.ones((240, 320), F), np.full((240, 320), 4.0, F), None)
     reference = Reference(small[1].clip(0, 1), VIEW, picture=True)
-    shown = create("reference").correct(drawn, view, reference, small[0].clip(0, 1)).rgb
+    shown = create("oracle").correct(drawn, view, reference, small[0].clip(0, 1)).rgb
     added = own + cv2.resize(small[1] - small[0], size, interpolation=cv2.INTER_LINEAR)
     inside = np.s_[16:-16, 16:-16]
     assert power((shown - truth.clip(0, 1))[inside]) < 0.7 * power((added - truth)[inside])
@@ -114,7 +114,7 @@ def test_a_layer_is_one_whatever_the_colours(seed: int, error: float, size: tupl
     assert shown.min() >= -1e-6 and shown.max() <= 1 + 1e-6
 
 
-@pytest.mark.parametrize("name", ["auto", "reference"])
+@pytest.mark.parametrize("name", ["auto", "oracle"])
 def test_correctors_trust_a_picture_no_further(name: str) -> None:
     own = np.full((60, 80, 3), 0.5, F)
     picture = own + noise(3, 60, 80, 3)

@@ -20,10 +20,10 @@ def test_unknown_names_are_refused_with_the_known_ones():
 
 
 def test_auto_is_the_native_backend_where_it_runs():
-    expected = "cpu" if cags_kernels.native_available() else "reference"
+    expected = "cpu" if cags_kernels.native_available() else "oracle"
     assert create("auto").name == expected
-    assert create("reference").name == "reference"
-    assert set(FACTORIES.names()) == {"reference", "cpu", "gpu"}
+    assert create("oracle").name == "oracle"
+    assert set(FACTORIES.names()) == {"oracle", "cpu", "gpu"}
 
 
 SCRIPT = """
@@ -45,7 +45,7 @@ def test_without_the_native_library_auto_falls_back_and_says_so_once(tmp_path):
     run = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
     lines = run.stdout.splitlines()
     assert lines[0].startswith("rendering on the readable reference code")
-    assert lines[1] == "False reference reference"
+    assert lines[1] == "False oracle oracle"
     assert "rasteriser 'cpu' cannot run" in lines[2]
     assert len(lines) == 3
 

@@ -38,7 +38,7 @@ def moved(splats: Splats, rows: np.ndarray, seed: int) -> Splats:
     return new
 
 
-@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@pytest.mark.parametrize("backend", ["cpu", "oracle"])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_move_is_an_update_of_the_same_splats_bit_by_bit(backend: str, threads: int) -> None:
     count = 3000 if backend == "cpu" else 60
@@ -63,7 +63,7 @@ def test_rows_in_any_order_and_twice_move_alike_and_no_rows_change_nothing() -> 
     np.testing.assert_array_equal(scene.render(CAMERA, RenderOptions()).rgb, other.render(CAMERA, RenderOptions()).rgb)
 
 
-@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@pytest.mark.parametrize("backend", ["cpu", "oracle"])
 def test_what_cannot_be_drawn_is_named_and_changes_nothing(backend: str) -> None:
     splats = random_splats(1, 50)
     scene = create(backend).load(splats)

@@ -12,7 +12,7 @@ from cags_common.raster.harmonics import harmonics
 from cags_common.splats import SH_C0, Splats
 from support.raster_scenes import camera, random_splats, splat, tilted_camera
 
-REFERENCE = create("reference")
+REFERENCE = create("oracle")
 F = np.float32
 
 
