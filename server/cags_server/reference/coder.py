@@ -283,10 +283,13 @@ class ReferenceCoder:
             self._recode(self._crf)
 
     def _recode(self, crf: float) -> None:
-        """Begin new videos, of another quality or rate."""
+        """Begin new videos, of another quality or rate.
+
+        Where quality falls, the kind in use takes too many bytes: the other one is tried at once.
+        """
+        self._trial = _Trial(first=1 if crf > self._crf else TRIAL_EVERY)
         self._crf = crf
         self._videos.clear()
-        self._trial = _Trial()
         self._mean_bytes, self._counted, self._begin_anew = 0.0, 0, True
 
     def _opened(self) -> H264Encoder:

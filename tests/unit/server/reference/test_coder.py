@@ -253,6 +253,22 @@ def test_a_client_that_loses_track_of_what_moves_gets_pictures_within_a_few_refe
     assert kinds[-1] is ReferenceKind.PICTURE
 
 
+def test_a_fall_of_quality_does_not_put_pictures_off() -> None:
+    """The client's splats begin to lag: differences take more bytes, quality falls, and the trial under way is void."""
+    one, truth = coder(replace(SMALL, reference_crf=28.0)), moving(40, sigma_px=1.5)
+    sizes = []
+    for number in range(16):
+        mirror = np.clip(truth[number] + np.float32(0.01), 0, 1)
+        sizes.append(len(one.code(truth[number], mirror, idr=not number, octaves=1.0).access_unit))
+    link_bps = 0.7 * np.mean(sizes[1:]) * 8e6 / PERIOD_US / SMALL.reference_share
+    kinds = []
+    for number in range(16, 24):
+        one.follow(link_bps, PERIOD_US)
+        kinds.append(one.code(truth[number], truth[number - 8], idr=False, octaves=1.0).kind)
+    assert kinds[0] is ReferenceKind.DIFFERENCE
+    assert kinds[-1] is ReferenceKind.PICTURE
+
+
 @pytest.mark.parametrize(
     ("octaves", "kind"), [(0.0, ReferenceKind.DIFFERENCE), (1.0, ReferenceKind.PICTURE)], ids=["coarse", "fine"]
 )
