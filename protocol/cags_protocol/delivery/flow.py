@@ -25,7 +25,7 @@ from cags_protocol.wire import limits
 from cags_protocol.wire.messages import SeqRange
 
 REORDER_PACKETS = 64
-"""A packet is lost when one sent this much later is acknowledged; over TCP that never happens."""
+"""A packet is lost when one sent so many later is acknowledged: it was damaged, and the client dropped it."""
 
 MIN_WINDOW_BYTES = 2 * limits.PACKET_BYTES
 """Least credit: one packet on the wire, one to follow it."""
