@@ -58,6 +58,9 @@ def _run_subcommand(module: ModuleType, name: str, argv: Sequence[str]) -> int:
     parser.add_argument("--json", action="store_true", help="print JSON lines: one a case, the last a summary")
     module.add_arguments(parser)
     arguments = parser.parse_args(argv)
+    from cags_bench.jsonl import provenance
+
+    provenance()  # now: figures are of the code that a long run began with
     lines: Iterator[dict[str, Any]] = module.run(arguments)
     if arguments.json:
         from cags_bench.jsonl import write_lines

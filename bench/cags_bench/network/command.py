@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield a line a case and the summary with its checks."""
-    from cags_bench.jsonl import provenance, summary
+    from cags_bench.jsonl import summary
     from cags_bench.network.checks import checks
 
     if arguments.plot is not None:
@@ -86,7 +86,6 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
         yield {"plot": str(plot_session(Path(arguments.plot)))}
         return
     settings = load_settings(NetworkSettings, arguments)
-    provenance()  # now: figures are of the code that a long run began with
     lines: list[dict[str, Any]] = []
     for line in _cases(settings):
         lines.append(line)

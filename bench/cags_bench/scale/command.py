@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.jsonl import check, provenance, summary
+from cags_bench.jsonl import check, summary
 from cags_bench.scale.cluster import Cluster, Load
 from cags_bench.scale.settings import ScaleSettings
 from cags_common.settings import add_settings, load_settings
@@ -32,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """See :mod:`cags_bench.cli`."""
     settings = load_settings(ScaleSettings, arguments)
-    provenance()  # now: figures are of the code that a long run began with
     checks: list[dict[str, Any]] = []
     job_ms = settings.job_ms
     if job_ms is None:
