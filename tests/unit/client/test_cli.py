@@ -26,7 +26,7 @@ NOWHERE = ["--url", "ws://127.0.0.1:1/stream", "--reconnect-s", "0"]
     ("flag", "value", "words"),
     [
         ("--raster", "ray", "rasteriser 'ray' is unknown; known: auto"),
-        ("--align", "left", "aligner 'left' is unknown; known: fast, reference"),
+        ("--align", "left", "aligner 'left' is unknown; known: fast, oracle"),
         ("--restore", "magic", "restorer 'magic' is unknown; known: correct, none"),
         ("--restore", "magic@torch", "restorer 'magic@torch' is unknown"),
         ("--poses", "synthetic:flying", "synthetic walk 'flying' is unknown; known:"),
