@@ -1,12 +1,13 @@
-"""Whose reference is rendered, and how carefully, when there are more to render than the renderer can.
+"""Admission to the renderer: which clients' references are rendered when there are more than it can render.
 
-A reference that waits for too long comes too late to be of use, and costs as much. So only as many are out as will be
-done in the time that the next one can wait; a client that finds no place serves its frame by what it saw last. Places
-go by *served time*: each reference adds to its client's account, less where the client lacks much, and whoever is a
-turn ahead of one that was turned away waits. No place stays empty for somebody who is not there to take it.
+A reference that waits too long arrives too late to be used, and costs as much as one in time. Therefore only as many
+are admitted as the workers finish within the time that the next one can wait. A client without a place plans its frame
+by the tiles that it last saw. Places go by *served time*: each reference adds to its client's account, less where the
+client lacks much. While a client that was turned away is waiting, clients a turn ahead of it are turned away too. Near
+full load this leaves workers idle for up to a fifth of the time.
 
-Where the renderer is busy all the time, references are coded *lightly* (:mod:`.coder`), for all clients alike, until
-what careful ones take would fit again.
+When the renderer is busy all the time, references of all clients are coded *lightly* (:mod:`.coder`) until the time
+that careful ones take would fit again.
 """
 
 from __future__ import annotations
@@ -16,28 +17,28 @@ import math
 from cags_server.reference.coder import INVISIBLE
 
 LEAST_PLACES = 2
-"""Of each worker, however long references take: one that is being rendered and one to follow it."""
+"""Fewest places per worker, however long references take: one being rendered and one queued behind it."""
 
 PATIENCE_US = 500_000
-"""A client that was turned away and has not come back for so long is not waited for."""
+"""A client that was turned away and has not asked again for so long no longer holds others back."""
 
 LEAST_DB, MOST_DB = 3.0, 12.0
-"""What a client lacks counts in decibels above what nobody sees, but at least and at most so much."""
+"""Bounds of what a client lacks, in decibels above the invisible."""
 
 TURNS_AHEAD = 2
-"""By so many turns a client may be ahead of one that waits where a worker has nothing to do; else by one."""
+"""Lead in turns over a waiting client at which a client is turned away while a worker is idle; otherwise it is one."""
 
 LOOK = 1 / 6
-"""What a drawing counts that only tells what is seen: a quarter of the pixels, no mirror and no coding."""
+"""Cost of a render for visibility alone, in references: a quarter of the pixels, no mirror and no coding."""
 
 BUSY, ROOMY = 0.9, 0.7
-"""Share of the workers' time in use from which on references are light, and up to which careful ones would fit."""
+"""Shares of the workers' time: above the first, references become light; below the second, careful ones would fit."""
 
 SMOOTHING_US, SMOOTHING = 2e6, 0.1
-"""Time over which the busy share is looked at; weight of the newest reference in what one takes."""
+"""Time constant of the busy share, and weight of the newest reference in the mean time per reference."""
 
 LEAST_STAY_US = 5_000_000
-"""A change of care begins every client's video anew, so there is no to and fro."""
+"""Shortest time between light and careful coding: each change restarts every client's video."""
 
 
 class RenderSlots:
