@@ -146,8 +146,11 @@ def _first_pictures(settings: NetworkSettings) -> Iterator[dict[str, Any]]:
     from cags_bench.bundles import cached_bundle
     from cags_bench.network.content import first_picture_lines, scenario
     from cags_bench.network.sending import SLOW
+    from cags_common.lpips import Lpips
     from cags_encoder import EncodeSettings
 
+    if settings.lpips:
+        Lpips(settings.lpips)  # a file that cannot be read is reported before minutes of encoding
     bundle = cached_bundle(settings.first_scene, settings.cache, EncodeSettings())
     yield from first_picture_lines(scenario(bundle, settings), SLOW)
 

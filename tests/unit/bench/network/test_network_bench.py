@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from cags_bench.cli import main
 from cags_bench.network import clients
 from cags_bench.network.checks import checks
 from cags_bench.network.clients import margins_us, missed
@@ -225,3 +226,10 @@ async def test_what_a_headless_client_is_sent_counts_when_its_link_delivers_it(m
         (size, at_us), received[:] = received[0], []
         assert size == 25_000
         assert there_us <= at_us <= 1.06 * there_us
+
+
+def test_weights_that_cannot_be_read_are_reported_before_anything_is_encoded(tmp_path, capsys):
+    words = ["network", "--parts", "first", "--lpips", str(tmp_path / "none.npz"), "--cache", str(tmp_path / "cache")]
+    assert main(words) == 2
+    assert "none.npz" in capsys.readouterr().err
+    assert not (tmp_path / "cache").exists()
