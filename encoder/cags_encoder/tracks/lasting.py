@@ -1,11 +1,11 @@
-"""Looks that last: what to code of an attribute that changes, for it to stay within a tolerance as long as it can.
+"""Values for attributes that change, chosen to stay within a tolerance for as long as possible.
 
-A decoder holds what it was told until it is told anew. Told a splat's colour of this moment it is right now and ever
-more wrong; told the middle of what the colour will be, it is within the same tolerance for twice as long, and with the
-same error in the mean. Noise of the source, which stays around one value, is then told once.
+A decoder keeps a value until it receives another one. The value of the current frame is exact now and gets worse with
+every frame. The mean of the coming values stays within the same tolerance for twice as long, with the same mean error.
+Noise of the source, which varies around one value, is then coded once.
 
-Updates cost their number, ``speed / tolerance``, and errors grow with the square of the tolerance: the sum of both is
-least where tolerances grow with the cube root of the speed.
+The number of updates is ``speed / tolerance``, and the squared error grows with the square of the tolerance. Their sum
+is smallest where tolerances grow with the cube root of the speed.
 """
 
 from __future__ import annotations
@@ -36,14 +36,15 @@ square over all directions.
 
 
 FASTER = 4.0
-"""Splats that change fast may be more wrong: so many times as much at most."""
+"""Largest factor by which the tolerance of a splat grows with the speed of its change."""
 
 
 def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float) -> Told:
-    """What to code of ``splats`` [n], which are ``ids`` [n] now: scales, colours and harmonics that stay for the
-    longest time within a tolerance of what they are now and in the frames ``later``, in the mean of that time.
+    """Values to code for ``splats`` [n] with ``ids`` [n]: scales, colours and harmonics.
 
-    Tolerances are a visible effect of ``most`` for what changes by no more than twice that in those frames.
+    Each value is the mean over the longest run of this frame and the frames ``later`` in which it stays within its
+    tolerance. The tolerance is a visible effect of ``most``, and more for an attribute that changes by more than twice
+    that in those frames.
     """
     changes = _changes(ids, later)
     weight = drawn(splats.logit_opacities)
