@@ -92,6 +92,10 @@ class Runner:
         """Whether the result of ``case`` is there."""
         return self.results.holds(case.key(self.device))
 
+    def cpu_s(self, case: StreamCase) -> float:
+        """Processor seconds that the kept result of ``case`` took."""
+        return self.results.cpu_s(case.key(self.device))
+
     def run(self, case: StreamCase) -> JsonObject:
         """Summary, per-frame series and a picture of one case."""
         return self.results.get(case.key(self.device), lambda: self.compute(case))

@@ -94,6 +94,25 @@ OURS_AND_RIVALS: dict[str, Method] = {
         server=PUBLISHED.server,
         client={**PUBLISHED.client, "align": "unaligned"},
     ),
+    "paper-no-restoration": Method(
+        "as published, w/o restoration",
+        "the published way, which shows the distorted picture",
+        encode=PUBLISHED.encode,
+        server=PUBLISHED.server,
+        client={"restore": "none"},
+    ),
+    "paper-no-adaptive-fov": Method(
+        "as published, w/o adaptive FoV",
+        "the published way; the reference's field of view is always 10 % wider",
+        encode=PUBLISHED.encode,
+        server={**PUBLISHED.server, "fov": "fixed", "fov_margin": 0.1},
+        client=PUBLISHED.client,
+    ),
+    "printed-order": Method(
+        "printed order of layers",
+        "ours, with layers in the order that the paper prints and not in that which a scene's measurement gives",
+        encode={"lod_order": "paper"},
+    ),
     "no-adaptive-fov": Method(
         "w/o adaptive FoV",
         "the reference's field of view is always 10 % wider",
@@ -116,4 +135,11 @@ class Methods(dict[str, Method]):
 METHODS = Methods(OURS_AND_RIVALS)
 
 BASELINES = ("lts-f", "lts-f-even", "v3-a", "sr-align-ref", "cr-no-ref", "reference-only", "reference-only-small")
-ABLATIONS = ("pictures", "no-adaptive-fov", "no-prpa")
+ABLATIONS = (
+    "pictures",
+    "no-adaptive-fov",
+    "printed-order",
+    "no-prpa",
+    "paper-no-restoration",
+    "paper-no-adaptive-fov",
+)

@@ -27,7 +27,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         Experiment(
             "ablations",
             "figure",
-            "Pictures alone, without the adaptive field of view, without alignment",
+            "What each part brings",
             streaming.ablations,
             cases=streaming.ablation_cases,
         ),
