@@ -159,6 +159,8 @@ FOUND: dict[str, Callable[[], None]] = {
     "published references are differences": published_with("server", references="auto"),
     "the published server is given more": published_with("server", tiles_ahead=5),
     "V3-A is LTS-F by another name": labelled(**{"v3-a": METHODS["lts-f"]}),
+    "ours gets the faster link": labelled(cags=replace(METHODS["cags"], predicted=True)),
+    "V3-A with prediction is V3-A": labelled(**{"v3-a-predicted": METHODS["v3-a"]}),
     "LTS-F, a level a frame, is LTS-F": labelled(**{"lts-f-even": METHODS["lts-f"]}),
     "remote rendering is planned as far ahead as ours": labelled(
         **{

@@ -71,6 +71,7 @@ def leads(figures: Path) -> str:
         if line["baseline"] in titles:
             cell = f"{line['lead']:+.1f} ({line['95 % from']:.1f} to {line['to']:.1f})"
             found.setdefault((line["scene"], line["link"]), {})[line["baseline"]] = cell
+    titles = {title: name for title, name in titles.items() if any(title in cells for cells in found.values())}
     rows = [(*at, *(cells.get(title, "-") for title in titles)) for at, cells in found.items()]
     return _where(lines) + _table(("scene", "link", *titles), rows)
 
@@ -95,7 +96,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return "".join("| " + " | ".join(str(cell).replace("|", "/") for cell in line) + " |\n" for line in lines)
 
 
-BESIDE = ("cags-paper", "lts-f", "v3-a", "reference-only")
+BESIDE = ("cags-paper", "lts-f", "v3-a", "v3-a-predicted", "reference-only")
 """Baselines of :func:`leads`; the page of figures has all."""
 
 TABLES: dict[str, Callable[[Path], str]] = {"claims": claims, "means": means, "leads": leads}

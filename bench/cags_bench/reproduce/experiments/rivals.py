@@ -20,7 +20,7 @@ PUBLISHED_AHEAD_OF, PUBLISHED_MBPS = "lts-f", 30.0
 """What the published way must be ahead of, and where."""
 
 LARGE_GAIN_DB = 5.0
-LARGE_GAIN_RIVALS = ("lts-f", "v3-a")
+LARGE_GAIN_RIVALS = ("lts-f", "v3-a", "v3-a-predicted")
 LARGE_GAIN_MBPS = (30.0, 60.0)
 """The paper's claim: five decibels or more over these baselines at these rates."""
 
