@@ -23,6 +23,9 @@ from cags_encoder import EncodeSettings, content_key
 from cags_encoder.scenes import open_scene
 from cags_server.settings import ServerSettings
 
+WORDS = ("title", "note")
+"""Parts of a method that are words: no result depends on them."""
+
 SERIES = (
     "frame",
     "psnr_restored_db",
@@ -65,7 +68,7 @@ class StreamCase:
             "case": asdict(self)
             | {"scene": _content_key(self.scene, self.encoding)}
             | {name: content_of(getattr(self, name)) for name in ("poses", "trace", "lpips")},
-            "method": asdict(METHODS[self.method]),
+            "method": {name: value for name, value in asdict(METHODS[self.method]).items() if name not in WORDS},
             "added": added.digest(self.method),
             "device": device,
         }

@@ -21,7 +21,7 @@ class ReproduceSettings:
     trace: str = setting("generated:5g-mmwave", "fluctuating network trace")
     methods: str = setting("", "methods compared, separated by spaces, by name; empty: all. Ours is always there")
     links: str = setting("", "links compared over: the paper's Mbps and 'trace', by spaces; empty: the size's")
-    kept: bool = setting(False, "table rivals: compute no session, use those that earlier runs have finished")
+    kept: bool = setting(False, "tables sessions and rivals: compute no session, use those that earlier runs finished")
     frames: int = setting(0, "frames a session; 0: 300, or 45 when quick", low=0, high=100_000)
     width: int = setting(0, "client width in pixels; 0: 1600, or 640 when quick", low=0, high=8192)
     height: int = setting(0, "client height in pixels; 0: 1200, or 480 when quick", low=0, high=8192)

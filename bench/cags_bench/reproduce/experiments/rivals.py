@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cags_bench.confidence import Interval, paired, pooled
 from cags_bench.jsonl import JsonObject, check
-from cags_bench.reproduce.cases import StreamCase
+from cags_bench.reproduce.experiments.sessions import session_cases
 from cags_bench.reproduce.experiments.streaming import PSNR, link_title
 from cags_bench.reproduce.methods import BASELINES, METHODS
 from cags_bench.reproduce.plan import Context
@@ -97,12 +97,6 @@ class Duel:
         )
 
 
-def rival_cases(context: Context) -> list[StreamCase]:
-    """Every link, method and scene, link by link."""
-    p = context.plan
-    return [context.case(s, m, mbps) for mbps in p.links for s in p.scenes for m in p.methods]
-
-
 def rivals(context: Context) -> Section:
     """Every duel, the checks of the claims, and a reason for each that does not hold."""
     duels = _duels(context)
@@ -182,7 +176,7 @@ def _duel(context: Context, scene: str, mbps: float | None, method: str, rival: 
 
 def _spent(context: Context) -> str:
     """What was played of all that could have been, and what it took."""
-    plan, cases = context.plan, rival_cases(context)
+    plan, cases = context.plan, session_cases(context)
     played = [case for case in cases if context.there(case)]
     hours = sum(context.runner.cpu_s(case) for case in played) / 3600
     return (

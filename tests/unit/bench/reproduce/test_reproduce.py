@@ -50,12 +50,12 @@ def test_an_interrupted_result_is_not_kept(tmp_path):
     ("settings", "message"),
     [
         (ReproduceSettings(), "nothing is asked for"),
-        (ReproduceSettings(table="fixed"), r"table = 'fixed' is unknown; known: svq, rivals"),
+        (ReproduceSettings(table="fixed"), r"table = 'fixed' is unknown; known: svq, rivals, sessions"),
         (ReproduceSettings(figure="none"), "figure = 'none' is unknown; known: motivation"),
         (ReproduceSettings(table="rivals", methods="cags lts"), "methods: 'lts' is unknown; known: cags"),
         (ReproduceSettings(table="rivals", links="30 fast"), "must be numbers"),
         (ReproduceSettings(table="rivals", links="30 -1"), "must be above 0"),
-        (ReproduceSettings(figure="fixed", kept=True), "kept = true is for --table rivals"),
+        (ReproduceSettings(figure="fixed", kept=True), "kept = true is for --table sessions or rivals"),
     ],
 )
 def test_unknown_names_are_refused(settings, message):
@@ -154,6 +154,11 @@ def test_keys_follow_content_and_configuration(tmp_path):
     assert key == replace(case).key("cpu")
     assert key != case.key("oracle")
     assert key != replace(case, method="no-prpa").key("cpu")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(METHODS, "cags", replace(METHODS["cags"], note="in other words"))
+        assert key == case.key("cpu"), "a session is not played again for a word"
+        patch.setitem(METHODS, "cags", replace(METHODS["cags"], predicted=True))
+        assert key != case.key("cpu")
     walk = tmp_path / "walk.csv"
     walk.write_text("one")
     before = replace(case, poses=str(walk)).key("cpu")
@@ -206,7 +211,7 @@ def strict(name: str, plan: Plan, left_out: tuple[str, ...] = ()) -> Context:
 
 def test_streamed_experiments_ask_only_for_what_was_run_ahead():
     plan = replace(PLAN, scenes=("procedural:size=500,frames=2",))
-    for name in ("fixed", "fluctuating", "rivals", "ablations", "generality", "precision"):
+    for name in ("fixed", "fluctuating", "rivals", "sessions", "ablations", "generality", "precision"):
         assert EXPERIMENTS[name].run(strict(name, plan)).rows
 
 
@@ -227,6 +232,9 @@ def test_a_part_of_a_run_is_shown_as_far_as_it_goes():
     assert [row[3] for row in section.rows] == ["LTS-F"]
     assert "2 of 3 sessions of 8 frames at 64x48 were played; they took 1.00 processor hours" in section.notes[1]
     assert EXPERIMENTS["rivals"].run(strict("rivals", plan, left_out=plan.methods)).rows == []
+    alone = EXPERIMENTS["sessions"].run(strict("sessions", plan, left_out=("v3-a", "lts-f")))
+    assert [(row[2], row[4], row[-1]) for row in alone.rows] == [("CAGS (ours)", "64x48", 1800.0)]
+    assert "1 of 3 sessions" in alone.notes[0]
 
 
 def test_a_part_stands_with_its_sign_and_interval_by_scene_and_over_all():
