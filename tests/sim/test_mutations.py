@@ -229,7 +229,11 @@ def test_nothing_is_red_without_a_change() -> None:
 
 def test_twenty_changes_are_tried_and_listed() -> None:
     listed_on = (ROOT / "docs/lab/evaluation.md").read_text(encoding="utf-8").partition("## Checks, broken by hand")[2]
-    cells = [row.split(" | ")[1].rstrip(" |") for row in listed_on.partition("\n## ")[0].splitlines() if "; " in row]
+    cells = [
+        row.split(" | ")[1].rstrip(" |")
+        for row in listed_on.partition("\n## ")[0].splitlines()
+        if row.startswith("| ") and "; " in row
+    ]
     on_page = [change for cell in cells for change in cell.split("; ")]
     assert sorted(on_page) == sorted([*PLAYED, *FOUND])
     assert len(on_page) >= 20
