@@ -96,8 +96,25 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return "".join("| " + " | ".join(str(cell).replace("|", "/") for cell in line) + " |\n" for line in lines)
 
 
+def full(figures: Path) -> str:
+    """Sessions of the full size that were played so far; they lie in a folder of their own."""
+    lines = _lines(figures / "full" / "sessions.jsonl")
+    head = ("scene", "link", "method", "frames", "PSNR, dB (95 %)", "5th percentile", "SSIM", "processor s")
+    rows = [
+        (
+            *(line[name] for name in ("scene", "link", "method", "frames")),
+            f"{line['PSNR [dB]']:.1f} ({line['95 % from']:.1f} to {line['to']:.1f})",
+            f"{line['PSNR, 5th percentile']:.1f}",
+            f"{line['SSIM']:.4f}",
+            f"{line['processor [s]']:.0f}",
+        )
+        for line in lines
+    ]
+    return _where(lines) + _table(head, rows)
+
+
 BESIDE = ("cags-paper", "lts-f", "v3-a", "v3-a-predicted", "reference-only")
 """Baselines of :func:`leads`; the page of figures has all."""
 
-TABLES: dict[str, Callable[[Path], str]] = {"claims": claims, "means": means, "leads": leads}
+TABLES: dict[str, Callable[[Path], str]] = {"claims": claims, "means": means, "leads": leads, "full": full}
 """What can stand on a page."""

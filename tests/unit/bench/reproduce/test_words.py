@@ -54,6 +54,15 @@ def test_a_lead_stands_with_its_interval_beside_its_scene_and_link(tmp_path) -> 
     assert "| room | 30 Mbps | +6.0 (5.0 to 7.1) |" in text
 
 
+def test_sessions_of_the_full_size_stand_with_what_they_took(tmp_path) -> None:
+    (tmp_path / "full").mkdir()
+    figures = {"PSNR [dB]": 54.98, "95 % from": 54.7, "to": 55.2, "PSNR, 5th percentile": 54.0, "SSIM": 0.99919}
+    words = {"scene": "head", "link": "30 Mbps", "method": "LTS-F", "frames": 300, "processor [s]": 137.3}
+    lines(tmp_path / "full" / "sessions.jsonl", {**words, **figures})
+    text = renewed("<!-- made: full -->\n<!-- end -->", tmp_path)
+    assert "| head | 30 Mbps | LTS-F | 300 | 55.0 (54.7 to 55.2) | 54.0 | 0.9992 | 137 |" in text
+
+
 @pytest.mark.parametrize(("table", "message"), [("nothing", "is no table"), ("means", "run cags-bench")])
 def test_what_cannot_be_made_is_refused(tmp_path, table, message) -> None:
     with pytest.raises(ConfigError, match=message):
