@@ -14,7 +14,7 @@ from cags_bench.reproduce.marking import marked
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
 from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Context, Plan
-from cags_bench.reproduce.prepare import prepare
+from cags_bench.reproduce.prepare import _quick, prepare
 from cags_bench.reproduce.run import reproduce
 from cags_bench.reproduce.section import Curve, Plot, Section
 from cags_bench.reproduce.settings import ReproduceSettings
@@ -213,6 +213,12 @@ def test_streamed_experiments_ask_only_for_what_was_run_ahead():
     plan = replace(PLAN, scenes=("procedural:size=500,frames=2",))
     for name in ("fixed", "fluctuating", "rivals", "sessions", "ablations", "generality", "precision"):
         assert EXPERIMENTS[name].run(strict(name, plan)).rows
+
+
+def test_what_takes_longest_comes_first():
+    case = StreamCase("procedural:size=500,frames=2", "cags", "synthetic:still", 2, 64, 48, "generated:steady-5")
+    cases = [replace(case, method=method) for method in ("cags", "lts-f", "cags-paper", "v3-a")]
+    assert [one.method for one in sorted(cases, key=_quick)] == ["v3-a", "cags-paper", "cags", "lts-f"]
 
 
 def test_methods_and_links_are_chosen_and_ours_is_always_there():
