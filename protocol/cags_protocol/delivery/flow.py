@@ -133,7 +133,10 @@ class FlowControl:
         """The longest queue that connections of this kind usually make, and what the least credit may add to it."""
         if self.rate_bps < SLOW_BPS:
             return inf, 0.0
-        return OWN_QUEUES * self._window_us + self.round_trips.jitter_as_read_us, self._min_window_bytes * 8e6 / self.rate_bps
+        return (
+            OWN_QUEUES * self._window_us + self.round_trips.jitter_as_read_us,
+            self._min_window_bytes * 8e6 / self.rate_bps,
+        )
 
     def _bytes_in(self, time_us: float) -> int:
         return max(self._min_window_bytes, int(self.rate_bps * time_us / 8e6))
