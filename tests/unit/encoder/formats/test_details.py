@@ -58,8 +58,8 @@ def test_ply_of_text_with_another_element_after_it() -> None:
     ("rows", "word"),
     [
         (TEXT_ROWS[:1], "cut short"),
-        ([TEXT_ROWS[0], TEXT_ROWS[1] + " 9"], "is not rows of numbers"),
-        ([TEXT_ROWS[0], TEXT_ROWS[1].replace("5", "five", 1)], "is not rows of numbers"),
+        ([TEXT_ROWS[0], TEXT_ROWS[1] + " 9"], "does not consist of rows of numbers"),
+        ([TEXT_ROWS[0], TEXT_ROWS[1].replace("5", "five", 1)], "does not consist of rows of numbers"),
         ([TEXT_ROWS[0], TEXT_ROWS[1].replace("4e0", "nan")], r"means\[1\]"),
         ([], "cut short"),
         (["1 2", "3 4", "5 6", *["# " + 30 * "-"] * 2], "not 2 rows of 14 numbers"),

@@ -73,5 +73,5 @@ def test_an_archive_over_time(tmp_path: Path) -> None:
 
 def test_a_file_of_nothing_else_is_refused() -> None:
     nothing = with_changes(cloud(5), means=np.full((5, 3), np.nan))
-    with pytest.raises(SceneError, match="none of its 5 splats can be drawn"):
+    with pytest.raises(SceneError, match="all of its 5 splats have invalid values"):
         DropBroken()(nothing, "x")
