@@ -43,9 +43,7 @@ class NetworkSettings:
         low=0,
         high=100_000_000,
     )
-    first_scene: str = setting(
-        "procedural:size=160000,frames=6", "scene of the first part, which measures the time to the first picture"
-    )
+    first_scene: str = setting("procedural:size=160000,frames=6", "scene of the first part (time to the first picture)")
     lpips: str = setting("", "weights of LPIPS (.npz) to score the first picture; empty: no LPIPS")
     workers: int = setting(0, "processes of the content and cross parts; 0: one per core", low=0, high=256)
     frames: int = setting(210, "media frames to play", low=2, high=1_000_000)
