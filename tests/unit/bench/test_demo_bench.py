@@ -90,7 +90,7 @@ def _ticks(pid: int) -> int:
 
 
 def test_more_cores_than_there_are_cannot_be_loaded() -> None:
-    with pytest.raises(ConfigError, match=r"busy_cores = 256: this process may use \d+; ask for fewer"):
+    with pytest.raises(ConfigError, match=r"busy_cores = 256: this process may use \d+; give fewer"):
         next(demo_lines(DemoBenchSettings(busy_cores=256)))
 
 

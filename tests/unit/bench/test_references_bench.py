@@ -163,7 +163,7 @@ def test_an_earlier_installation_that_fails_is_quoted(tmp_path: Path) -> None:
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho it is broken >&2\nexit 3\n")
     broken.chmod(broken.stat().st_mode | stat.S_IXUSR)
-    with pytest.raises(ConfigError, match="it says: it is broken"):
+    with pytest.raises(ConfigError, match="its message: it is broken"):
         played_before(str(broken), case)
 
 

@@ -94,7 +94,7 @@ def test_a_port_where_a_command_of_ours_answers_is_well(path: str, body: bytes) 
         threading.Thread(target=running.serve_forever, daemon=True).start()
         found = machine.free_port(running.server_port, "cags-server")
         running.shutdown()
-    assert (found.verdict, found.found) == (Verdict.OK, "cags-stream runs there (default of cags-server)")
+    assert (found.verdict, found.found) == (Verdict.OK, "used by cags-stream (default of cags-server)")
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_a_published_folder_is_compared_with_its_top_level(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"frames": FRAMES + 1}, f"frames = {FRAMES + 1}: .* has {FRAMES}; ask for fewer"),
+        ({"frames": FRAMES + 1}, f"frames = {FRAMES + 1}: .* has {FRAMES}; give fewer"),
         ({"quantiser": "paper-66"}, "quantiser = 'paper-66': .* is encoded; leave it out"),
     ],
 )
@@ -213,7 +213,7 @@ def test_people_are_told_which_extra_gives_a_missing_figure(
 
 def test_the_command_names_what_is_unknown(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stream", "--compare", "speed=1,2"]) == 2
-    assert capsys.readouterr().err.startswith("cags-bench: compare: 'speed' is no setting of a play; known: abr,")
+    assert capsys.readouterr().err.startswith("cags-bench: compare: 'speed' is not a setting of a play; known: abr,")
 
 
 # ----------------------------------------------------------------------------------------------- what is written

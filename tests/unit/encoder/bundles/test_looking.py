@@ -84,7 +84,7 @@ def test_a_plot_is_drawn(bundle: Path, name: str, tmp_path: Path, capsys: pytest
 
 
 def test_a_whole_bundle_verifies(bundle: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "whole: 3 frames" in said(capsys, "--verify", str(bundle))
+    assert "intact: 3 frames" in said(capsys, "--verify", str(bundle))
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_export_for_an_independent_reader(bundle: Path, tmp_path: Path, capsys: 
         (["--export", "B", "0:99", "o.ply"], 1, "LoD 99 is outside"),
         (["--export", "B", "0", "o.glb"], 1, "'.glb' is unknown"),
         (["--verify", "nowhere"], 1, "no such folder"),
-        (["--inspect", "B", "scene.ply"], 2, "takes no scene"),
+        (["--inspect", "B", "scene.ply"], 2, "takes no SCENE"),
         (["--plot", "x.png", "a", "b"], 2, "--inspect BUNDLE"),
         (["only-a-scene"], 2, "SCENE and OUT are needed"),
     ],
