@@ -1,4 +1,4 @@
-"""The author's view: put into a bundle when it is encoded, or later."""
+"""The author's view, stored in a bundle during or after encoding."""
 
 from __future__ import annotations
 

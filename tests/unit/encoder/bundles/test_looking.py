@@ -1,4 +1,4 @@
-"""--inspect, --verify and --export, as the command gives them."""
+"""The output of --inspect, --verify and --export."""
 
 import json
 import shutil
@@ -53,7 +53,7 @@ def test_inspect_says_what_is_there(bundle: Path, capsys: pytest.CaptureFixture[
     assert "tracks: 600, seen in 3.0 frames on average; 100.0% of a frame's splats continue" in text
     assert "lives in frames: 2+: 600" in text
     shift = found["tracks"]["changed"]["position"]
-    assert 0.04 < shift <= 1 / 12  # a sixth moves in one of two frames, some of it too faint to be seen
+    assert 0.04 < shift <= 1 / 12  # a sixth moves in one of two frames; part of it is too faint to be visible
     assert f"position {shift:.1%}, rotation 0.0%, scale 0.0%" in text
 
 
@@ -109,7 +109,7 @@ def test_a_flipped_bit_is_found_and_its_place_named(
     (broken / file).write_bytes(data)
     assert main(["--verify", str(broken)]) == 1
     error = capsys.readouterr().err
-    lines = [line for line in error.splitlines() if line.strip()]  # the progress bar leaves an empty one
+    lines = [line for line in error.splitlines() if line.strip()]  # the progress bar prints an empty line
     assert len(lines) == 1 and named in lines[0] and str(broken) in lines[0]
 
 

@@ -1,4 +1,4 @@
-"""Tasks in order, few ahead, wherever they run; a dead worker is one line."""
+"""Tasks run in order with few ahead, on any workers; a dead worker gives a one-line error."""
 
 import os
 import pickle

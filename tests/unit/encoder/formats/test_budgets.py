@@ -1,4 +1,4 @@
-"""Files that claim much: what reading them takes is measured, in a process of its own, and stays within a budget."""
+"""Files with large claims: the memory to read them, measured in a separate process, stays within a budget."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
 
 
 def peak_mb(path: Path) -> tuple[str, float]:
-    """What opening a scene says, and the memory that it takes at most."""
+    """Result of opening a scene, and the peak memory."""
     command = [sys.executable, "-c", MEASURE, str(path)]
     lines = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout.splitlines()
     return " ".join(lines[:-1]), float(lines[-1])
 
 
 def npz(path: Path, sizes: dict[str, tuple[int, ...]]) -> None:
-    """An archive of zeros, deflated a piece at a time."""
+    """A deflated archive of zeros, written piece by piece."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, shape in sizes.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:

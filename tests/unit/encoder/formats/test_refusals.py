@@ -1,4 +1,4 @@
-"""What cannot be read is refused in one line that names the file and the fault."""
+"""Unreadable files are refused in one line that names the file and the fault."""
 
 import struct
 from pathlib import Path

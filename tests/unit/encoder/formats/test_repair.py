@@ -1,4 +1,4 @@
-"""Splats that cannot be drawn: refused by name, or left out by name."""
+"""Splats that cannot be drawn are refused with their name, or left out and counted."""
 
 import logging
 from pathlib import Path
@@ -18,7 +18,7 @@ BROKEN = (3, 7, 11, 20)
 
 
 def broken(splats: Splats) -> Splats:
-    """NaN, infinities and a rotation without direction in four rows; an infinite logit, which is legal, in another."""
+    """NaN, infinities and a zero-length rotation in four rows; a legal infinite logit in another."""
     means, scales, quats, logits = (
         getattr(splats, name).copy() for name in ("means", "log_scales", "quats", "logit_opacities")
     )

@@ -1,4 +1,4 @@
-"""Splats over time: what files say of them, and what they are at a time."""
+"""Splats over time: parsing of files, and states at a time."""
 
 import struct
 from dataclasses import replace
