@@ -76,7 +76,7 @@ class _Track:
     """Frame at which the next chunk may begin."""
     first_span: int
     end: Window | None = None
-    """State of the splats at the end of the last chunk (one frame); None before the first chunk."""
+    """How the last chunk leaves the splats (one frame); None before any chunk."""
     fades: bool = False
     """Whether the last chunk contains fades. If held at its end, its splats would stay faded."""
 
@@ -280,7 +280,7 @@ class MovingGroups:
         return spans
 
     def _span_of(self, track: _Track, frame: int) -> TrackSpan | None:
-        """The chunk of a tile from ``frame`` on, or None if it needs none. Updates ``track.next``."""
+        """The chunk of a tile from ``frame`` on, where it needs one; the track's ``next`` moves on, or ends."""
         starts = frame > track.key[0]
         length = min(self._span if starts else track.first_span, self._trails.last(frame) - frame)
         window = self._trails.window(track.ids, frame, frame + length)

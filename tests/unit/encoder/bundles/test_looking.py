@@ -51,7 +51,7 @@ def test_inspect_says_what_is_there(bundle: Path, capsys: pytest.CaptureFixture[
     assert text.count("\n") > manifest.lods
     assert (found["tracks"]["frames"], found["tracks"]["tracks"], found["tracks"]["linked_share"]) == (3, 600, 1.0)
     assert "tracks: 600, seen in 3.0 frames on average; 100.0% of a frame's splats continue" in text
-    assert "lives in frames: 2+: 600" in text
+    assert "lifetimes in frames: 2+: 600" in text
     shift = found["tracks"]["changed"]["position"]
     assert 0.04 < shift <= 1 / 12  # a sixth moves in one of two frames; part of it is too faint to be visible
     assert f"position {shift:.1%}, rotation 0.0%, scale 0.0%" in text
