@@ -1,4 +1,4 @@
-"""A bundle in pictures: bytes of frames, bytes of levels, and the paper's two figures on LoD assignment."""
+"""Plots of a bundle: bytes of frames, bytes of levels, and the paper's two figures on LoD assignment."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 
 
 def plot(found: Description, path: Path) -> None:
-    """Draw what :func:`~cags_encoder.bundles.describe.describe` found. Raises :class:`BundleError` for
-    formats that cannot be drawn and :class:`OutputError` for places that cannot be written.
+    """Plot the result of :func:`~cags_encoder.bundles.describe.describe`.
+
+    Raises :class:`BundleError` for unknown formats and :class:`OutputError` if the file cannot be written.
     """
     from matplotlib.figure import Figure
 

@@ -103,5 +103,5 @@ def test_wrong_settings_are_told(settings: dict[str, Any], words: str) -> None:
 
 
 def test_an_earlier_state_that_is_no_program_is_told() -> None:
-    with pytest.raises(ConfigError, match="before = '/nowhere' is no program"):
+    with pytest.raises(ConfigError, match="before = '/nowhere' is not a program"):
         next(demo_lines(DemoBenchSettings(before="/nowhere")))

@@ -158,7 +158,7 @@ def test_a_baseline_without_cases_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_an_earlier_installation_that_fails_is_quoted(tmp_path: Path) -> None:
     case = Case("procedural:size=600,frames=8", 30, "synthetic:walking", 8, 96, 72, str(tmp_path / "bundles"))
-    with pytest.raises(ConfigError, match="is no program"):
+    with pytest.raises(ConfigError, match="is not a program"):
         played_before(str(tmp_path / "python"), case)
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho it is broken >&2\nexit 3\n")
