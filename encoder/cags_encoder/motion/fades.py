@@ -12,7 +12,7 @@ LEAST_CHANGE = 0.06
 """Smallest change of drawn opacity during a life for which a fade is fitted."""
 
 WORST_FIT = 0.06
-"""Largest root mean square error of drawn opacity that a fade may leave."""
+"""Largest error of drawn opacity, in the root mean square, that a fade may leave."""
 
 _LEAST = 1e-4
 
@@ -42,10 +42,9 @@ def _exp(values: F64) -> F64:
 def fit_fades(
     opacities: F64, present: NDArray[np.bool_], peak: F64, middles: F64
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Fit fades [n, 2] below ``peak`` [n] to ``opacities`` [frames, n] where ``present``.
-
-    A fade is the index of its width plus one (0: none) and its centre, in fractions of the width from ``middles`` [n].
-    Also returns which splats [n] are described well enough, either by their fade or by a constant opacity.
+    """Fades [n, 2] of ``opacities`` [frames, n] where ``present``, below ``peak`` [n]: index of the width plus one (0:
+    none) and the centre, in parts of the width from ``middles`` [n]. And which of the splats they describe well enough
+    [n]; those without a fade by being even.
     """
     times = np.arange(len(opacities), dtype=np.float64)[:, None]
     width, centre = _lines(opacities, present, peak, times)

@@ -1,11 +1,11 @@
-"""Which splat of a frame continues which of the frame before: mutual nearest neighbours in position and looks.
+"""Links each splat of a frame to its predecessor: mutual nearest neighbours in position and looks.
 
-A splat is looked for where its track's velocity takes it (or, where it has none, its neighbours'), among the nearest
-splats there. Which of these it is, position and looks decide together: the distance in units of the local spacing, and
-what scale, rotation, colour and harmonics differ by, in steps that sources quantise them with. Each part counts up to a
-limit, so that one attribute may change at will. Opacity does not count: splats fade.
+A splat is searched for at the place predicted by its track's velocity (or its neighbours', for a new track), among the
+nearest splats there. Position and looks decide together: the squared distance in units of the local spacing, and the
+differences of scale, rotation, colour and harmonics in units of typical quantisation steps. Each part has an upper
+limit, so that one attribute may change arbitrarily. Opacity is ignored because splats fade.
 
-Everything is relative to the splats themselves: neither the unit of length nor the number of splats matters.
+All measures are relative to the splats, so neither the unit of length nor the number of splats matters.
 """
 
 from __future__ import annotations
@@ -24,77 +24,77 @@ from cags_encoder.tracks.rows import identical_rows
 Rows = NDArray[np.intp]
 
 USUAL, STRANGE = 90, 3.0
-"""Percentile of the differences in looks of a pair of frames, and how many times that is strange."""
+"""Percentile of the differences in looks of two frames, and the multiple of it from which a link is doubtful."""
 
 STRANGE_LOOKS, STRANGE_PLACE = 2.0, 0.25
-"""What is never strange: this difference in looks, this squared distance in units of the spacing."""
+"""Never doubtful: this difference in looks, and this squared distance in units of the spacing."""
 
 FEW, CANDIDATES = 3, 6
-"""Nearest splats among which a continuation is sought: of all splats, and of those that are left."""
+"""Number of nearest splats considered: among all splats, and among those not yet linked."""
 
 REACH = 3.0
-"""A continuation lies within this many of a splat's own radii, or of the distances to its neighbours, of its place."""
+"""Largest distance from the expected place, in a splat's radii or in distances to its neighbours."""
 
 ACCEPTED = 12.0
-"""Largest score of a link: about three sure signs of another splat."""
+"""Largest score of a link: about three clear differences."""
 
 SURE = 1.0
-"""Score of a row's link that is not looked into any further."""
+"""A row's own link with at most this score is accepted without comparison."""
 
 SCALE_STEP, COLOUR_STEP, HARMONICS_STEP, TURN_STEP = 0.15, 0.06, 0.08, 0.15
-"""Differences that count one: of the logarithm of the scales, of RGB, of harmonics, and radians of a long splat."""
+"""Differences that count as one: of log scales, of RGB, of harmonics, and of a long splat's rotation in radians."""
 
 LIMIT, HARMONICS_LIMIT = 9.0, 4.0
-"""The most that one attribute counts for."""
+"""Limits of one attribute's contribution."""
 
 HARMONICS_PARTS = 4
-"""Numbers that harmonics are summed up in, by fixed random weights: enough to tell splats apart."""
+"""Number of random projections that represent harmonics, which is enough to distinguish splats."""
 
 ROUNDS = 3
-"""How often the mutually nearest are taken out and the others look again."""
+"""Number of rounds in which mutual nearest neighbours are linked and the others search again."""
 
 SAMPLE = 1024
-"""Rows by which it is found out whether rows are identities."""
+"""Number of rows for testing whether rows are identities."""
 
 ROWS_HOLD = 0.9
-"""Share of the sampled rows of which no other splat may be the better continuation."""
+"""Rows are identities if for this share of the sampled rows no other splat fits better."""
 
 SEED_LOOKS, SEED_SPREAD = 0.5, 0.25
-"""Looks tell a splat alone when they differ by this at most, and by this share of what the next best does; and how far,
-as a share of its own, its movement may differ from that of others told so.
+"""Looks alone identify a splat if they differ by at most this, and by at most this share of the next best candidate's
+difference; and the largest deviation of its motion from that of others identified so, as a share of that motion.
 """
 
 TINY = 1e-12
-"""In place of a distance of zero: where splats lie at one place, all that is elsewhere is out of reach."""
+"""Replaces distances of zero: if neighbours coincide, splats elsewhere are out of reach."""
 
 FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
-"""Moving neighbours that a splat without a velocity takes its own from: how many are looked at, how many nearest."""
+"""Moving neighbours for the motion of a splat without a velocity: number of samples, and number of nearest ones."""
 
 FLOW_ROUNDS, COMPANIONS, EXPLAINED = 12, 16, 0.05
-"""How often splats are looked for again where their neighbours went, how many of these are asked, and within how much
-of the spacing a splat lies where it was expected.
+"""Number of rounds of searching where neighbours went, number of neighbours considered, and the largest distance from
+the expected place, in units of the spacing, that counts as explained.
 """
 
 BENDS = 0.7
-"""Velocities are taken to change evenly where splats then lie nearer to where they are looked for by this factor."""
+"""Accelerations are used if they reduce the median distance from the expected places to this share."""
 
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What splats [n] are compared by."""
+    """Features for comparing splats [n]."""
 
     splats: Splats
     means: F64  # [n, 3]
     radii: F64  # [n] mean standard deviation
-    signs: F32  # [n, 6 + HARMONICS_PARTS] scales, colours and harmonics, in steps
-    stretch: F32  # [n] how much a turn can be seen
+    signs: F32  # [n, 6 + HARMONICS_PARTS] scales, colours and projected harmonics, in steps
+    stretch: F32  # [n] visibility of rotations
 
     def __len__(self) -> int:
         return len(self.splats)
 
     @cached_property
     def order(self) -> Rows:
-        """Rows [n] such that neighbours lie together: looking them up in it takes half the time."""
+        """Rows [n] in Morton order, which halves the time of neighbour searches."""
         return morton_order(self.splats.means)
 
     @staticmethod
@@ -113,12 +113,12 @@ class Looks:
 
 
 def _none(count: int) -> F32:
-    """[count, HARMONICS_PARTS] of splats without harmonics."""
+    """[count, HARMONICS_PARTS] zeros for splats without harmonics."""
     return np.zeros((count, HARMONICS_PARTS), np.float32)
 
 
 def _weights(count: int) -> F32:
-    """[count, HARMONICS_PARTS]: sums by these differ by about one where harmonics differ by a step each."""
+    """Weights [count, HARMONICS_PARTS] of projections, which differ by about one if all harmonics differ by a step."""
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (count, HARMONICS_PARTS))
     weights: F32 = (signs / (HARMONICS_STEP * max(count, 1) ** 0.5 * HARMONICS_PARTS**0.5)).astype(np.float32)
     return weights
@@ -126,16 +126,16 @@ def _weights(count: int) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """A frame's splats [n], and how they came to it."""
+    """A frame's splats [n] and the history of their tracks."""
 
     looks: Looks
-    velocities: F64  # [n, 3] a frame
-    bends: F64  # [n, 3] by how much the velocity was another in the frame before; 0 where there was none
-    ages: NDArray[np.int64]  # [n] frames before this one that the track has lived through
+    velocities: F64  # [n, 3] per frame
+    bends: F64  # [n, 3] change of the velocity since the previous frame; 0 if unknown
+    ages: NDArray[np.int64]  # [n] number of earlier frames of the track
 
     @staticmethod
     def begun(looks: Looks) -> Tracks:
-        """Tracks of a first frame."""
+        """Tracks of the first frame."""
         still = np.zeros((len(looks), 3))
         return Tracks(looks, still, still, np.zeros(len(looks), np.int64))
 
@@ -152,7 +152,7 @@ class Tracks:
         return Tracks(after, step, bends, ages)
 
     def predicted(self) -> F64:
-        """Where each splat is to be looked for in the next frame [n, 3]."""
+        """Expected place of each splat in the next frame [n, 3]."""
         moving = self.ages > 0
         velocities = self.velocities.copy()
         if moving.any() and not moving.all():
@@ -162,13 +162,13 @@ class Tracks:
 
 
 def link(before: Tracks, after: Looks) -> Rows:
-    """The row of ``before`` that each splat of ``after`` [n] continues, or -1; no row is given twice."""
+    """The row of ``before`` that each splat of ``after`` [n] continues, or -1; no row is used twice."""
     return _Linking(before, after).run()
 
 
 def alike(before: Splats, after: Splats, rows: Rows) -> float:
-    """Share of the splats of ``after`` [n] that may well continue their ``rows`` of ``before``: they lie within reach
-    of them, or look the same. 1 where none has a row.
+    """Share of the splats of ``after`` [n] that plausibly continue their ``rows`` of ``before``: they are within reach,
+    or look the same. 1 if no splat has a row.
     """
     linked = np.flatnonzero(rows >= 0)
     linked = linked[:: max(1, len(linked) // SAMPLE)]
@@ -182,14 +182,14 @@ def alike(before: Splats, after: Splats, rows: Rows) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Two frames whose splats are compared."""
+    """Two frames to compare."""
 
     before: Looks
     after: Looks
 
     def differences(self, rows: Rows, found: Rows, expected: F64, unit: F64 | float) -> tuple[F64, F64]:
-        """Differences of place (squared, in ``unit`` [m, 1]) and of looks [m, k] of splats ``found`` [m, k] in the
-        frame after from ``rows`` [m] of the frame before, of which all [n] are expected at places [n, 3].
+        """Differences of place (squared, in ``unit`` [m, 1]) and of looks, [m, k], between splats ``found`` [m, k] of
+        the second frame and ``rows`` [m] of the first, whose splats are expected at ``expected`` [n, 3].
         """
         before, after = self.before, self.after
         apart = after.means[found] - expected[rows][:, None]
@@ -204,7 +204,7 @@ class _Pair:
 
 
 class _Linking:
-    """One pair of frames. ``rows`` grows step by step."""
+    """Linking of one pair of frames; ``rows`` is filled step by step."""
 
     def __init__(self, before: Tracks, after: Looks) -> None:
         self._before, self._after = before.looks, after
@@ -216,7 +216,7 @@ class _Linking:
         self._by_rows = False  # whether rows are identities
 
     def run(self) -> Rows:
-        """Link what can be linked."""
+        """Link as many splats as possible."""
         self._link(*identical_rows(self._before.splats, self._after.splats))
         self._changed = self.rows < 0
         if not self._open():
@@ -237,9 +237,7 @@ class _Linking:
         return self.rows
 
     def _expected(self) -> F64:
-        """Where the splats of the frame before are looked for [n, 3]: their velocities change as they did before,
-        where a sample shows that this is nearer than velocities that stay.
-        """
+        """Expected places of the first frame's splats [n, 3], with accelerations if that is better on a sample."""
         even, bends = self._tracks.predicted(), self._tracks.bends
         sample = np.flatnonzero(self._tracks.ages > 1)
         sample = sample[:: max(1, len(sample) // SAMPLE)]
@@ -271,7 +269,7 @@ class _Linking:
         return place[:, 0], looks[:, 0]
 
     def _open(self) -> bool:
-        """Whether there is a splat left in both frames."""
+        """Whether both frames have splats that are not linked."""
         return bool(self._free.any() and (self.rows < 0).any())
 
     def _link(self, before: Rows, after: Rows) -> None:
@@ -279,7 +277,7 @@ class _Linking:
         self._free[before] = False
 
     def _by_row(self, expected: F64) -> Rows:
-        """Where rows are identities, link those that surely continue themselves. The other rows that may."""
+        """If rows are identities, link those that clearly continue themselves; return the others that may."""
         count = min(len(self._before), len(self._after))
         rows = np.flatnonzero(self._free[:count] & (self.rows[:count] < 0))
         sample = rows[:: max(1, len(rows) // SAMPLE)]
@@ -292,7 +290,7 @@ class _Linking:
         return rows[(scores > SURE) & (scores <= ACCEPTED)]
 
     def _rows_hold(self, sample: Rows, expected: F64) -> bool:
-        """Whether hardly any of ``sample`` has a better continuation than the same row."""
+        """Whether almost none of ``sample`` has a better successor than its own row."""
         own = self._scores(sample, sample[:, None], expected, self._spacing)[:, 0]
         likely = own <= ACCEPTED
         if likely.mean() < ROWS_HOLD / 2:
@@ -304,25 +302,25 @@ class _Linking:
 
     @cached_property
     def _field(self) -> _Field:
-        """All splats of the frame."""
+        """Search structure of all splats of the frame."""
         return _Field(self._after.means, self._after.order)
 
     def _local(self, distances: F64) -> F64:
-        """Distances to neighbours [m, 1] from those to the nearest few [m, k]: splats lie on surfaces.
+        """Distance between neighbours [m, 1] from the distances to the nearest few [m, k]: splats lie on surfaces.
 
-        Where there are but a few they are no measure of each other: they are taken for as dense as can be.
+        It is 0 if the frame has too few splats for a meaningful density.
         """
         last: F64 = distances[:, -1:] * distances.shape[1] ** -0.5
         return last if len(self._after) > CANDIDATES else 0.0 * last
 
     @cached_property
     def _spacing(self) -> float:
-        """Typical distance between neighbours of the frame."""
+        """Typical distance between neighbours in the frame."""
         means = self._after.means[:: max(1, len(self._after) // SAMPLE)]
         return float(np.median(self._local(self._field.near(means, CANDIDATES)[0])))
 
     def _search(self, expected: F64, candidates: int = CANDIDATES) -> None:
-        """Link those that are each other's best continuation, and then those of the rest."""
+        """Link mutual best matches, then those of the remaining splats."""
         before, after = self._before.order, self._after.order
         before, after = before[self._free[before]], after[self.rows[after] < 0]
         field = self._field if len(after) == len(self._after) else _Field(self._after.means, after)
@@ -339,7 +337,7 @@ class _Linking:
             scores[self.rows[found] >= 0] = np.inf
 
     def _scores(self, rows: Rows, found: Rows, expected: F64, spacing: F64 | float) -> F64:
-        """How unlike ``rows`` [m] the splats ``found`` [m, k] of the frame after are; inf for those out of reach."""
+        """Scores of splats ``found`` [m, k] of the second frame against ``rows`` [m]; inf if out of reach."""
         place, looks = self._pair.differences(rows, found, expected, spacing)
         unit = np.maximum(spacing, TINY)
         reach = REACH * np.maximum(self._before.radii[rows][:, None] / unit, 1.0)
@@ -347,14 +345,14 @@ class _Linking:
         return np.where((place <= reach * reach) & (score <= ACCEPTED), score, np.inf)
 
     def _search_by_flow(self) -> None:
-        """Look for the rest where their neighbours went."""
+        """Search for the remaining splats where their neighbours went."""
         linked = np.flatnonzero(self.rows >= 0)
         if len(linked):
             self._search(self._moved_with(linked, np.flatnonzero(self._free)))
 
     def _search_by_looks(self) -> bool:
-        """Look for the rest where those of them went that are told by their looks alone, and as others around them:
-        things that leap. Returns whether there are such.
+        """Search for the remaining splats of objects that jump: where splats went that looks alone identify, and that
+        move like others around them. Returns whether there are any.
         """
         from scipy.spatial import cKDTree
 
@@ -378,9 +376,9 @@ class _Linking:
         return True
 
     def _settle_by_flow(self, expected: F64) -> None:
-        """Look again, where their neighbours went, for splats that neither their own way nor that of their neighbours
-        explains: what moves by as much as its splats lie apart is first linked with the wrong ones, at the edge of
-        what is linked rightly. As long as this explains more of them.
+        """Search again, where their neighbours went, for splats whose link neither their own motion nor their
+        neighbours' explains. An object that moves by as much as its splats' spacing is first linked wrongly, at the
+        edge of correctly linked regions. Rounds continue as long as more links are explained.
         """
         unit = max(self._spacing, TINY)
         best, kept = np.inf, self.rows.copy()
@@ -410,8 +408,8 @@ class _Linking:
         self._free[self.rows[self.rows >= 0]] = False
 
     def _moved_by_others(self, linked: Rows, rows: Rows) -> F64:
-        """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the :data:`COMPANIONS` nearest
-        of the ``linked`` did, themselves aside.
+        """Expected places [n, 3] of the first frame's splats: ``rows`` move like the :data:`COMPANIONS` nearest of the
+        ``linked``, excluding themselves.
         """
         from scipy.spatial import cKDTree
 
@@ -427,7 +425,7 @@ class _Linking:
         return expected
 
     def _moved_with(self, linked: Rows, rows: Rows) -> F64:
-        """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the ``linked`` around them."""
+        """Expected places [n, 3] of the first frame's splats: ``rows`` move like the ``linked`` splats around them."""
         came = self.rows[linked]
         expected = self._before.means.copy()
         moved = self._after.means[linked] - expected[came]
@@ -436,7 +434,7 @@ class _Linking:
 
 
 class _Field:
-    """Some rows of a frame's splats, for finding those near a place."""
+    """Nearest-neighbour search among some rows of a frame's splats."""
 
     def __init__(self, means: F64, rows: Rows) -> None:
         from scipy.spatial import cKDTree
@@ -452,22 +450,22 @@ class _Field:
 
 
 def _mutual(scores: F64, found: Rows, count: int) -> tuple[Rows, Rows]:
-    """Rows [p] and the splats [p] of the other frame that are each other's lowest of ``scores`` [m, k]."""
+    """Pairs of rows [p] and splats [p] of the other frame that have each other's lowest of ``scores`` [m, k]."""
     best = np.argmin(scores, axis=1)
     mine = np.arange(len(scores))
     theirs, lowest = found[mine, best], scores[mine, best]
     rival = np.full(count, np.inf)
     np.minimum.at(rival, found.ravel(), scores.ravel())
     pairs = np.flatnonzero(np.isfinite(lowest) & (lowest <= rival[theirs]))
-    first = np.unique(theirs[pairs], return_index=True)[1]  # of equals one
+    first = np.unique(theirs[pairs], return_index=True)[1]  # one of equals
     pairs = pairs[first]
     return pairs, theirs[pairs]
 
 
 def _flow(places: F64, points: F64, velocities: F64, *, others: bool = False) -> F64:
-    """Velocities [m, 3] at ``places``: the medians of those of the nearest of ``points`` [n, 3].
+    """Velocities [m, 3] at ``places``: medians over the nearest of ``points`` [n, 3].
 
-    With ``others`` the places are the points, and each is told by the others alone.
+    With ``others`` the places are the points themselves, and each point is excluded from its own median.
     """
     from scipy.spatial import cKDTree
 
