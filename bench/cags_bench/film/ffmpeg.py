@@ -1,8 +1,8 @@
-"""VMAF and XPSNR, by the ffmpeg that the package ``imageio-ffmpeg`` carries.
+"""VMAF and XPSNR, measured with the ffmpeg of the package ``imageio-ffmpeg``.
 
-VMAF (Li et al., Netflix 2016; model v0.6.1) predicts what people say of a film on a television three screen heights
-away, 0 to 100. XPSNR (Helmrich et al., 2020) is a PSNR that weighs errors by how visible the picture and its motion
-make them, in dB. Both get the films without loss, as raw pictures.
+VMAF (Li et al., Netflix 2016; model v0.6.1) predicts viewers' ratings from 0 to 100 on a television at three screen
+heights. XPSNR (Helmrich et al., 2020) is a PSNR in dB whose errors are weighted by their visibility in the picture and
+its motion. Both get the films without loss, as raw pictures.
 """
 
 from __future__ import annotations

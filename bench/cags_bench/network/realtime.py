@@ -23,7 +23,7 @@ def realtime_lines(base: Scenario, like_splats: int, traces: tuple[str, ...] = T
     """One line per trace: bytes that arrived in real and in virtual time.
 
     Links are scaled as in the content part, so that they limit what is sent. In virtual time, pictures are drawn
-    without references because nobody looks at them; both plays request the same references.
+    without references because they are not scored; both plays request the same references.
     """
     share = link_share(base.bundle, like_splats)
     base = replace(base, scored=False)

@@ -53,7 +53,9 @@ class Curve:
         self.area += limits.prod(axis=1) / plain.prod()
 
     def figures(self, areas: Sequence[float]) -> dict[str, Any]:
-        """Coverage (%) as it is and at equal areas (mean, worst twentieth), and the least area that covers 98 %."""
+        """Coverage (%) with the own margins and at equal areas (mean, worst 5 %), and the smallest area that covers 98
+        %.
+        """
         shares = 100 * np.array(self.covered)
         covered, low, area = shares.mean(axis=0), np.percentile(shares, 5, axis=0), self.area / self.frames
         return {
@@ -83,7 +85,7 @@ class _Flight:
 def measure(
     walks: Sequence[Walk], predictor: Predictor, make: Mapping[str, Any], lead_us: int, seconds: float
 ) -> dict[str, Curve]:
-    """Curves of the policies that ``make`` (name -> factory) makes, for a server that plans ``lead_us`` ahead."""
+    """Curves of the policies in ``make`` (name -> factory), for a server that plans ``lead_us`` ahead."""
     curves = {name: Curve() for name in make}
     for walk in walks:
         policies: dict[str, FovPolicy] = {name: factory() for name, factory in make.items()}

@@ -42,7 +42,7 @@ def trace_of(trace: Trace, seed: int) -> Trace:
 
 
 def walk_of(spec: str, focus: Focus, window_us: int, seed: int) -> PoseTrace:
-    """The walk named by ``spec``, or a variation: of a recorded walk, a later part, placed anew.
+    """The walk named by ``spec``, or a variation: for a recorded walk, a later part of it.
 
     ``window_us`` is the length of the play. Raises :class:`TraceError`.
     """

@@ -300,7 +300,7 @@ class _Simulation:
         return busy
 
     def _present(self, action: Present, now_us: int) -> None:
-        """Draw a frame. It is restored only if somebody looks at it."""
+        """Draw a frame. It is restored only if it is scored or watched."""
         scored = self._scores(action.frame) or self._watch is not None
         self.player.live.restore = self.scenario.client.restore if scored else "none"
         self._drawing = now_us + self.scenario.draw_us, action, self.spent.presenting(action.run)

@@ -142,7 +142,7 @@ def _level_lines(found: Description) -> Iterator[str]:
 
 
 def _layer_lines(layers: list[Description]) -> Iterator[str]:
-    yield "one attribute cut, all others whole:"
+    yield "fewer layers of one attribute, all layers of the others:"
     yield f"{'attribute':>14} {'layers':>6} {'bytes':>9} {'PSNR dB':>8} {'SSIM':>7}"
     for row in layers:
         place = f"{row['attribute']:>14} {row['layer']:>6} {row['size_bytes']:>9}"
@@ -150,7 +150,7 @@ def _layer_lines(layers: list[Description]) -> Iterator[str]:
 
 
 def _splats(entry: FrameEntry) -> int:
-    """Splats that come, or come anew."""
+    """Number of splats sent whole, new or again."""
     return sum(tile.splats for tile in entry.tiles if tile.kind == TileKind.LOOKS)
 
 

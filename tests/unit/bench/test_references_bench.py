@@ -77,7 +77,7 @@ def test_scenes_that_are_not_there_are_left_out(tmp_path: Path) -> None:
         ({"methods": "auto,swap"}, "'swap' is unknown; known: auto"),
         ({"links": "fast"}, "rates in Mbps"),
         ({"links": "10,-1"}, "must lie in"),
-        ({"baseline": "a.jsonl", "before": "python"}, "one earlier state"),
+        ({"baseline": "a.jsonl", "before": "python"}, "give one of them"),
     ],
 )
 def test_what_cannot_be_played_is_named(changes: dict[str, str], words: str) -> None:
@@ -152,7 +152,7 @@ def test_a_baseline_is_what_an_earlier_run_compared_with_or_its_own_default(tmp_
 def test_a_baseline_without_cases_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "earlier.jsonl"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=r"baseline = .*(holds no case|cannot be read)"):
+    with pytest.raises(ConfigError, match=r"baseline = .*(contains no case|cannot be read)"):
         read_baseline(path)
 
 
