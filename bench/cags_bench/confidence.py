@@ -54,7 +54,7 @@ def paired(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
     link; others differ by more.
     """
     if len(ours) != len(theirs):
-        raise ValueError(f"{len(ours)} frames of ours and {len(theirs)} of theirs cannot be paired")
+        raise ValueError(f"{len(ours)} frames of ours and {len(theirs)} of theirs are no pairs")
     return interval(_blocks(np.asarray(ours, np.float64) - np.asarray(theirs, np.float64)))
 
 
