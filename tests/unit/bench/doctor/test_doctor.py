@@ -163,7 +163,7 @@ def test_the_largest_picture_that_is_drawn_and_corrected_in_time_is_recommended(
     assert slow.client == "--width 400 --height 300 --resolution auto --threads 2"
     hopeless = advise(timed((320, 900, 20)))
     assert "--restore none --exactness fast" in hopeless.client
-    assert "out of reach" in hopeless.reason
+    assert "too slow for 30 frames per second" in hopeless.reason
 
 
 def test_every_stage_of_a_frame_and_of_a_reference_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
