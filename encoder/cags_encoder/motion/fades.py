@@ -9,7 +9,7 @@ from cags_common.geometry import F64
 from cags_common.motion.chunk import FADE_STEP, FADE_WIDTHS
 
 LEAST_CHANGE = 0.06
-"""Smallest change of drawn opacity during a life for which a fade is fitted."""
+"""Change of drawn opacity over a life from which on a fade is looked for."""
 
 WORST_FIT = 0.06
 """Largest error of drawn opacity, in the root mean square, that a fade may leave."""

@@ -1,11 +1,11 @@
-"""Links each splat of a frame to its predecessor: mutual nearest neighbours in position and looks.
+"""Which splat of a frame continues which of the frame before: mutual nearest neighbours in position and looks.
 
-A splat is searched for at the place predicted by its track's velocity (or its neighbours', for a new track), among the
-nearest splats there. Position and looks decide together: the squared distance in units of the local spacing, and the
-differences of scale, rotation, colour and harmonics in units of typical quantisation steps. Each part has an upper
-limit, so that one attribute may change arbitrarily. Opacity is ignored because splats fade.
+A splat is looked for where its track's velocity takes it (or, where it has none, its neighbours'), among the nearest
+splats there. Which of these it is, position and looks decide together: the distance in units of the local spacing, and
+what scale, rotation, colour and harmonics differ by, in steps that sources quantise them with. Each part counts up to a
+limit, so that one attribute may change at will. Opacity does not count: splats fade.
 
-All measures are relative to the splats, so neither the unit of length nor the number of splats matters.
+Everything is relative to the splats themselves: neither the unit of length nor the number of splats matters.
 """
 
 from __future__ import annotations
@@ -24,77 +24,77 @@ from cags_encoder.tracks.rows import identical_rows
 Rows = NDArray[np.intp]
 
 USUAL, STRANGE = 90, 3.0
-"""Percentile of the differences in looks of two frames, and the multiple of it from which a link is doubtful."""
+"""Percentile of the differences in looks of a pair of frames, and how many times that is strange."""
 
 STRANGE_LOOKS, STRANGE_PLACE = 2.0, 0.25
-"""Never doubtful: this difference in looks, and this squared distance in units of the spacing."""
+"""What is never strange: this difference in looks, this squared distance in units of the spacing."""
 
 FEW, CANDIDATES = 3, 6
-"""Number of nearest splats considered: among all splats, and among those not yet linked."""
+"""Nearest splats among which a continuation is sought: of all splats, and of those that are left."""
 
 REACH = 3.0
-"""Largest distance from the expected place, in a splat's radii or in distances to its neighbours."""
+"""A continuation lies within this many of a splat's own radii, or of the distances to its neighbours, of its place."""
 
 ACCEPTED = 12.0
-"""Largest score of a link: about three clear differences."""
+"""Largest score of a link: about three sure signs of another splat."""
 
 SURE = 1.0
-"""A row's own link with at most this score is accepted without comparison."""
+"""Score of a row's link that is not looked into any further."""
 
 SCALE_STEP, COLOUR_STEP, HARMONICS_STEP, TURN_STEP = 0.15, 0.06, 0.08, 0.15
-"""Differences that count as one: of log scales, of RGB, of harmonics, and of a long splat's rotation in radians."""
+"""Differences that count one: of the logarithm of the scales, of RGB, of harmonics, and radians of a long splat."""
 
 LIMIT, HARMONICS_LIMIT = 9.0, 4.0
-"""Limits of one attribute's contribution."""
+"""The most that one attribute counts for."""
 
 HARMONICS_PARTS = 4
-"""Number of random projections that represent harmonics, which is enough to distinguish splats."""
+"""Numbers that harmonics are summed up in, by fixed random weights: enough to tell splats apart."""
 
 ROUNDS = 3
-"""Number of rounds in which mutual nearest neighbours are linked and the others search again."""
+"""How often the mutually nearest are taken out and the others look again."""
 
 SAMPLE = 1024
-"""Number of rows for testing whether rows are identities."""
+"""Rows by which it is found out whether rows are identities."""
 
 ROWS_HOLD = 0.9
-"""Rows are identities if for this share of the sampled rows no other splat fits better."""
+"""Share of the sampled rows of which no other splat may be the better continuation."""
 
 SEED_LOOKS, SEED_SPREAD = 0.5, 0.25
-"""Looks alone identify a splat if they differ by at most this, and by at most this share of the next best candidate's
-difference; and the largest deviation of its motion from that of others identified so, as a share of that motion.
+"""Looks tell a splat alone when they differ by this at most, and by this share of what the next best does; and how far,
+as a share of its own, its movement may differ from that of others told so.
 """
 
 TINY = 1e-12
-"""Replaces distances of zero: if neighbours coincide, splats elsewhere are out of reach."""
+"""In place of a distance of zero: where splats lie at one place, all that is elsewhere is out of reach."""
 
 FLOW_POINTS, FLOW_NEIGHBOURS = 8192, 4
-"""Moving neighbours for the motion of a splat without a velocity: number of samples, and number of nearest ones."""
+"""Moving neighbours that a splat without a velocity takes its own from: how many are looked at, how many nearest."""
 
 FLOW_ROUNDS, COMPANIONS, EXPLAINED = 12, 16, 0.05
-"""Number of rounds of searching where neighbours went, number of neighbours considered, and the largest distance from
-the expected place, in units of the spacing, that counts as explained.
+"""How often splats are looked for again where their neighbours went, how many of these are asked, and within how much
+of the spacing a splat lies where it was expected.
 """
 
 BENDS = 0.7
-"""Accelerations are used if they reduce the median distance from the expected places to this share."""
+"""Velocities are taken to change evenly where splats then lie nearer to where they are looked for by this factor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """Features for comparing splats [n]."""
+    """What splats [n] are compared by."""
 
     splats: Splats
     means: F64  # [n, 3]
     radii: F64  # [n] mean standard deviation
-    signs: F32  # [n, 6 + HARMONICS_PARTS] scales, colours and projected harmonics, in steps
-    stretch: F32  # [n] visibility of rotations
+    signs: F32  # [n, 6 + HARMONICS_PARTS] scales, colours and harmonics, in steps
+    stretch: F32  # [n] how much a turn can be seen
 
     def __len__(self) -> int:
         return len(self.splats)
 
     @cached_property
     def order(self) -> Rows:
-        """Rows [n] in Morton order, which halves the time of neighbour searches."""
+        """Rows [n] such that neighbours lie together: looking them up in it takes half the time."""
         return morton_order(self.splats.means)
 
     @staticmethod
@@ -113,12 +113,12 @@ class Looks:
 
 
 def _none(count: int) -> F32:
-    """[count, HARMONICS_PARTS] zeros for splats without harmonics."""
+    """[count, HARMONICS_PARTS] of splats without harmonics."""
     return np.zeros((count, HARMONICS_PARTS), np.float32)
 
 
 def _weights(count: int) -> F32:
-    """Weights [count, HARMONICS_PARTS] of projections, which differ by about one if all harmonics differ by a step."""
+    """[count, HARMONICS_PARTS]: sums by these differ by about one where harmonics differ by a step each."""
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (count, HARMONICS_PARTS))
     weights: F32 = (signs / (HARMONICS_STEP * max(count, 1) ** 0.5 * HARMONICS_PARTS**0.5)).astype(np.float32)
     return weights
@@ -126,16 +126,16 @@ def _weights(count: int) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """A frame's splats [n] and the history of their tracks."""
+    """A frame's splats [n], and how they came to it."""
 
     looks: Looks
-    velocities: F64  # [n, 3] per frame
-    bends: F64  # [n, 3] change of the velocity since the previous frame; 0 if unknown
-    ages: NDArray[np.int64]  # [n] number of earlier frames of the track
+    velocities: F64  # [n, 3] a frame
+    bends: F64  # [n, 3] by how much the velocity was another in the frame before; 0 where there was none
+    ages: NDArray[np.int64]  # [n] frames before this one that the track has lived through
 
     @staticmethod
     def begun(looks: Looks) -> Tracks:
-        """Tracks of the first frame."""
+        """Tracks of a first frame."""
         still = np.zeros((len(looks), 3))
         return Tracks(looks, still, still, np.zeros(len(looks), np.int64))
 
@@ -152,7 +152,7 @@ class Tracks:
         return Tracks(after, step, bends, ages)
 
     def predicted(self) -> F64:
-        """Expected place of each splat in the next frame [n, 3]."""
+        """Where each splat is to be looked for in the next frame [n, 3]."""
         moving = self.ages > 0
         velocities = self.velocities.copy()
         if moving.any() and not moving.all():
@@ -162,13 +162,13 @@ class Tracks:
 
 
 def link(before: Tracks, after: Looks) -> Rows:
-    """The row of ``before`` that each splat of ``after`` [n] continues, or -1; no row is used twice."""
+    """The row of ``before`` that each splat of ``after`` [n] continues, or -1; no row is given twice."""
     return _Linking(before, after).run()
 
 
 def alike(before: Splats, after: Splats, rows: Rows) -> float:
-    """Share of the splats of ``after`` [n] that plausibly continue their ``rows`` of ``before``: they are within reach,
-    or look the same. 1 if no splat has a row.
+    """Share of the splats of ``after`` [n] that may well continue their ``rows`` of ``before``: they lie within reach
+    of them, or look the same. 1 where none has a row.
     """
     linked = np.flatnonzero(rows >= 0)
     linked = linked[:: max(1, len(linked) // SAMPLE)]
@@ -182,14 +182,14 @@ def alike(before: Splats, after: Splats, rows: Rows) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Two frames to compare."""
+    """Two frames whose splats are compared."""
 
     before: Looks
     after: Looks
 
     def differences(self, rows: Rows, found: Rows, expected: F64, unit: F64 | float) -> tuple[F64, F64]:
-        """Differences of place (squared, in ``unit`` [m, 1]) and of looks, [m, k], between splats ``found`` [m, k] of
-        the second frame and ``rows`` [m] of the first, whose splats are expected at ``expected`` [n, 3].
+        """Differences of place (squared, in ``unit`` [m, 1]) and of looks [m, k] of splats ``found`` [m, k] in the
+        frame after from ``rows`` [m] of the frame before, of which all [n] are expected at places [n, 3].
         """
         before, after = self.before, self.after
         apart = after.means[found] - expected[rows][:, None]
@@ -204,7 +204,7 @@ class _Pair:
 
 
 class _Linking:
-    """Linking of one pair of frames; ``rows`` is filled step by step."""
+    """One pair of frames. ``rows`` grows step by step."""
 
     def __init__(self, before: Tracks, after: Looks) -> None:
         self._before, self._after = before.looks, after
@@ -216,7 +216,7 @@ class _Linking:
         self._by_rows = False  # whether rows are identities
 
     def run(self) -> Rows:
-        """Link as many splats as possible."""
+        """Link what can be linked."""
         self._link(*identical_rows(self._before.splats, self._after.splats))
         self._changed = self.rows < 0
         if not self._open():
@@ -237,7 +237,9 @@ class _Linking:
         return self.rows
 
     def _expected(self) -> F64:
-        """Expected places of the first frame's splats [n, 3], with accelerations if that is better on a sample."""
+        """Where the splats of the frame before are looked for [n, 3]: their velocities change as they did before,
+        where a sample shows that this is nearer than velocities that stay.
+        """
         even, bends = self._tracks.predicted(), self._tracks.bends
         sample = np.flatnonzero(self._tracks.ages > 1)
         sample = sample[:: max(1, len(sample) // SAMPLE)]
@@ -269,7 +271,7 @@ class _Linking:
         return place[:, 0], looks[:, 0]
 
     def _open(self) -> bool:
-        """Whether both frames have splats that are not linked."""
+        """Whether there is a splat left in both frames."""
         return bool(self._free.any() and (self.rows < 0).any())
 
     def _link(self, before: Rows, after: Rows) -> None:
@@ -277,7 +279,7 @@ class _Linking:
         self._free[before] = False
 
     def _by_row(self, expected: F64) -> Rows:
-        """If rows are identities, link those that clearly continue themselves; return the others that may."""
+        """Where rows are identities, link those that surely continue themselves. The other rows that may."""
         count = min(len(self._before), len(self._after))
         rows = np.flatnonzero(self._free[:count] & (self.rows[:count] < 0))
         sample = rows[:: max(1, len(rows) // SAMPLE)]
@@ -290,7 +292,7 @@ class _Linking:
         return rows[(scores > SURE) & (scores <= ACCEPTED)]
 
     def _rows_hold(self, sample: Rows, expected: F64) -> bool:
-        """Whether almost none of ``sample`` has a better successor than its own row."""
+        """Whether hardly any of ``sample`` has a better continuation than the same row."""
         own = self._scores(sample, sample[:, None], expected, self._spacing)[:, 0]
         likely = own <= ACCEPTED
         if likely.mean() < ROWS_HOLD / 2:
@@ -302,25 +304,25 @@ class _Linking:
 
     @cached_property
     def _field(self) -> _Field:
-        """Search structure of all splats of the frame."""
+        """All splats of the frame."""
         return _Field(self._after.means, self._after.order)
 
     def _local(self, distances: F64) -> F64:
-        """Distance between neighbours [m, 1] from the distances to the nearest few [m, k]: splats lie on surfaces.
+        """Distances to neighbours [m, 1] from those to the nearest few [m, k]: splats lie on surfaces.
 
-        It is 0 if the frame has too few splats for a meaningful density.
+        Where there are but a few they are no measure of each other: they are taken for as dense as can be.
         """
         last: F64 = distances[:, -1:] * distances.shape[1] ** -0.5
         return last if len(self._after) > CANDIDATES else 0.0 * last
 
     @cached_property
     def _spacing(self) -> float:
-        """Typical distance between neighbours in the frame."""
+        """Typical distance between neighbours of the frame."""
         means = self._after.means[:: max(1, len(self._after) // SAMPLE)]
         return float(np.median(self._local(self._field.near(means, CANDIDATES)[0])))
 
     def _search(self, expected: F64, candidates: int = CANDIDATES) -> None:
-        """Link mutual best matches, then those of the remaining splats."""
+        """Link those that are each other's best continuation, and then those of the rest."""
         before, after = self._before.order, self._after.order
         before, after = before[self._free[before]], after[self.rows[after] < 0]
         field = self._field if len(after) == len(self._after) else _Field(self._after.means, after)
@@ -337,7 +339,7 @@ class _Linking:
             scores[self.rows[found] >= 0] = np.inf
 
     def _scores(self, rows: Rows, found: Rows, expected: F64, spacing: F64 | float) -> F64:
-        """Scores of splats ``found`` [m, k] of the second frame against ``rows`` [m]; inf if out of reach."""
+        """How unlike ``rows`` [m] the splats ``found`` [m, k] of the frame after are; inf for those out of reach."""
         place, looks = self._pair.differences(rows, found, expected, spacing)
         unit = np.maximum(spacing, TINY)
         reach = REACH * np.maximum(self._before.radii[rows][:, None] / unit, 1.0)
@@ -345,14 +347,14 @@ class _Linking:
         return np.where((place <= reach * reach) & (score <= ACCEPTED), score, np.inf)
 
     def _search_by_flow(self) -> None:
-        """Search for the remaining splats where their neighbours went."""
+        """Look for the rest where their neighbours went."""
         linked = np.flatnonzero(self.rows >= 0)
         if len(linked):
             self._search(self._moved_with(linked, np.flatnonzero(self._free)))
 
     def _search_by_looks(self) -> bool:
-        """Search for the remaining splats of objects that jump: where splats went that looks alone identify, and that
-        move like others around them. Returns whether there are any.
+        """Look for the rest where those of them went that are told by their looks alone, and as others around them:
+        things that leap. Returns whether there are such.
         """
         from scipy.spatial import cKDTree
 
@@ -376,9 +378,9 @@ class _Linking:
         return True
 
     def _settle_by_flow(self, expected: F64) -> None:
-        """Search again, where their neighbours went, for splats whose link neither their own motion nor their
-        neighbours' explains. An object that moves by as much as its splats' spacing is first linked wrongly, at the
-        edge of correctly linked regions. Rounds continue as long as more links are explained.
+        """Look again, where their neighbours went, for splats that neither their own way nor that of their neighbours
+        explains: what moves by as much as its splats lie apart is first linked with the wrong ones, at the edge of
+        what is linked rightly. As long as this explains more of them.
         """
         unit = max(self._spacing, TINY)
         best, kept = np.inf, self.rows.copy()
@@ -408,8 +410,8 @@ class _Linking:
         self._free[self.rows[self.rows >= 0]] = False
 
     def _moved_by_others(self, linked: Rows, rows: Rows) -> F64:
-        """Expected places [n, 3] of the first frame's splats: ``rows`` move like the :data:`COMPANIONS` nearest of the
-        ``linked``, excluding themselves.
+        """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the :data:`COMPANIONS` nearest
+        of the ``linked`` did, themselves aside.
         """
         from scipy.spatial import cKDTree
 
@@ -425,7 +427,7 @@ class _Linking:
         return expected
 
     def _moved_with(self, linked: Rows, rows: Rows) -> F64:
-        """Expected places [n, 3] of the first frame's splats: ``rows`` move like the ``linked`` splats around them."""
+        """Places of all splats of the frame before [n, 3], ``rows`` of them moved as the ``linked`` around them."""
         came = self.rows[linked]
         expected = self._before.means.copy()
         moved = self._after.means[linked] - expected[came]
@@ -434,7 +436,7 @@ class _Linking:
 
 
 class _Field:
-    """Nearest-neighbour search among some rows of a frame's splats."""
+    """Some rows of a frame's splats, for finding those near a place."""
 
     def __init__(self, means: F64, rows: Rows) -> None:
         from scipy.spatial import cKDTree
@@ -450,22 +452,22 @@ class _Field:
 
 
 def _mutual(scores: F64, found: Rows, count: int) -> tuple[Rows, Rows]:
-    """Pairs of rows [p] and splats [p] of the other frame that have each other's lowest of ``scores`` [m, k]."""
+    """Rows [p] and the splats [p] of the other frame that are each other's lowest of ``scores`` [m, k]."""
     best = np.argmin(scores, axis=1)
     mine = np.arange(len(scores))
     theirs, lowest = found[mine, best], scores[mine, best]
     rival = np.full(count, np.inf)
     np.minimum.at(rival, found.ravel(), scores.ravel())
     pairs = np.flatnonzero(np.isfinite(lowest) & (lowest <= rival[theirs]))
-    first = np.unique(theirs[pairs], return_index=True)[1]  # one of equals
+    first = np.unique(theirs[pairs], return_index=True)[1]  # of equals one
     pairs = pairs[first]
     return pairs, theirs[pairs]
 
 
 def _flow(places: F64, points: F64, velocities: F64, *, others: bool = False) -> F64:
-    """Velocities [m, 3] at ``places``: medians over the nearest of ``points`` [n, 3].
+    """Velocities [m, 3] at ``places``: the medians of those of the nearest of ``points`` [n, 3].
 
-    With ``others`` the places are the points themselves, and each point is excluded from its own median.
+    With ``others`` the places are the points, and each is told by the others alone.
     """
     from scipy.spatial import cKDTree
 

@@ -1,4 +1,4 @@
-"""Assigns ids to a frame's splats, and finds what changes by id from frame to frame."""
+"""Which ids a frame's splats get, and what changes by id from frame to frame."""
 
 from __future__ import annotations
 
@@ -19,48 +19,48 @@ from cags_encoder.tracks.looking import Look
 from cags_encoder.tracks.rows import SplatTable
 
 MOTION = ("means", "quats")
-"""Columns of splats that chunks of motion cover."""
+"""Columns of splats that motion is told of, apart from everything else."""
 
 LOOKS = ("log_scales", "logit_opacities", "sh0", "sh_rest")
 
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Values to code for splats [n] that look different."""
+    """What is coded of splats [n] that look different."""
 
     splats: Splats
-    """With the largest opacity of fading splats, and looks that last."""
+    """With the largest opacity of what fades, and looks that last."""
     wrong: Mapping[str, F64]
-    """Column of splats -> visible effect [n] of the error at which it is sent again."""
+    """Column of splats -> visible effect [n] by which what is held of it may be wrong before it is told anew."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A frame whose splats have ids."""
+    """A frame whose splats have their ids."""
 
     index: int
     key: bool
-    """Whether the frame begins a group."""
+    """Whether it begins a group."""
     delta: SourceDelta
     capacity: int
-    """Largest id of the group so far, plus one."""
+    """One more than the largest id of the group so far."""
     births: NDArray[np.bool_]
-    """[m] which splats of the delta are new."""
+    """[m] which of the delta's splats are new."""
     looks: NDArray[np.bool_]
     """[m] which are new, or differ in more than position and rotation."""
     told: Told | None = None
-    """Values to code for the splats that look different; None: those of the delta."""
+    """What to code of those that look different; None: what is in the delta."""
 
 
 ROOM = 1.5
 """Ids for each splat that is there, at most: the more of them are free, the closer together lie those of new splats."""
 
 FASTEST = 1e4
-"""A splat that moves by more than this many of its sizes between two frames counts as another splat."""
+"""A splat that goes further than so many of its own sizes between two frames is taken for another."""
 
 
 class ClipPlacer:
-    """Processes frames in order. Starts a group when one is due, or when nothing continues the previous frame."""
+    """Takes frames in order; starts a group where one is due or where nothing connects to the frame before."""
 
     def __init__(self, name: str, gof_frames: int) -> None:
         self._name, self._gof_frames = name, gof_frames
@@ -71,7 +71,7 @@ class ClipPlacer:
         self.degree: int | None = None
 
     def place(self, looks: Iterable[tuple[int, Look]]) -> Iterator[Placed]:
-        """Assign ids to the splats of each frame. Raises :class:`SceneError`."""
+        """Ids for the splats of each frame. Raises :class:`SceneError`."""
         for index, seen in looks:
             where = f"{self._name}, frame {index}"
             self.degree = seen.splats.sh_degree if self.degree is None else self.degree
@@ -87,12 +87,12 @@ class ClipPlacer:
             yield Placed(index, key, delta, self._placer.capacity, births, looked)
 
     def tracks(self) -> TrackStatistics:
-        """Statistics of the tracks so far."""
+        """What the tracks of the frames so far are like."""
         return self._tracker.statistics()
 
 
 class Placer:
-    """Assigns ids to the splats of one group's frames, in order. The first frame is the key frame."""
+    """Gives the splats of one group's frames their ids, in order. The first frame given is the key frame."""
 
     def __init__(self) -> None:
         self._table: SplatTable | None = None
@@ -101,15 +101,15 @@ class Placer:
 
     @property
     def capacity(self) -> int:
-        """The largest id so far plus one."""
+        """One more than the largest id so far."""
         return self._table.capacity if self._table else 0
 
     def place(
         self, splats: Splats, identities: NDArray[np.int64]
     ) -> tuple[SourceDelta, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Changes by the next frame [n], n >= 1, whose rows have persistent ``identities`` [n].
+        """What the next frame [n], n >= 1, changes: its rows have persistent ``identities`` [n].
 
-        Also returns which of the changed splats [m] are new, and which look different (including the new ones).
+        And of what it changes [m] which splats are new, and which look different, new ones included.
         """
         if self._table is None:
             order = morton_order(splats.means)
@@ -129,7 +129,7 @@ class Placer:
         return delta, new[differing], looks[differing]
 
     def _ids(self, identities: NDArray[np.int64], splats: Splats) -> tuple[Ids, Ids]:
-        """Ids of this frame's rows (known splats keep theirs, new ones get free or unused ids), and the removed ids."""
+        """Ids of this frame's rows (known ones keep theirs, new ones take free or fresh ids), and the ids that went."""
         lookup = np.argsort(self._identities, kind="stable")
         at = np.searchsorted(self._identities, identities, sorter=lookup)
         at = lookup[np.minimum(at, len(lookup) - 1)]
@@ -141,7 +141,7 @@ class Placer:
         removed = np.flatnonzero(gone).astype(np.int32)
         ids = at.astype(np.int32)
         new = np.flatnonzero(~known)
-        new = new[morton_order(splats.means[new])]  # ids ascend along the curve, so neighbours in a tile are near
+        new = new[morton_order(splats.means[new])]  # ids that rise along the curve: neighbours in a tile are near
         ids[new] = self._fresh_ids(len(new), len(identities))
         top = max(len(self._identities), int(ids.max(initial=-1)) + 1)
         self._identities = np.concatenate([self._identities, np.full(top - len(self._identities), -1)])
@@ -151,7 +151,7 @@ class Placer:
         return ids, removed
 
     def _jumps(self, ids: Ids, splats: Splats) -> NDArray[np.bool_]:
-        """Whether each splat [n] is too far from the place of ``ids`` [n] in the previous frame."""
+        """Whether each splat [n] is too far from where ``ids`` [n] were in the frame before."""
         assert self._table is not None
         away = np.abs(splats.means.astype(np.float64) - self._table.take(ids).means).max(axis=1)
         size = np.exp(np.clip(splats.log_scales.astype(np.float64), -60, 60)).max(axis=1)
@@ -159,10 +159,9 @@ class Placer:
         return jumps
 
     def _fresh_ids(self, count: int, alive: int) -> Ids:
-        """Ids for new splats: free ids, and unused ones while there are at most :data:`ROOM` per live splat.
-
-        Ids removed in this frame are not used, because a client may apply removals late. The closest ids are chosen,
-        because gaps between ids cost bytes in id lists.
+        """Ids that went in earlier frames (never in this one: a client may apply its removals late), or new ones while
+        there are no more than :data:`ROOM` for each of ``alive`` splats: those that lie closest together, since gaps
+        between them are what lists of ids cost.
         """
         if not count:
             return np.zeros(0, np.int32)

@@ -44,7 +44,7 @@ def test_a_pool_keeps_order_bounds_what_is_in_flight_and_passes_errors_on() -> N
             assert len(drawn) <= done + AHEAD * 2
         with pytest.raises(SceneError, match=r"^/nowhere\.ply: no such file"):
             list(ahead(workers, open_scene, ["/nowhere.ply"], lambda spec: (spec,)))
-        with pytest.raises(BundleError, match=r"a worker process died.*it continues"):
+        with pytest.raises(BundleError, match=r"a worker process died.*to continue"):
             list(ahead(workers, os._exit, [3], lambda k: (k,)))
 
 
