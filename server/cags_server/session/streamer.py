@@ -8,6 +8,7 @@ Pure: no clock, no socket, no task. The owner passes ``now_us`` (server clock), 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 from cags_common.geometry import Camera, Pose
 from cags_common.tiles.inventory import InventoryEntry
@@ -27,9 +28,10 @@ from cags_server.fov import widened
 from cags_server.link import LinkState
 from cags_server.link.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
 from cags_server.link.pace import MARGIN_US
-from cags_server.link.reference_budget import ReferenceBudget
+from cags_server.link.reference_budget import REFERENCE_OVERHEAD_BYTES, ReferenceBudget
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
 from cags_server.ratecontrol.outlook import lacking_bytes
+from cags_server.ratecontrol.priorities import BLOB_PRIORITY
 from cags_server.records import Ahead, FrameRecord, ReferenceCosts, StreamStats
 from cags_server.reference.coder import ReferenceCoder
 from cags_server.reference.job import FrameJob, FramePlan, FrameRender
@@ -105,6 +107,8 @@ class Streamer:
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
         self._marks: list[ev.Outgoing] = []
+        self._ends_due_us: dict[int, int] = {}  # media frame whose end is queued: its display, client clock
+        self._late_ends: list[ev.Outgoing] = []  # taken back
         self._joined_us = self._marked_us = 0
         self._greeting_due_us: int | None = None  # of the first picture, before the viewer starts playback
         self._damaged = False  # a sent message did not arrive completely
@@ -184,6 +188,8 @@ class Streamer:
                 self.stats.bytes_dropped += sent_bytes
                 self._on_settled(outgoing, delivered=False)
                 self._damaged |= reason == "lost" and isinstance(outgoing.message, TileLayers | FrameEnd)
+                if reason == "cancelled" and self._ends_late(outgoing, now_us):
+                    self._late_ends.append(outgoing)
             case ev.Evicted(tiles):
                 for held in tiles:
                     self._tiles.evicted(held)
@@ -192,6 +198,8 @@ class Streamer:
 
     def _on_sent(self, outgoing: ev.Outgoing, now_us: int) -> None:
         """A message was written completely."""
+        if isinstance(outgoing.message, FrameEnd):
+            self._ends_due_us.pop(outgoing.message.frame, None)
         if isinstance(outgoing.message, TileLayers | FrameEnd):
             if self._coder.compares:
                 self._mirror.sent(outgoing.message, outgoing.payload)
@@ -201,6 +209,8 @@ class Streamer:
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
         self._went_ahead = None
+        self._ends_due_us.clear()
+        self._late_ends.clear()
         self._tiles.client_keeps = control.keeps
         if control.action == "seek":
             self._tiles.go_back(control.frame)
@@ -461,7 +471,7 @@ class Streamer:
             self._video.broken()
             return []
         if plan.greets:
-            self._reference_budget.spent(len(render.coded.access_unit))
+            self._reference_budget.spent(len(render.coded.access_unit) + REFERENCE_OVERHEAD_BYTES)
             return self._counted([self._video.message(render, now_us + GREETING_DEADLINE_US)], now_us)
         self._visibility.rendered(plan.ahead.frame, render.contribution)
         overtaken = self._schedule.overtaken(plan.tick)
@@ -499,7 +509,7 @@ class Streamer:
         late = now_us + travels_us >= self._viewer.clock.to_server(render.plan.display_us)
         rare = now_us - render.plan.planned_us > OVERLOAD * self._schedule.reference_period_us
         self._coder.lateness.observe(late=late or rare)
-        self._reference_budget.spent(record.reference_bytes)
+        self._reference_budget.spent(record.reference_bytes + REFERENCE_OVERHEAD_BYTES)
         return [self._video.message(render, self._reference_deadline_us(render.plan.display_us))]
 
     def _moving_on(self, render: FrameRender) -> list[ev.Outgoing]:
@@ -517,7 +527,10 @@ class Streamer:
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
         decision = self._decide(visible, record, now_us)
         deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
-        return self._counted(self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us), now_us)
+        out = self._tiles.upgrades(ahead.frame, decision.upgrades, deadline_us)
+        frames = [each.message.frame for each in out if isinstance(each.message, FrameEnd)]
+        self._ends_due_us |= dict.fromkeys(frames, ahead.display_us)
+        return self._counted(out, now_us)
 
     def _record(self, plan: FramePlan) -> FrameRecord:
         record = FrameRecord(
@@ -574,11 +587,34 @@ class Streamer:
     # ------------------------------------------------------------------------------------------------------ messages
 
     def outdated(self, outgoing: ev.Outgoing, now_us: int) -> bool:
-        """Whether a waiting tile was chosen for a frame that has been displayed; another tile may be worth more now."""
+        """Whether a waiting message was made for a frame that has been displayed: of a tile, another may be worth more
+        now; of an end, see :meth:`take_late_ends`.
+        """
         message, deadline_us = outgoing.message, outgoing.deadline_us
+        if isinstance(message, FrameEnd):
+            return self._ends_late(outgoing, now_us)
         if not isinstance(message, TileLayers) or deadline_us is None:
             return False
         return now_us >= deadline_us - int(self._settings.tile_deadline_ms * 1000)
+
+    def _ends_late(self, outgoing: ev.Outgoing, now_us: int) -> bool:
+        """Whether a message ends a frame that has been displayed without it."""
+        if not isinstance(outgoing.message, FrameEnd):
+            return False
+        display_us = self._ends_due_us.get(outgoing.message.frame)
+        return display_us is not None and now_us >= self._viewer.clock.to_server(display_us)
+
+    def take_late_ends(self, now_us: int) -> list[ev.Outgoing]:
+        """Ends to queue again, ahead of every tile, for frames that were displayed without theirs.
+
+        The newest stands for all of them; the others are needed only where they name splats. Behind their tiles the
+        ends of a slow link would be ever later, and the client would show nothing that came after them.
+        """
+        late, self._late_ends = self._late_ends, []
+        if not late:
+            return []
+        kept = [each for each in late if each.payload or each is late[-1]]
+        return self._counted([replace(each, priority=BLOB_PRIORITY) for each in kept], now_us)
 
     def _display_us(self, deadline_us: int) -> int:
         """Display time of the frame of a reference that is useful until ``deadline_us``; both by the server's clock."""
