@@ -41,7 +41,7 @@ from cags_server.http.gallery.scenes import add_scenes
 from cags_server.http.gallery.uploads import Uploads
 from cags_server.http.memory import FreedMemory
 from cags_server.http.page import add_page
-from cags_server.http.status import SessionBook, page
+from cags_server.http.status import SessionBook, page, why_ended
 from cags_server.http.waiting_list import WaitingList
 from cags_server.records import StreamStats, Totals, write_session
 from cags_server.reference.render_pool import RenderPool
@@ -199,7 +199,7 @@ class App:
             return refusal
         from cags_server.http.metrics import exposition  # with all of Prometheus' client: once somebody asks
 
-        page = exposition(self._ended, (stats for _, stats in self.sessions()))
+        page = exposition(self._ended, (stats for _, stats in self.sessions()), tasks=len(asyncio.all_tasks()))
         return web.Response(text=page, headers={"Content-Type": "text/plain; version=0.0.4; charset=utf-8"})
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:
@@ -304,13 +304,17 @@ class App:
         if not self._clients:
             self._empty.set()
         ending = connection.ending
-        why = f"{ending.code}: {ending.reason}" if ending else "lost"
-        self._book.ended(name, connection.stats, ending)
-        if not let_in:
+        why, stats = why_ended(ending), connection.stats
+        status = self._book.ended(name, stats, ending)
+        if not let_in or status is None:
             self._turned_away.write(logging.INFO, peer, "%s: not let in, from %s (%s)", name, peer, why)
             return
-        self._ended.add(connection.stats)
-        self._told.write(logging.INFO, peer, "%s: left (%s)", name, why)
+        self._ended.add(stats)
+        shown = status.in_time + status.late
+        self._told.write(
+            logging.INFO, peer, "%s: left (%s) after %.0f s, %d of %d frames in time, %d stalls, short of %s",
+            name, why, status.seconds, status.in_time, shown, status.stalls, status.short_of,
+        )  # fmt: skip
         if self._settings.session_logs:
             try:
                 write_session(Path(self._settings.session_logs), name, connection.stats, ending)
