@@ -256,7 +256,7 @@ async def frames_go_on(viewers: Sequence[Viewer]) -> None:
 
 @contextmanager
 def attack(port: int, *attacks: str) -> Iterator[None]:
-    """Some of :mod:`support.attackers`, each as ``NAME`` or ``NAME:ARGUMENT``, until the block ends."""
+    """Some of :mod:`support.attackers`, each as ``NAME[:ARGUMENT[:TOKEN]]``, until the block ends."""
     here = Path(__file__).parent.parent
     command = [sys.executable, "-m", "support.attackers", str(port), *attacks]
     with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as process:
