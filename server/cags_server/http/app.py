@@ -18,6 +18,7 @@ from aiohttp.typedefs import Handler, Middleware
 from cags_common.errors import CagsError, NetworkError, OutputError
 from cags_common.runtime.rare_log import RareLog
 from cags_common.transport.accepting import listen_on
+from cags_common.transport.base import ConnectionEndedError
 from cags_common.transport.hosts import named
 from cags_common.transport.websocket import ServerWebSocket
 from cags_protocol import SUBPROTOCOL, ServerSessionSettings, SessionTimers
@@ -56,6 +57,9 @@ log = logging.getLogger(__name__)
 
 MOST_BY_MEASURE = 256
 """Descriptors are kept for so many clients where their number is measured."""
+
+GONE_BEFORE = 499
+"""Status of an answer that nobody is there for any more, as nginx has it."""
 
 DEFAULT_FPS = 30.0
 """Of a server that has no scene yet."""
@@ -217,9 +221,12 @@ class App:
         vouched = bool(self._settings.token) and header_allowed(self._settings.token, header)
         if not vouched and not await self._turns.take():
             return web.json_response({"error": "too many ask at once; try again later"}, status=503)
-        transport = await ServerWebSocket.accept(
-            request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
-        )
+        try:
+            transport = await ServerWebSocket.accept(
+                request, subprotocol=SUBPROTOCOL, max_message_bytes=MAX_CLIENT_MESSAGE_BYTES
+            )
+        except ConnectionEndedError:
+            return web.Response(status=GONE_BEFORE)
         self._streams(request)
         name = f"s{next(self._names)}"
         events = EventFile(Path(self._settings.event_traces), name) if self._settings.event_traces else None
