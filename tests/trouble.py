@@ -49,6 +49,9 @@ or fifteen of silence.
 SETTLES_S = 20.0
 """Until what the last ones have left is gone: a silent one is given up, and freed memory is given back."""
 
+WARMS_UP_S = 60.0
+"""Of the same trouble, before anything is counted: what is held for good (decoded tiles, threads) is held by then."""
+
 MOST_GROWTH = 1.1
 POOL = (os.cpu_count() or 1) + 4
 """Threads that an event loop has for what blocks; it starts one more only where several are wanted at once."""
@@ -215,29 +218,28 @@ def unsettled(traces: Path) -> tuple[int, int]:
 
 async def play(server: Keep, shaping: int, url: str, seconds: float, seed: int) -> tuple[list[Troubled], Any, float]:
     """The viewers, what both processes held before and after, and the most that the server held."""
-    await _watch(
-        url, [Troubled(url, calm=True) for _ in range(VIEWERS)], 10.0
-    )  # what is held for good is held from here on
+    first, then = (
+        [Troubled(url, rng=random.Random(f"{seed} {begun} {n}")) for n in range(VIEWERS)] for begun in (0, 1)
+    )
+    await _watch(first, WARMS_UP_S, server)
     before = await _footings(server, shaping)
-    viewers = [Troubled(url, rng=random.Random(f"{seed} {number}")) for number in range(VIEWERS)]
-    peak_mb = await _watch(url, viewers, seconds, server)
-    return viewers, (before, await _footings(server, shaping)), peak_mb
+    peak_mb = await _watch(then, seconds, server)
+    return first + then, (before, await _footings(server, shaping)), peak_mb
 
 
-async def _watch(url: str, viewers: list[Troubled], seconds: float, server: Keep | None = None) -> float:
+async def _watch(viewers: list[Troubled], seconds: float, server: Keep) -> float:
     tasks, peak_mb = [asyncio.create_task(viewer.watch()) for viewer in viewers], 0.0
     try:
         await until(lambda: all(viewer.arrivals for viewer in viewers), "somebody is not let in")
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             await asyncio.sleep(min(1.0, seconds))
-            peak_mb = max(peak_mb, server.rss_mb if server else 0.0)
+            peak_mb = max(peak_mb, server.rss_mb)
             for task in tasks:
                 assert not task.done(), task.exception()
         for viewer in viewers:
             viewer.calm = True
-            viewer.endings.clear()
-        await asyncio.sleep(SETTLES_S if server else 0.0)
+        await asyncio.sleep(SETTLES_S)
         for viewer in viewers:
             viewer.endings.clear()
         await frames_go_on(viewers)
