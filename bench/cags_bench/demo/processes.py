@@ -1,4 +1,4 @@
-"""Server, shaper and client as operating-system processes that cannot outlive the demo."""
+"""Server, shaper and client as operating-system processes that end with the demo."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ STOP_TIMEOUT_S = 10.0
 
 @dataclass
 class Process:
-    """One running command: its name, its handle, and the file of its stderr."""
+    """A running command: its name, handle, and the file of its stderr."""
 
     name: str
     handle: subprocess.Popen[str]
     log: Path
 
     def ready(self) -> dict[str, Any]:
-        """The process's ready line. Raises :class:`NetworkError` when it ends or stays silent instead."""
+        """The process's ready line. Raises :class:`NetworkError` if it ends or stays silent instead."""
         line = _first_line(self.handle.stdout, READY_TIMEOUT_S)
         try:
             message = json.loads(line)
@@ -45,7 +45,7 @@ class Process:
         return lines[-1] if lines else f"no message; its log is {self.log}"
 
     def stop(self) -> None:
-        """Terminate it, and kill it if it does not end."""
+        """Terminate the process, and kill it if it does not end."""
         if self.handle.poll() is None:
             self.handle.terminate()
             try:

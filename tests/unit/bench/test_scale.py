@@ -136,7 +136,7 @@ def test_a_clip_that_is_too_short_says_so(bundle: Path) -> None:
 
 
 def test_sizes_are_numbers() -> None:
-    with pytest.raises(ConfigError, match="'many' is no number of splats"):
+    with pytest.raises(ConfigError, match="'many' is not a number of splats"):
         ScaleSettings(sizes="1000,many")
 
 
