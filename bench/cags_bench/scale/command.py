@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.jsonl import check, summary
+from cags_bench.jsonl import check, provenance, summary
 from cags_bench.scale.cluster import Cluster, Load
 from cags_bench.scale.settings import ScaleSettings
 from cags_common.settings import add_settings, load_settings
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     checks: list[dict[str, Any]] = []
     job_ms = settings.job_ms
     if job_ms is None:
-        from cags_bench.scale.sizing import crowd_line, judged, scenes, sizing_table, viewer_lines
+        from cags_bench.scale.sizing import crowd_line, judged, scenes, sizing_caption, sizing_table, viewer_lines
 
         lines: list[dict[str, Any]] = []
         for scene in scenes(settings):
@@ -46,7 +46,8 @@ def run(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
             lines.append(crowd_line(settings))
             yield lines[-1]
         if settings.table:
-            Path(settings.table).write_text(sizing_table(lines), encoding="utf-8")
+            text = f"{sizing_table(lines)}\n{sizing_caption(lines, provenance())}\n"
+            Path(settings.table).write_text(text, encoding="utf-8")
         checks += judged(lines)
         job_ms = lines[0]["job_ms"]
     curve: dict[int, int] = {}

@@ -113,6 +113,16 @@ def sizing_table(lines: Sequence[dict[str, Any]]) -> str:
     return "\n".join([*HEADER, *rows]) + "\n"
 
 
+def sizing_caption(lines: Sequence[dict[str, Any]], where: dict[str, Any]) -> str:
+    """What the table's rows are, and where they were measured (:func:`cags_bench.jsonl.provenance`)."""
+    line = next(iter(_by_scene(lines).values()))[SAME, "auto"]
+    return (
+        f"A row is a scene, {line['viewers']} viewers at {line['mbps']:g} Mbps each on walks of their own, medians of "
+        f"{line['rounds']} rounds ({where['machine']}; commit {where['commit']}; [lines](sizing.jsonl)). CPU ms are a "
+        f"viewer's for each second that it watches; a core carries what takes {HEADROOM:.0%} of it."
+    )
+
+
 HEADER = (
     "| splats | CPU ms, same moment | moments apart | nothing shared | of the first: truth + mirror + coding + rest "
     "| viewers a core | with `picture` | with `none` | nothing shared | mirror, MB |",

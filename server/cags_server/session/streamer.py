@@ -30,6 +30,7 @@ from cags_server.link.byte_budget import MESSAGE_OVERHEAD_BYTES, ByteBudget
 from cags_server.link.pace import MARGIN_US
 from cags_server.link.reference_budget import REFERENCE_OVERHEAD_BYTES, ReferenceBudget
 from cags_server.ratecontrol import Decision, Observation, create_rate_policy
+from cags_server.ratecontrol.base import mean_level
 from cags_server.ratecontrol.outlook import lacking_bytes
 from cags_server.ratecontrol.priorities import BLOB_PRIORITY
 from cags_server.records import Ahead, FrameRecord, ReferenceCosts, StreamStats
@@ -40,6 +41,7 @@ from cags_server.reference.video import ReferenceVideo
 from cags_server.reference.worth import Worth
 from cags_server.scene.library import SceneLibrary
 from cags_server.scene.visible_tiles import VisibleTile
+from cags_server.session.arrivals import FrameArrivals
 from cags_server.session.schedule import Schedule
 from cags_server.session.startup import Startup
 from cags_server.session.tile_sender import TileSender
@@ -84,7 +86,7 @@ class Streamer:
         """``may_render(now_us)`` says whether the renderer has a slot for this client when a reference is due.
         ``lightly()`` says whether references should save processor time.
         """
-        self.stats = StreamStats()
+        self.stats = StreamStats(levels=library.manifest.lods)
         self.lacking: float | None = None
         """Mean squared error, RGB in [0, 1], of the client's picture at the newest reference; None if unknown."""
         self._library, self._settings, self._hello = library, settings, hello
@@ -103,6 +105,7 @@ class Streamer:
         self._reference_budget = ReferenceBudget(link, settings.reference_most)
         self._worth = Worth()
         self._visibility = Visibility(library, settings.visible_px)
+        self._arrivals = FrameArrivals(self.stats)
         self._rests_until_us = 0  # the renderer, after a job that took long
         self._render_plan: FramePlan | None = None  # the newest
         self._went_ahead: FrameRecord | None = None  # what was sent for the pending render
@@ -208,6 +211,7 @@ class Streamer:
 
     def _on_control(self, control: Control, now_us: int) -> None:
         self._schedule.controlled(control, now_us)
+        self._arrivals.forget()
         self._went_ahead = None
         self._ends_due_us.clear()
         self._late_ends.clear()
@@ -248,9 +252,11 @@ class Streamer:
             self._video.dropped(message)
 
     def _on_arrived(self, outgoing: ev.Outgoing, now_us: int) -> None:
-        """Tell the pace how late a reference was. The acknowledgement took the way up, and so did the poses that the
-        client's clock is known by: the two delays cancel.
+        """Tell the pace how late a reference was, and count the frames that were in time. The acknowledgement took the
+        way up, and so did the poses that the client's clock is known by: the two delays cancel.
         """
+        if isinstance(outgoing.message, FrameEnd):
+            self._arrivals.arrived(outgoing.message.frame, self._viewer.clock.to_client(now_us))
         if not (isinstance(outgoing.message, ReferenceFrame) and self._schedule.timeline.playing):
             return
         if outgoing.deadline_us is not None:
@@ -456,10 +462,7 @@ class Streamer:
         # A job longer than a frame starves everything else on the machine: tiles, and a client beside the server.
         self._rests_until_us = now_us + max(work_us - round(self._schedule.reference_period_us), 0)
         self.stats.references += plan.speaks
-        self.stats.render_ns += render.render_ns
-        self.stats.mirror_ns += render.mirror_ns
         self.stats.mirror_bytes = self._mirror.memory_bytes
-        self.stats.encode_ns += render.encode_ns
         if plan.speaks:
             self.lacking = render.coded.before
             cost = ReferenceCosts(1, render.render_ns + render.mirror_ns, render.encode_ns)
@@ -524,6 +527,8 @@ class Streamer:
         """The tiles chosen by the rate policy for a frame, and the end of the frame."""
         camera = Camera(self._hello.intrinsics, record.predicted, self._hello.near)
         ahead = record.ahead
+        if self._schedule.timeline.playing:
+            self._arrivals.expect(ahead.frame, ahead.display_us)
         visible = self._visibility.with_ghosts(visible, ahead.frame, camera, self._tiles.inventory, self._tiles.age)
         decision = self._decide(visible, record, now_us)
         deadline_us = self._viewer.clock.to_server(ahead.display_us) + int(self._settings.tile_deadline_ms * 1000)
@@ -555,7 +560,8 @@ class Streamer:
         frame, display_us = record.ahead.frame, record.ahead.display_us
         to_display_us = self._viewer.clock.to_server(display_us) - now_us
         lead_frames = to_display_us / self._schedule.timeline.period_us
-        views = (self._tiles.view(tile, frame, lead_frames) for tile in visible)
+        views = [self._tiles.view(tile, frame, lead_frames) for tile in visible]
+        record.level = mean_level(views)
         tiles = tuple(view for view in views if view.kind == TileKind.LOOKS or not view.complete)
         period_us = self._schedule.planned_period_us
         earned_bytes = self._budget.open(record, self._schedule.timeline.period_us, now_us)

@@ -40,6 +40,8 @@ async def test_the_page_tells_who_watches_and_why_others_left() -> None:
     assert (live["session"], ended["session"]) == ("s2", "s1")
     assert live["frames"] > 0
     assert live["sent_mb"] > 0
+    assert 0 < live["level"] <= live["levels"]
+    assert live["in_time"] + live["late"] > 0
     assert (live["ended"], ended["ended"]) == ("", "bye: done")
     assert report["bundle"] == "wall"
 
