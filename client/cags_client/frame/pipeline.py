@@ -263,10 +263,12 @@ class ClientPipeline:
 
         With a difference this is the mark that it assumes. A picture assumes none, because it is compared with the
         displayed splats; the frame is then shown up to the mark of the next received reference, or to the newest mark.
-        While the frame's reference is late, the mark of the previous one stays. Without references there are no marks.
+        While the frame's reference is late, the frame is shown up to the mark of the newest received one, which may
+        have come after its own frame, but to no mark before the displayed one. Without references there are no marks.
         """
         if reference is not None and reference.assumes and frame - reference.frame <= PATIENCE_FRAMES:
-            self._committed_mark = reference.basis if reference.frame == frame else self._committed_mark
+            shown = 0 if reference.frame == frame else self._committed_mark
+            self._committed_mark = max(reference.basis, shown)
             return self._committed_mark
         coming = self._references.next_basis()
         self._committed_mark = self._marked if coming is None else min(coming, self._marked)
