@@ -86,3 +86,13 @@ test("a reference that came after its own frame is shown with what it assumes, a
   references.add(differs(10, 3, 5), null);
   assert.equal(basis(13), 6);
 });
+
+test("while a reference is late, one that says nothing holds nothing back", () => {
+  const references = new References<null>();
+  references.marked(9);
+  references.add(silent(10, 1, 4), null);
+  for (const [frame, mark] of [[10, 4], [11, 9]] as const) {
+    references.show(frame, CLIP);
+    assert.equal(references.basis(references.newest(9)), mark);
+  }
+});
