@@ -36,8 +36,13 @@ class Process:
         except json.JSONDecodeError:
             message = {}
         if not message.get("ready"):
-            raise NetworkError(f"{self.name} did not start: {self.last_words()}")
+            raise NetworkError(f"{self.name} did not start: {self._why_silent()}")
         return dict(message)
+
+    def _why_silent(self) -> str:
+        if self.handle.poll() is None:
+            return f"it said nothing for {READY_TIMEOUT_S:g} s; try again when this machine has less to do"
+        return self.last_words()
 
     def last_words(self) -> str:
         """The last line that the process wrote to its log."""

@@ -8,6 +8,7 @@ from prometheus_client import CollectorRegistry, Gauge, Metric, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, SummaryMetricFamily
 from prometheus_client.registry import Collector
 
+from cags_server.http.shortage import RESOURCES, shortage
 from cags_server.records import StreamStats, Totals
 
 
@@ -32,6 +33,11 @@ class _Sessions(Collector):
         """One family after the other."""
         live, sums, count = self._live, self._sums, max(len(self._live), 1)
         yield GaugeMetricFamily("cags_sessions", "Clients connected now.", len(live))
+        short = GaugeMetricFamily("cags_sessions_short", "Clients short of a resource.", labels=("of",))
+        of = [shortage(stats).of for stats in live]
+        for resource in RESOURCES:
+            short.add_metric((resource,), of.count(resource))
+        yield short
         yield CounterMetricFamily("cags_sessions_total", "Clients that ever joined.", sums.sessions)
         yield CounterMetricFamily("cags_frames_total", "Frames planned.", sums.frames)
         for name, what, total in (

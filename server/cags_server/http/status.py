@@ -11,18 +11,11 @@ from itertools import islice
 from typing import Any
 
 from cags_protocol.events import Closed
+from cags_server.http.shortage import RECENT_FRAMES, shortage
 from cags_server.records import StreamStats
 
 KEPT_ENDED = 50
 """Ended sessions that the page remembers."""
-
-RECENT_FRAMES = 60
-"""Frames that tell what a session is short of."""
-
-MANY_LATE, FULL_BUDGET = 0.25, 0.8
-"""Share of frames whose reference was late or found no place, and of the byte budget that is spent, from which on the
-renderer or the link is short.
-"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +50,9 @@ class SessionStatus:
     upgrades: float
     """Tiles raised by a level a frame, of late."""
     short_of: str
-    """``renderer``, ``link`` or ``nothing``."""
+    """``processor``, ``renderer``, ``link`` or ``nothing``."""
+    shortage: str
+    """The same as a sentence, with how short."""
     ended: str = ""
     """Why; empty while it goes on."""
 
@@ -96,7 +91,7 @@ class SessionBook:
 
     def _status(self, name: str, stats: StreamStats, ended: str = "") -> SessionStatus:
         peer, wall_s, began_s = self._began[name]
-        recent = list(islice(reversed(stats.records), RECENT_FRAMES))
+        recent, short = list(islice(reversed(stats.records), RECENT_FRAMES)), shortage(stats)
         sent = stats.bytes_tiles + stats.bytes_reference + stats.bytes_other
         return SessionStatus(
             session=name,
@@ -116,21 +111,10 @@ class SessionBook:
             references_late=stats.references_late,
             mirror_mb=round(stats.mirror_bytes / 1e6, 1),
             upgrades=round(sum(record.upgrades for record in recent) / max(len(recent), 1), 1),
-            short_of=short_of(stats),
+            short_of=short.of,
+            shortage=str(short),
             ended=ended,
         )
-
-
-def short_of(stats: StreamStats) -> str:
-    """What keeps a session from more, by its last frames: the renderer, the link, or nothing."""
-    recent = list(islice(reversed(stats.records), RECENT_FRAMES))
-    if not recent:
-        return "nothing"
-    if sum(record.reference_late or record.no_place for record in recent) > MANY_LATE * len(recent):
-        return "renderer"
-    budget = sum(max(record.budget_bytes, 0) for record in recent)
-    spent = sum(record.tile_bytes for record in recent)
-    return "link" if spent and spent >= FULL_BUDGET * budget else "nothing"
 
 
 COLUMNS = {
@@ -149,7 +133,7 @@ COLUMNS = {
     "stalls": "stalls",
     "references_late": "references late",
     "mirror_mb": "mirror, MB",
-    "short_of": "short of",
+    "shortage": "short of",
     "ended": "ended",
 }
 

@@ -362,7 +362,8 @@ class Streamer:
         if self._schedule.is_out(tick):
             self._went_ahead = record  # of the pending render, whose reference is not late yet
         else:
-            record.reference_late, record.no_place = not between, between and self._no_place
+            record.reference_late = not between
+            record.no_place = between and (self._no_place or self._given_up)
             self.stats.references_late += record.reference_late
         ahead = plan.ahead.frame
         self._enter(ahead, now_us)
@@ -405,6 +406,11 @@ class Streamer:
         if not self._pays:
             return self._schedule.between_renders(LOOK_EVERY, seen=seen)
         return not self._video.needs_idr and self._schedule.between_renders(self._settings.reference_every, seen=seen)
+
+    @property
+    def _given_up(self) -> bool:
+        """Whether no references are made because this machine is too slow for them."""
+        return self._coder.kind is not None and not self._pays
 
     @property
     def _pays(self) -> bool:
