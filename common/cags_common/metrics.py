@@ -133,7 +133,8 @@ def flicker(picture: F32, before: F32, truth: F32, truth_before: F32) -> float:
 
 def _displayed(picture: F32) -> F32:
     """A picture as a display shows it, in an array of its own."""
-    return np.clip(picture, np.float32(0.0), np.float32(1.0), dtype=np.float32)
+    shown: F32 = np.clip(picture, np.float32(0.0), np.float32(1.0), dtype=np.float32)
+    return shown
 
 
 def _strips(height: int) -> Iterator[slice]:
