@@ -31,6 +31,11 @@ SMALL = 10**-4.4
 twice as much they no longer do: blending order is a small error.
 """
 
+NEWS = 10.0
+"""Splats have come or moved where a difference has grown by more than this factor; a large splat that is blended in
+another order brings less.
+"""
+
 RESAMPLING = 1.2
 """What lasts whole is found again by 1 / 1.2 of it, because moving it blurs it: measured on objects and rooms."""
 
@@ -42,24 +47,28 @@ class Lasting:
     """Compares each difference of a client with the one before."""
 
     def __init__(self) -> None:
-        self._before: tuple[F32, Camera] | None = None
+        self._before: tuple[F32, Camera, float] | None = None  # with its mean square
 
     def share(self, lack: F32, camera: Camera, depth: F32) -> F32 | None:
         """The share of ``lack`` [h, w, 3], drawn from ``camera``, to be sent [h, w]; None: all of it.
 
         ``depth`` [h, w] is that of the client's splats from there, camera-space z; +inf where there are none.
         """
-        before, self._before = self._before, (lack, camera)
-        held = max(3 * np.count_nonzero(np.isfinite(depth)), 1)
-        counts = float(np.clip(2 - cv2.norm(lack, cv2.NORM_L2SQR) / held / SMALL, 0, 1))
-        if before is None or not counts:
+        power = cv2.norm(lack, cv2.NORM_L2SQR) / max(3 * np.count_nonzero(np.isfinite(depth)), 1)
+        before, self._before = self._before, (lack, camera, power)
+        if before is None:
+            return None
+        lack_before, camera_before, power_before = before
+        grown = power > NEWS * power_before
+        counts = float(np.clip(2 - (power if grown else min(power, power_before)) / SMALL, 0, 1))
+        if not counts:
             return None
         now = np.ascontiguousarray(lack[::STEP_PX, ::STEP_PX])
-        earlier, seen = _moved(*before, camera, depth[::STEP_PX, ::STEP_PX])
+        earlier, seen = _moved(lack_before, camera_before, camera, depth[::STEP_PX, ::STEP_PX])
         now *= seen[..., None]
-        together, power = (by_block(now, other, BLOCK_PX // STEP_PX) for other in (earlier, now))
-        whole = together.sum() / max(power.sum(), DOUBT)
-        share = np.clip(RESAMPLING * (together + DOUBT * whole) / (power + DOUBT), 0, 1)
+        together, alone = (by_block(now, other, BLOCK_PX // STEP_PX) for other in (earlier, now))
+        whole = together.sum() / max(alone.sum(), DOUBT)
+        share = np.clip(RESAMPLING * (together + DOUBT * whole) / (alone + DOUBT), 0, 1)
         share = (1 - counts * (1 - share)).astype(np.float32)
         return np.asarray(cv2.resize(share, (lack.shape[1], lack.shape[0]), interpolation=cv2.INTER_LINEAR))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cags_common.geometry import F32, Camera, Intrinsics, Pose
-from cags_server.reference.lasting import RESAMPLING, SMALL, Lasting
+from cags_server.reference.lasting import NEWS, RESAMPLING, SMALL, Lasting
 
 INTRINSICS = Intrinsics.of_fov(160, 120, 1.0, 0.8)
 DEPTH = np.full((120, 160), 2.0, np.float32)
@@ -102,3 +102,11 @@ def test_it_is_what_lacks_on_the_splats_that_is_large_or_small() -> None:
     large, small = (np.float32(np.sqrt(of * SMALL / 1e-5)) for of in (3.0, 0.5))
     assert shared(on * large * texture(1), on * large * texture(2), depth=depth) is None
     assert shared(on * small * texture(1), on * small * texture(2), depth=depth) is not None
+
+
+def test_a_large_splat_out_of_order_is_told_from_splats_that_have_come() -> None:
+    before = np.float32(np.sqrt(0.5 * SMALL / 1e-5)) * texture(1)
+    for growth, whole in ((NEWS * 0.8, False), (NEWS * 1.2, True)):
+        now = np.float32(np.sqrt(growth * 0.5 * SMALL / 1e-5)) * texture(2)
+        assert (shared(before, now) is None) is whole
+        assert shared(now, before) is not None, "what is small now is looked at, whatever came before"
