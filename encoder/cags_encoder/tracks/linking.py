@@ -249,8 +249,10 @@ class _Linking:
         return even + bends if away[1] < BENDS * away[0] else even
 
     def _part_strangers(self, expected: F64) -> None:
-        """Undo links of splats that look otherwise than those of this pair of frames usually do, and are neither where
-        they were looked for nor where their neighbours went: one ended, and another began beside it.
+        """Undo links of splats whose looks changed more than is usual for this pair of frames, and that are neither at
+        the expected place nor where their neighbours went: one ended, and another began beside it. The neighbours are
+        first those whose looks changed as usual, then all: a thing that turns changes all its splats, but these move
+        together.
         """
         linked = np.flatnonzero((self.rows >= 0) & self._changed)
         came = self.rows[linked]
@@ -260,6 +262,10 @@ class _Linking:
         strange = np.flatnonzero(other & (place > STRANGE_PLACE))
         if len(strange) and not other.all():
             expected = self._moved_with(linked[~other], came[strange])
+            place, _ = self._apart(came[strange], linked[strange], expected)
+            strange = strange[place > STRANGE_PLACE]
+        if len(strange):
+            expected = self._moved_by_others(linked, came[strange])
             place, _ = self._apart(came[strange], linked[strange], expected)
             strange = strange[place > STRANGE_PLACE]
         self._free[came[strange]] = True
