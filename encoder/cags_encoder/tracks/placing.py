@@ -52,7 +52,7 @@ class Placed:
     """What to code of those that look different; None: what is in the delta."""
 
 
-ROOM = 1.5
+ROOM = 2.0
 """Ids for each splat that is there, at most: the more of them are free, the closer together lie those of new splats."""
 
 FASTEST = 1e4
