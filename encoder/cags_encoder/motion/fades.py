@@ -9,16 +9,16 @@ from cags_common.geometry import F64
 from cags_common.motion.chunk import FADE_STEP, FADE_WIDTHS
 
 LEAST_CHANGE = 0.06
-"""Change of drawn opacity over a life from which on a fade is looked for."""
+"""Least change of drawn opacity over a life for which a fade is fitted."""
 
 WORST_FIT = 0.06
-"""Largest error of drawn opacity, in the root mean square, that a fade may leave."""
+"""Largest root mean square error of drawn opacity of a fade."""
 
 SEARCHED = 3
-"""Widths, on both sides, that are tried if the first fit is poor."""
+"""Number of smaller and of larger widths that are tried if the first fit is poor."""
 
 FURTHEST = 2000
-"""Parts of the width by which a centre may be away from the middle of a life."""
+"""Largest distance of a centre from the middle of a life, in steps of the centre."""
 
 _LEAST = 1e-4
 
@@ -93,7 +93,7 @@ def _gaussian(index: NDArray[np.int64], part: NDArray[np.int64], middles: F64, p
 
 
 def _error(guess: F64, opacities: F64, present: NDArray[np.bool_], count: NDArray[np.int64]) -> F64:
-    """Root mean square [n] of what ``guess`` [frames, n] is off where ``present``."""
+    """Root mean square error [n] of ``guess`` [frames, n] where ``present``."""
     root: F64 = np.sqrt(np.where(present, np.square(opacities - guess), 0.0).sum(axis=0) / count)
     return root
 

@@ -36,10 +36,10 @@ square over all directions.
 
 
 FASTER = 4.0
-"""Largest factor by which the tolerance of a splat grows with the speed of its change; that of noise."""
+"""Largest factor by which the tolerance grows with the speed of change, and factor for noise."""
 
 NOISE_STEPS = 1.5
-"""Noise goes further in all, by this factor at least, than in its largest step."""
+"""Least ratio of the total variation of noise to its largest step; it excludes single jumps."""
 
 
 def lasting(splats: Splats, ids: Ids, later: Sequence[Placed], most: float) -> Told:
