@@ -55,7 +55,12 @@ def paired(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
     """
     if len(ours) != len(theirs):
         raise ValueError(f"{len(ours)} frames of ours and {len(theirs)} of theirs are no pairs")
-    return interval(_blocks(np.asarray(ours, np.float64) - np.asarray(theirs, np.float64)))
+    return interval_of_play((np.asarray(ours, np.float64) - np.asarray(theirs, np.float64)).tolist())
+
+
+def interval_of_play(values: Sequence[float]) -> Interval:
+    """Interval of the mean over the frames of one play, in blocks of :data:`BLOCK_FRAMES`."""
+    return interval(_blocks(np.asarray(values, np.float64)))
 
 
 def pooled(differences: Sequence[Sequence[float]]) -> Interval:

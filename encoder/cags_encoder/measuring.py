@@ -9,8 +9,9 @@ because the client's restorer and references are not known here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from cags_common.tiles.attributes import join_attributes
 from cags_common.tiles.lod import LodLayer, depths_at
 from cags_common.tiles.morton import morton_order, tile_ranges
 from cags_common.tiles.payloads import KEY_TILE_SPLATS, encode_layer
+from cags_encoder.codecs.registry import ClipCodec
 from cags_encoder.codecs.svq import SvqCodec
 
 VIEWS = 3
@@ -84,6 +86,30 @@ def measure(
     return LodMeasurement(order, gains, LodQuality(tuple(alone), tuple(ladder)))
 
 
+@runtime_checkable
+class Levelled(ClipCodec, Protocol):
+    """A codec of fixed levels, whose gains can be measured."""
+
+    def levels(self, coded: Any) -> Iterable[Splats]:
+        """What a decoder shows of one tile at each LoD, from 0 on."""
+        ...
+
+    def with_gains(self, gains_db: tuple[float, ...]) -> Self:
+        """The same codec; ``gains_db`` is what each LoD from 1 on brings."""
+        ...
+
+
+def measured_gains(
+    codec: Levelled, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser
+) -> tuple[float, ...]:
+    """PSNR that each LoD of ``codec`` from 1 on brings to ``splats`` [n] seen by ``cameras``."""
+    views = _Views(splats, cameras, rasteriser)
+    coded = codec.quantise(codec.prepare(views.splats))
+    tiles = [codec.levels(coded.take(slice(a, b))) for a, b in tile_ranges(len(splats), KEY_TILE_SPLATS)]
+    errors = np.array([views.look(Splats.concatenate(list(level))).error for level in zip(*tiles, strict=True)])
+    return tuple(round(float(gain), 4) for gain in 10 * np.log10(errors[:-1] / errors[1:]))
+
+
 def cheapest_first(
     errors: Mapping[tuple[str, int], float],
     floor: float,
@@ -125,29 +151,45 @@ class _Seen:
         return round(-10 * math.log10(self.error), 3), round(self.ssim, 5)
 
 
-class _Trial:
-    """Renders of the splats with any number of layers, compared with the truth."""
+class _Views:
+    """Renders compared with the truth."""
 
-    def __init__(self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
-        self._codec, self._books = codec, codec.quantiser.books
+    def __init__(self, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
         self._cameras, self._rasteriser = cameras, rasteriser
-        splats = splats.take(morton_order(splats.means))
-        self._coded = codec.quantise(codec.prepare(splats))
-        self._truth = self._draw(splats)
+        self.splats = splats.take(morton_order(splats.means))
+        """The truth, in the order of tiles."""
+        self._truth = self._draw(self.splats)
 
-    def look(self, depths: Mapping[str, int]) -> _Seen:
-        """Compare with ``depths[attribute]`` enhancement layers, over the covered pixels of all views."""
-        values = {}
-        for book in self._books:
-            layers = 1 + depths.get(book.attribute, 0)
-            values[book.attribute] = book.lookup(book.prefix(self._coded.codes[book.attribute], layers), layers)
+    def look(self, shown_splats: Splats) -> _Seen:
+        """Compare ``shown_splats`` over the covered pixels of all views."""
         total, likeness, pixels = 1e-9, 0.0, 1e-9
-        for true, shown in zip(self._truth, self._draw(join_attributes(self._coded.means, values)), strict=True):
+        for true, shown in zip(self._truth, self._draw(shown_splats), strict=True):
             mask = covered_mask(np.maximum(true.alpha, shown.alpha))
             total += float(np.square(_shown(true) - _shown(shown))[mask].mean(axis=1).sum())
             likeness += float(ssim_map(shown.rgb, true.rgb)[mask].mean(axis=1).sum())
             pixels += int(mask.sum())
         return _Seen(total / pixels, likeness / pixels)
+
+    def _draw(self, splats: Splats) -> list[RenderedView]:
+        scene = self._rasteriser.load(splats)
+        return [scene.render(camera, _OPTIONS) for camera in self._cameras]
+
+
+class _Trial:
+    """Renders of the splats with any number of layers, compared with the truth."""
+
+    def __init__(self, codec: SvqCodec, splats: Splats, cameras: Sequence[Camera], rasteriser: Rasteriser) -> None:
+        self._codec, self._books = codec, codec.quantiser.books
+        self._views = _Views(splats, cameras, rasteriser)
+        self._coded = codec.quantise(codec.prepare(self._views.splats))
+
+    def look(self, depths: Mapping[str, int]) -> _Seen:
+        """Compare with ``depths[attribute]`` enhancement layers."""
+        values = {}
+        for book in self._books:
+            layers = 1 + depths.get(book.attribute, 0)
+            values[book.attribute] = book.lookup(book.prefix(self._coded.codes[book.attribute], layers), layers)
+        return self._views.look(join_attributes(self._coded.means, values))
 
     def base_bytes(self) -> int:
         """Bytes of LoD 0 of the frame's tiles."""
@@ -168,10 +210,6 @@ class _Trial:
                 tiles = tile_ranges(len(part), KEY_TILE_SPLATS)
                 out[book.attribute, layer] = sum(len(encode_layer(part[a:b], bits)) for a, b in tiles)
         return out
-
-    def _draw(self, splats: Splats) -> list[RenderedView]:
-        scene = self._rasteriser.load(splats)
-        return [scene.render(camera, _OPTIONS) for camera in self._cameras]
 
 
 def _shown(view: RenderedView) -> F32:

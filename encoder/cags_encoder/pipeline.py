@@ -28,7 +28,7 @@ from cags_encoder.codecs.svq import SvqCodec
 from cags_encoder.execution.executors import INLINE, Shared, Workers, ahead
 from cags_encoder.execution.journal import Journal
 from cags_encoder.frames.tasks import read
-from cags_encoder.measuring import VIEWS, LodMeasurement, measure
+from cags_encoder.measuring import VIEWS, Levelled, LodMeasurement, measure, measured_gains
 from cags_encoder.motion.steps import motion_steps
 from cags_encoder.motion.tolerance import Looked, Tolerance, Tolerances, tolerances
 from cags_encoder.pruning import prune, prune_within
@@ -197,12 +197,30 @@ class _Encoding:
         self._tell("codebooks", 1, 1)
         if self._journal:
             self._journal.codebooks(codec.codebooks())
-        if self._settings.lod_order == "measured" and isinstance(codec, SvqCodec):
+        if self._settings.lod_order != "measured":
+            return codec
+        if isinstance(codec, SvqCodec):
             found = self._measurement(codec)
             if found is not None:
                 self._quality = found.quality
                 return found.applied(codec)
+        elif isinstance(codec, Levelled):
+            return codec.with_gains(self._gains(codec))
         return codec
+
+    def _gains(self, codec: Levelled) -> tuple[float, ...]:
+        """What each LoD of a codec of fixed levels brings; nothing is known with a slow rasteriser."""
+        known = self._journal.note("gains") if self._journal else None
+        if known is not None:
+            return tuple(known["gains_db"])
+        rasteriser = create("auto")
+        if rasteriser.name == "oracle":
+            return ()
+        cameras = cameras_around(self._source.focus, self._source.up, VIEWS)
+        found = measured_gains(codec, self._source.frame(0), cameras, rasteriser)
+        if self._journal:
+            self._journal.write_note("gains", {"gains_db": found})
+        return found
 
     def _weights(self, samples: Splats) -> F64 | None:
         """Weights of the samples, if the rasteriser is fast enough to measure contributions."""

@@ -27,7 +27,7 @@ from support.baseline_checks import (
     check_published,
     play,
 )
-from support.page_age import History, Page, check_page, check_told
+from support.page_age import ROOT, History, Page, check_page, check_told
 from support.page_age import listed as listed_old
 
 # ------------------------------------------------------------------------------------------------- what is played
@@ -159,6 +159,8 @@ FOUND: dict[str, Callable[[], None]] = {
     "published references are differences": published_with("server", references="auto"),
     "the published server is given more": published_with("server", tiles_ahead=5),
     "V3-A is LTS-F by another name": labelled(**{"v3-a": METHODS["lts-f"]}),
+    "ours gets the faster link": labelled(cags=replace(METHODS["cags"], predicted=True)),
+    "V3-A with prediction is V3-A": labelled(**{"v3-a-predicted": METHODS["v3-a"]}),
     "LTS-F, a level a frame, is LTS-F": labelled(**{"lts-f-even": METHODS["lts-f"]}),
     "remote rendering is planned as far ahead as ours": labelled(
         **{
@@ -225,5 +227,13 @@ def test_nothing_is_red_without_a_change() -> None:
     }
 
 
-def test_twenty_changes_are_tried() -> None:
-    assert len(PLAYED) + len(FOUND) >= 20
+def test_twenty_changes_are_tried_and_listed() -> None:
+    listed_on = (ROOT / "docs/lab/evaluation.md").read_text(encoding="utf-8").partition("## Checks, broken by hand")[2]
+    cells = [
+        row.split(" | ")[1].rstrip(" |")
+        for row in listed_on.partition("\n## ")[0].splitlines()
+        if row.startswith("| ") and "; " in row
+    ]
+    on_page = [change for cell in cells for change in cell.split("; ")]
+    assert sorted(on_page) == sorted([*PLAYED, *FOUND])
+    assert len(on_page) >= 20

@@ -164,12 +164,16 @@ LABELS: dict[str, dict[str, dict[str, object]]] = {
     "lts-f": {"encode": {"codec": "density"}, "client": {"restore": "none"}},
     "lts-f-even": {"encode": {"codec": "density"}, "server": {"abr": "even"}, "client": {"restore": "none"}},
     "v3-a": {"encode": {"codec": "video"}},
+    "v3-a-predicted": {"encode": {"codec": "video"}},
     "sr-align-ref": {"server": {"references": "picture"}, "client": {"restore": "reference"}},
     "cr-no-ref": {"client": {"restore": "none"}},
     "reference-only": {"server": {"abr": "none", "lead_frames": 2, "reference_full_size": True}},
     "reference-only-small": {"server": {"abr": "none", "lead_frames": 2, "reference_full_size": False}},
     "pictures": {"server": {"references": "picture"}},
     "no-prpa": {"encode": {"quantiser": "paper-66"}, "client": {"align": "unaligned", "restore": "srresnet"}},
+    "paper-no-restoration": {"encode": {"quantiser": "paper-66"}, "client": {"restore": "none"}},
+    "paper-no-adaptive-fov": {"encode": {"quantiser": "paper-66"}, "server": {"fov": "fixed"}},
+    "printed-order": {"encode": {"lod_order": "paper"}},
     "no-adaptive-fov": {"server": {"fov": "fixed"}},
     "cags-paper": {"encode": {"quantiser": "paper-66"}},
     "cags": {},
@@ -185,7 +189,9 @@ def check_labels(methods: Mapping[str, Method]) -> None:
             given = getattr(methods[name], part)
             for key, value in wanted.items():
                 assert given.get(key) == value, f"{name}: {key} is {given.get(key)!r} and not {value!r}"
-    told = [(dict(m.encode), dict(m.server), dict(m.client)) for m in methods.values()]
+    told = [(dict(m.encode), dict(m.server), dict(m.client), m.predicted) for m in methods.values()]
+    faster = [name for name, one in methods.items() if one.predicted]
+    assert faster == ["v3-a-predicted"], f"{', '.join(faster)}: a faster link than the others'"
     alike = [name for name, one in zip(methods, told, strict=True) if told.count(one) > 1]
     assert not alike, f"{' and '.join(alike)} are one method"
-    assert told[list(methods).index("cags")] == ({}, {}, {}), "cags: is not what this program does by default"
+    assert told[list(methods).index("cags")] == ({}, {}, {}, False), "cags: is not what this program does by default"

@@ -27,7 +27,7 @@ SMALLEST_SIDE_PX = 32
 """Smallest side for libvmaf, which uses four scales of the picture."""
 
 VMAF_LOG, XPSNR_LOG = "vmaf.json", "xpsnr.txt"
-MINIMUM = re.compile(r"minimum: (inf|[0-9.]+)")
+MINIMUM = re.compile(r"minimum: (inf|-?[0-9.]+)")
 
 
 @functools.cache

@@ -5,12 +5,13 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from cags_bench.bundles import default_cache
-from cags_bench.jsonl import JsonObject, dump
+from cags_bench.jsonl import JsonObject, dump, provenance
 from cags_common.files import write_whole
 
 PACKAGES = (
@@ -72,10 +73,16 @@ class ResultCache:
         if path.exists():
             found: JsonObject = json.loads(path.read_text(encoding="utf-8"))["result"]
             return found
+        began = time.process_time()
         result: dict[str, Any] = json.loads(dump(compute()))
+        spent = {"cpu_s": round(time.process_time() - began, 1), "machine": provenance()["machine"]}
         self.folder.mkdir(parents=True, exist_ok=True)
-        write_whole(path, dump({"key": key, "result": result}).encode())
+        write_whole(path, dump({"key": key, "result": result, **spent}).encode())
         return result
+
+    def cpu_s(self, key: JsonObject) -> float:
+        """Processor seconds that the kept result for ``key`` took, on whichever machine computed it."""
+        return float(json.loads(self._path(key).read_text(encoding="utf-8")).get("cpu_s", 0.0))
 
     def _path(self, key: JsonObject) -> Path:
         name = hashlib.sha256(dump({"code": code_digest(), **key}).encode()).hexdigest()[:32]

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cags_bench.bundles import cached_bundle, default_cache
+from cags_bench.bundles import cached_bundle, default_cache, looped
 from cags_bench.film.film import FilmMaker
 from cags_bench.film.metrics import measure
 from cags_bench.jsonl import JsonObject
@@ -20,7 +20,11 @@ from cags_bench.traces import PAPER_SPLATS, link_share, paper_link, scaled_trace
 from cags_client.settings import ClientSettings
 from cags_common.bundle import BundleReader
 from cags_encoder import EncodeSettings, content_key
+from cags_encoder.scenes import open_scene
 from cags_server.settings import ServerSettings
+
+WORDS = ("title", "note")
+"""Parts of a method that are words: no result depends on them."""
 
 SERIES = (
     "frame",
@@ -64,7 +68,7 @@ class StreamCase:
             "case": asdict(self)
             | {"scene": _content_key(self.scene, self.encoding)}
             | {name: content_of(getattr(self, name)) for name in ("poses", "trace", "lpips")},
-            "method": asdict(METHODS[self.method]),
+            "method": {name: value for name, value in asdict(METHODS[self.method]).items() if name not in WORDS},
             "added": added.digest(self.method),
             "device": device,
         }
@@ -91,6 +95,10 @@ class Runner:
     def done(self, case: StreamCase) -> bool:
         """Whether the result of ``case`` is there."""
         return self.results.holds(case.key(self.device))
+
+    def cpu_s(self, case: StreamCase) -> float:
+        """Processor seconds that the kept result of ``case`` took."""
+        return self.results.cpu_s(case.key(self.device))
 
     def run(self, case: StreamCase) -> JsonObject:
         """Summary, per-frame series and a picture of one case."""
@@ -126,14 +134,27 @@ class Runner:
             scores = measure(maker.film(case.frames), case.video) if case.video else {}
         frames = [{key: line.get(key) for key in SERIES} for line in result.frames]
         summary = result.summary | scores | {"top_lod": top_lod}
+        summary["goodput_mbps"] /= self._faster(case)
         return {"summary": summary, "frames": frames, "pictures": snapshot.pictures}
 
     def link(self, case: StreamCase, bundle: Path) -> str:
         """The trace, scaled so that the scene gets the bits a splat and second that the paper's scenes get."""
+        faster = self._faster(case)
         if case.mbps is not None:
-            return paper_link(bundle, case.mbps)
-        share = link_share(bundle, PAPER_SPLATS)
+            return paper_link(bundle, case.mbps * faster)
+        share = link_share(bundle, PAPER_SPLATS) * faster
         return str(scaled_trace(case.trace, share, seconds=case.frames / 30 + 30))
+
+    def _faster(self, case: StreamCase) -> float:
+        """How many times the link is faster than for other methods."""
+        return _saving(case.scene, case.frames) if METHODS[case.method].predicted else 1.0
+
+
+@functools.cache
+def _saving(scene: str, frames: int) -> float:
+    from cags_research.codecs.encoding.inter import saving  # here: one method needs it
+
+    return saving(looped(open_scene(scene), frames))
 
 
 def averaged(results: list[JsonObject], key: str) -> float:

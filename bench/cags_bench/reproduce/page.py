@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from cags_bench import html
 from cags_bench.jsonl import dump, provenance
 from cags_bench.reproduce.plan import Plan
 from cags_bench.reproduce.section import Plot, Section, Strip
+
+CLAIMS = "claims.jsonl"
 
 
 def write_section(out: Path, section: Section) -> None:
@@ -21,6 +24,19 @@ def write_section(out: Path, section: Section) -> None:
         writer = csv.writer(file)
         writer.writerow(section.columns)
         writer.writerows(section.rows)
+
+
+def write_claims(out: Path, sections: Sequence[Section]) -> None:
+    """Write what is claimed and what was found, a line a claim, as ``claims.jsonl``; other experiments' lines stay."""
+    made = {section.name for section in sections}
+    kept = [json.loads(line) for line in _lines_of(out / CLAIMS)]
+    lines = [line for line in kept if line["experiment"] not in made]
+    lines += [{"experiment": section.name, **one} | provenance() for section in sections for one in section.checks]
+    (out / CLAIMS).write_text("".join(dump(line) + "\n" for line in lines), encoding="utf-8")
+
+
+def _lines_of(path: Path) -> list[str]:
+    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
 
 
 def write_page(out: Path, sections: Sequence[Section], plan: Plan) -> None:

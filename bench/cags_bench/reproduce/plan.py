@@ -30,21 +30,35 @@ class Plan:
     lpips: str = ""
     video: tuple[str, ...] = ()
     """Metrics of whole films (:data:`cags_bench.film.metrics.METRICS`) that are measured."""
+    chosen: tuple[str, ...] = ()
+    """Methods that are compared; none: all."""
+    over: tuple[float | None, ...] = ()
+    """Links that methods are compared over; none: the rates of the size, and the trace."""
+    kept: bool = False
+    """Only sessions that earlier runs have finished."""
 
     @property
     def rates_mbps(self) -> tuple[float, ...]:
         """Fixed bandwidths, the paper's."""
+        if self.over:
+            return tuple(mbps for mbps in self.over if mbps is not None)
         return QUICK_RATES_MBPS if self.quick else PAPER_RATES_MBPS
+
+    @property
+    def links(self) -> tuple[float | None, ...]:
+        """The fixed bandwidths, and None for the trace."""
+        return self.over or (*self.rates_mbps, None)
 
     @property
     def methods(self) -> tuple[str, ...]:
         """Ours, ours with each part that was added, as published, and every baseline."""
-        return ("cags", *added.names(), "cags-paper", *BASELINES)
+        every = ("cags", *added.names(), "cags-paper", *BASELINES)
+        return tuple(name for name in every if not self.chosen or name in (*self.chosen, "cags"))
 
     @property
     def ablations(self) -> tuple[str, ...]:
         """Ours and the published way, and each without one part."""
-        return ("cags", "cags-paper", *ABLATIONS)
+        return ("cags", "cags-paper", "cr-no-ref", *ABLATIONS)
 
 
 @dataclass(frozen=True)
@@ -54,6 +68,10 @@ class Context:
     plan: Plan
     runner: Runner
     tell: Callable[[str], None]
+
+    def there(self, case: StreamCase) -> bool:
+        """Whether the result of ``case`` may be asked for."""
+        return not self.plan.kept or self.runner.done(case)
 
     def result(self, case: StreamCase) -> JsonObject:
         """The result of ``case``."""

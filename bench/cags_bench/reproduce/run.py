@@ -15,13 +15,19 @@ from cags_bench.reproduce.cache import ResultCache
 from cags_bench.reproduce.cases import Runner
 from cags_bench.reproduce.experiments import EXPERIMENTS
 from cags_bench.reproduce.marking import marked
-from cags_bench.reproduce.page import write_page, write_section
+from cags_bench.reproduce.methods import METHODS
+from cags_bench.reproduce.page import write_claims, write_page, write_section
 from cags_bench.reproduce.plan import Context, Experiment, Plan
 from cags_bench.reproduce.prepare import prepare
+from cags_bench.reproduce.section import Section
 from cags_bench.reproduce.settings import ReproduceSettings
+from cags_bench.reproduce.words import renew
 from cags_common.errors import ConfigError
 
 QUICK_LIMIT_MIN = 25.0
+
+IN_PARTS = {"sessions", "rivals"}
+"""Experiments that can be shown as far as sessions were played."""
 
 
 def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
@@ -29,24 +35,35 @@ def reproduce(settings: ReproduceSettings) -> Iterator[dict[str, Any]]:
     chosen = _chosen(settings)
     plan = _plan(settings)
     context = Context(plan, Runner(ResultCache(), settings.cache, settings.device), _tell)
-    out, sections = Path(settings.out), []
+    out, sections = Path(settings.out), list[Section]()
     started = time.monotonic()
     cases = [case for experiment in chosen for case in experiment.cases(context)]
-    prepare(context.runner, cases, settings.workers or os.cpu_count() or 1, _tell)
+    if not settings.kept:
+        prepare(context.runner, cases, settings.workers or os.cpu_count() or 1, _tell)
     for experiment in chosen:
         section = marked(experiment.run(context), plan)
         sections.append(section)
         write_section(out, section)
+        write_claims(out, sections)
         write_page(out, sections, plan)
         for line in section.lines():
             yield line | provenance()
     minutes = (time.monotonic() - started) / 60
-    checks = [one for section in sections for one in section.checks]
     if settings.all and settings.quick:
-        checks.append(check("quick run", f"< {QUICK_LIMIT_MIN:g} min", round(minutes, 1), minutes < QUICK_LIMIT_MIN))
+        sections.append(_in_time(minutes))
+        write_claims(out, sections)
+    if settings.page:
+        renew(Path(settings.page), out)
+    checks = [one for section in sections for one in section.checks]
     yield summary(
         "reproduce", checks, experiments=[one.name for one in chosen], minutes=round(minutes, 2), out=str(out)
     )
+
+
+def _in_time(minutes: float) -> Section:
+    """How long a quick run took."""
+    one = check("quick run", f"< {QUICK_LIMIT_MIN:g} min", round(minutes, 1), minutes < QUICK_LIMIT_MIN)
+    return Section("run", "The run itself", "", checks=[one])
 
 
 def _chosen(settings: ReproduceSettings) -> list[Experiment]:
@@ -60,8 +77,10 @@ def _chosen(settings: ReproduceSettings) -> list[Experiment]:
             if name not in known:
                 raise ConfigError(f"{kind} = {name!r} is unknown; known: {', '.join(known)}")
             chosen.append(EXPERIMENTS[name])
-    if not chosen:
-        raise ConfigError("nothing is asked for; give --all, --table NAME or --figure NAME")
+    if not chosen and not settings.page:
+        raise ConfigError("nothing is asked for; give --all, --table NAME, --figure NAME or --page FILE")
+    if settings.kept and not {one.name for one in chosen} <= IN_PARTS:
+        raise ConfigError("kept = true is for --table sessions or rivals: others are means over what may be missing")
     return chosen
 
 
@@ -78,7 +97,29 @@ def _plan(settings: ReproduceSettings) -> Plan:
         quick=settings.quick,
         lpips=settings.lpips,
         video=_measurable(settings),
+        chosen=_methods(settings.methods),
+        over=_links(settings.links),
+        kept=settings.kept,
     )
+
+
+def _methods(text: str) -> tuple[str, ...]:
+    for name in (names := text.split()):
+        try:
+            METHODS[name]
+        except KeyError:
+            raise ConfigError(f"methods: {name!r} is unknown; known: {', '.join(METHODS)}") from None
+    return tuple(names)
+
+
+def _links(text: str) -> tuple[float | None, ...]:
+    try:
+        links = tuple(None if word == "trace" else float(word) for word in text.split())
+    except ValueError:
+        raise ConfigError(f"links = {text!r} must be numbers (Mbps of the paper) and 'trace'") from None
+    if any(mbps is not None and not 0 < mbps < 1e6 for mbps in links):
+        raise ConfigError(f"links = {text!r}: rates must be above 0 and below 1e6 Mbps")
+    return links
 
 
 def _measurable(settings: ReproduceSettings) -> tuple[str, ...]:

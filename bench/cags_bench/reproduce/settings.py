@@ -19,6 +19,9 @@ class ReproduceSettings:
     scenes: str = setting("procedural:size=30000", "scenes, separated by spaces")
     poses: str = setting("synthetic:walking", "head motion: a pose file or synthetic:NAME")
     trace: str = setting("generated:5g-mmwave", "fluctuating network trace")
+    methods: str = setting("", "methods compared, separated by spaces, by name; empty: all. Ours is always there")
+    links: str = setting("", "links compared over: the paper's Mbps and 'trace', by spaces; empty: the size's")
+    kept: bool = setting(False, "tables sessions and rivals: compute no session, use those that earlier runs finished")
     frames: int = setting(0, "frames a session; 0: 300, or 45 when quick", low=0, high=100_000)
     width: int = setting(0, "client width in pixels; 0: 1600, or 640 when quick", low=0, high=8192)
     height: int = setting(0, "client height in pixels; 0: 1200, or 480 when quick", low=0, high=8192)
@@ -29,6 +32,7 @@ class ReproduceSettings:
         AUTO, "metrics of the whole film: vmaf, xpsnr, jod by commas; none; auto: the quick ones, vmaf and xpsnr"
     )
     out: str = setting("reproduction", "folder for index.html, and a .jsonl and .csv file a table")
+    page: str = setting("", "Markdown page whose marked tables are renewed from the figures in --out; empty: none")
     cache: str = setting("", "folder of encoded bundles to reuse; empty: the user's cache folder")
 
     def __post_init__(self) -> None:

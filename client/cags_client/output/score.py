@@ -10,7 +10,7 @@ import numpy as np
 
 from cags_client.frame.presented import PresentedFrame
 from cags_common.geometry import F32
-from cags_common.metrics import covered_mask, flicker, psnr, ssim
+from cags_common.metrics import covered_mask, flicker, psnr_also_in, ssim
 
 
 def score(presented: PresentedFrame, truth_rgb: F32, truth_alpha: F32) -> dict[str, float]:
@@ -31,8 +31,7 @@ def score_pictures(
     out: dict[str, float] = {"covered": float(covered.mean())}
     for name, picture in (("distorted", distorted), ("aligned", aligned), ("restored", restored)):
         if picture is not None:
-            out[f"psnr_{name}_db"] = psnr(picture, truth)
-            out[f"psnr_covered_{name}_db"] = psnr(picture, truth, covered)
+            out[f"psnr_{name}_db"], out[f"psnr_covered_{name}_db"] = psnr_also_in(picture, truth, covered)
             out[f"ssim_{name}"] = ssim(picture, truth)
     return out
 

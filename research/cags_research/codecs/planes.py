@@ -6,7 +6,10 @@ on the plane. All planes of a tile are stacked in one monochrome intra picture.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from fractions import Fraction
+from itertools import pairwise
 
 import av
 import numpy as np
@@ -19,6 +22,11 @@ from cags_common.tiles.payloads import MAX_TILE_SPLATS
 from cags_research.codecs.scalar import U8
 
 MAX_PLANES = 64
+
+SEI = 6
+"""Type of H.264's units of supplemental information."""
+
+_START = re.compile(rb"\x00?\x00\x00\x01")
 
 
 def plane_shape(count: int) -> tuple[int, int]:
@@ -39,19 +47,42 @@ def z_curve(count: int) -> NDArray[np.intp]:
 
 def encode_planes(values: U8, crf: int) -> bytes:
     """``values`` [n, planes] as one intra access unit; ``crf`` is x264's constant quality, 0 (lossless) to 51."""
+    return encode_plane_video([values], crf)[0]
+
+
+def encode_plane_video(frames: Sequence[U8], crf: int) -> list[bytes]:
+    """``values`` [n, planes] of each frame, the later ones predicted from those before: an access unit each."""
+    count, planes = frames[0].shape
+    height, width = plane_shape(count)
+    context = av.CodecContext.create("libx264", "w")
+    context.width, context.height, context.pix_fmt = width, planes * height, "gray"
+    context.time_base, context.thread_count = Fraction(1, 30), 1
+    context.options = {"crf": str(crf), "preset": "medium", "tune": "zerolatency", "x264-params": "annexb=1"}
+    units = []
+    for pts, values in enumerate(frames):
+        frame = VideoFrame.from_ndarray(_stacked(values), format="gray")
+        frame.pts = pts
+        units += [bytes(packet) for packet in context.encode(frame)]
+    units += [bytes(packet) for packet in context.encode(None)]
+    assert len(units) == len(frames), "no frame waits for another"
+    return [_without_notes(unit) for unit in units]
+
+
+def _without_notes(unit: bytes) -> bytes:
+    """An access unit less what x264 says of itself: 600 bytes in each tile, of which no decoder takes any notice."""
+    starts = [found.start() for found in _START.finditer(unit)]
+    parts = (unit[a:b] for a, b in pairwise([*starts, len(unit)]))
+    return b"".join(part for part in parts if part[part.index(1) + 1] & 31 != SEI)
+
+
+def _stacked(values: U8) -> U8:
+    """The planes of ``values`` [n, planes] under one another [planes * height, width]."""
     count, planes = values.shape
     height, width = plane_shape(count)
     picture = np.empty((planes, height * width), np.uint8)
     picture[:] = np.round(values.mean(axis=0)).astype(np.uint8)[:, None]  # pixels without a value cost little so
     picture[:, z_curve(count)] = values.T
-    stacked = picture.reshape(planes * height, width)
-    context = av.CodecContext.create("libx264", "w")
-    context.width, context.height, context.pix_fmt = width, planes * height, "gray"
-    context.time_base, context.thread_count = Fraction(1, 30), 1
-    context.options = {"crf": str(crf), "preset": "medium", "tune": "zerolatency", "x264-params": "annexb=1"}
-    frame = VideoFrame.from_ndarray(stacked, format="gray")
-    frame.pts = 0
-    return b"".join(bytes(packet) for packet in [*context.encode(frame), *context.encode(None)])
+    return picture.reshape(planes * height, width)
 
 
 def decode_planes(data: bytes, count: int, planes: int) -> U8:

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from cags_common.metrics import MAX_PSNR_DB, covered_mask, flicker, psnr, ssim, ssim_map
+from cags_common import metrics
+from cags_common.metrics import MAX_PSNR_DB, covered_mask, flicker, psnr, psnr_also_in, ssim, ssim_map
 
 
 def picture(seed: int, size: tuple[int, int] = (40, 52)) -> np.ndarray:
@@ -79,3 +80,26 @@ def test_flicker_sees_a_changing_error_and_neither_motion_nor_a_steady_one() -> 
     assert flicker(now + np.float32(0.1), before - np.float32(0.1), now, before) > 40
     with pytest.raises(ValueError, match="of one size"):
         flicker(now, before[:-1], now, before[:-1])
+
+
+def test_strips_of_rows_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Metrics work on some rows at a time; windows reach across their borders."""
+    x, y, before, then = (picture(seed, (40, 24)) for seed in range(4))
+    mask = picture(5, (40, 24))[..., 0] > 0.4
+
+    def everything() -> tuple[np.ndarray, tuple[float, float], float]:
+        return ssim_map(x, y), psnr_also_in(x, y, mask), flicker(x, before, y, then)
+
+    monkeypatch.setattr(metrics, "STRIP_PX", 40)
+    whole = everything()
+    monkeypatch.setattr(metrics, "STRIP_PX", 7)
+    in_strips = everything()
+    np.testing.assert_allclose(in_strips[0], whole[0], atol=1e-6)
+    assert in_strips[1:] == (pytest.approx(whole[1]), pytest.approx(whole[2]))
+
+
+def test_both_figures_of_one_pass_are_those_of_two() -> None:
+    x, y, mask = picture(6), picture(7), picture(8)[..., 0] > 0.7
+    assert psnr_also_in(x, y, mask) == (psnr(x, y), psnr(x, y, mask))
+    wrong = (x - y)[mask].astype(np.float64)
+    assert psnr(x, y, mask) == pytest.approx(-10 * np.log10(np.mean(wrong**2)), abs=1e-5)

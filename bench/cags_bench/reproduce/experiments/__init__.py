@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cags_bench.reproduce.experiments import coding, determinism, looking, rivals, streaming, timing
+from cags_bench.reproduce.experiments import coding, determinism, looking, rivals, sessions, streaming, timing
 from cags_bench.reproduce.plan import Experiment
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -23,11 +23,12 @@ EXPERIMENTS: dict[str, Experiment] = {
             streaming.fluctuating,
             cases=streaming.fluctuating_cases,
         ),
-        Experiment("rivals", "table", "Ours against every baseline", rivals.rivals, cases=rivals.rival_cases),
+        Experiment("rivals", "table", "Ours against every baseline", rivals.rivals, cases=sessions.session_cases),
+        Experiment("sessions", "table", "Every session", sessions.sessions, cases=sessions.session_cases),
         Experiment(
             "ablations",
             "figure",
-            "Pictures alone, without the adaptive field of view, without alignment",
+            "What each part brings",
             streaming.ablations,
             cases=streaming.ablation_cases,
         ),

@@ -10,7 +10,7 @@ from cags_common.geometry import F32
 from cags_common.splats import Ids
 from cags_common.tiles.lod import LodLayer
 from cags_research.codecs.cloud import encode_head
-from cags_research.codecs.density import KIND, MAX_LOG_GAIN, DensityLevels, encode_density
+from cags_research.codecs.density import KIND, MAX_LOG_GAIN, DensityLevels, DensityTile, encode_density
 from cags_research.codecs.encoding.scalar import ByteSplats, ScalarCodec
 
 SHARES = (0.09, 0.125, 0.18, 0.25, 0.35, 0.5, 0.71, 1.0)
@@ -24,6 +24,10 @@ class DensityCodec(ScalarCodec):
     """Tiles whose levels add splats, the most important first."""
 
     lod_order = tuple(LodLayer("density", level) for level in range(1, len(SHARES)))
+
+    def opened(self, payload: bytes) -> DensityTile:
+        """A tile, from its payload at LoD 0."""
+        return DensityTile(payload, self.book)
 
     def encode_tile(self, ids: Ids, coded: ByteSplats, *, id_range: bool) -> tuple[bytes, ...]:
         """Encode a tile of splats [n] with ascending ``ids``."""

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
+from cags_common.bundle.codecs import TileDecoder
 from cags_common.geometry import F32, F64
 from cags_common.splats import Ids, Splats
 from cags_common.tiles.attributes import join_attributes, split_attributes
@@ -67,6 +71,25 @@ class ScalarCodec(ABC):
     @abstractmethod
     def encode_tile(self, ids: Ids, coded: ByteSplats, *, id_range: bool) -> tuple[bytes, ...]:
         """Encode a tile of splats [n] with ascending ``ids``."""
+
+    @abstractmethod
+    def opened(self, payload: bytes) -> TileDecoder:
+        """A tile of this codec, from its payload at LoD 0."""
+
+    def levels(self, coded: ByteSplats) -> Iterator[Splats]:
+        """What a decoder shows of one tile at each LoD, from 0 on."""
+        first, *more = self.encode_tile(np.arange(len(coded.means), dtype=np.int32), coded, id_range=True)
+        tile = self.opened(first)
+        yield tile.dequantise()
+        for lod, payload in enumerate(more, start=1):
+            tile.add_layer(lod, payload)
+            yield tile.dequantise()
+
+    def with_gains(self, gains_db: tuple[float, ...]) -> Self:
+        """The same codec; ``gains_db`` is what each LoD from 1 on brings."""
+        known = copy(self)
+        known.lod_gains_db = gains_db
+        return known
 
     def grid(self, coded: ByteSplats) -> PositionGrid:
         """A tile's grid of positions."""

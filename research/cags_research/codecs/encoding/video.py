@@ -19,6 +19,10 @@ class VideoCodec(ScalarCodec):
 
     lod_order = tuple(LodLayer("video", level) for level in range(1, len(CRFS)))
 
+    def opened(self, payload: bytes) -> VideoTile:
+        """A tile, from its payload at any quality."""
+        return VideoTile(payload, self.book)
+
     def shown(self, coded: ByteSplats) -> Splats:
         """One tile at the best quality, which is not without loss."""
         ids = np.arange(len(coded.means), dtype=np.int32)

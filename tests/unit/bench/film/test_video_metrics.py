@@ -64,6 +64,16 @@ def test_a_frozen_film_is_worse() -> None:
 
 
 @needs_ffmpeg
+def test_a_film_with_less_signal_than_noise_has_a_negative_xpsnr() -> None:
+    """It ended a whole reproduction: figures below zero were not read."""
+    white, black = np.ones((HEIGHT, WIDTH, 3), np.float32), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    with FilmMaker(lambda frame, _: (white, white[..., 0]), 30.0) as maker:
+        for frame in range(FRAMES):
+            maker.show(frame, CAMERA, black)
+        assert metrics.measure(maker.film(), ["xpsnr"])["xpsnr_db"] < 0
+
+
+@needs_ffmpeg
 def test_only_what_is_asked_for_is_measured() -> None:
     assert set(scores(SAME, "xpsnr")) == {"xpsnr_db"}
     assert scores(SAME) == {}

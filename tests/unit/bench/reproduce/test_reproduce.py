@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from typing import ClassVar
 
 import pytest
 
@@ -15,7 +14,7 @@ from cags_bench.reproduce.marking import marked
 from cags_bench.reproduce.methods import ABLATIONS, BASELINES, METHODS
 from cags_bench.reproduce.page import write_page, write_section
 from cags_bench.reproduce.plan import Context, Plan
-from cags_bench.reproduce.prepare import prepare
+from cags_bench.reproduce.prepare import _quick, prepare
 from cags_bench.reproduce.run import reproduce
 from cags_bench.reproduce.section import Curve, Plot, Section
 from cags_bench.reproduce.settings import ReproduceSettings
@@ -51,8 +50,12 @@ def test_an_interrupted_result_is_not_kept(tmp_path):
     ("settings", "message"),
     [
         (ReproduceSettings(), "nothing is asked for"),
-        (ReproduceSettings(table="fixed"), r"table = 'fixed' is unknown; known: svq, rivals"),
+        (ReproduceSettings(table="fixed"), r"table = 'fixed' is unknown; known: svq, rivals, sessions"),
         (ReproduceSettings(figure="none"), "figure = 'none' is unknown; known: motivation"),
+        (ReproduceSettings(table="rivals", methods="cags lts"), "methods: 'lts' is unknown; known: cags"),
+        (ReproduceSettings(table="rivals", links="30 fast"), "must be numbers"),
+        (ReproduceSettings(table="rivals", links="30 -1"), "must be above 0"),
+        (ReproduceSettings(figure="fixed", kept=True), "kept = true is for --table sessions or rivals"),
     ],
 )
 def test_unknown_names_are_refused(settings, message):
@@ -151,6 +154,11 @@ def test_keys_follow_content_and_configuration(tmp_path):
     assert key == replace(case).key("cpu")
     assert key != case.key("oracle")
     assert key != replace(case, method="no-prpa").key("cpu")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(METHODS, "cags", replace(METHODS["cags"], note="in other words"))
+        assert key == case.key("cpu"), "a session is not played again for a word"
+        patch.setitem(METHODS, "cags", replace(METHODS["cags"], predicted=True))
+        assert key != case.key("cpu")
     walk = tmp_path / "walk.csv"
     walk.write_text("one")
     before = replace(case, poses=str(walk)).key("cpu")
@@ -174,31 +182,75 @@ def test_prepared_cases_are_those_that_a_single_process_computes(monkeypatch, tm
     assert len(told) == 3, "nothing left to do"
 
 
+class Strict:
+    """Gives what was run ahead, and nothing else."""
+
+    results = ResultCache()
+
+    def __init__(self, prepared: set[StreamCase], finished: set[StreamCase] | None = None) -> None:
+        self._prepared, self._finished = prepared, prepared if finished is None else finished
+
+    def done(self, case: StreamCase) -> bool:
+        return case in self._finished
+
+    def cpu_s(self, case: StreamCase) -> float:
+        return 1800.0
+
+    def run(self, case: StreamCase) -> dict:
+        assert case in self._prepared and case in self._finished
+        summary = dict.fromkeys(("psnr_restored_db", "psnr_distorted_db", "ssim_restored", "goodput_mbps"), 1.0)
+        frame = {"frame": 0, "psnr_restored_db": 1.0}
+        more = {"top_lod": 2, "lod_mean": 1.0, "frames": 1, "frames_missed": 0}
+        return {"summary": summary | more, "frames": [frame], "pictures": {}}
+
+
+def strict(name: str, plan: Plan, left_out: tuple[str, ...] = ()) -> Context:
+    cases = set(EXPERIMENTS[name].cases(Context(plan, Strict(set()), print)))
+    return Context(plan, Strict(cases, {case for case in cases if case.method not in left_out}), print)
+
+
 def test_streamed_experiments_ask_only_for_what_was_run_ahead():
-    class AskedError(Exception):
-        pass
-
-    class Strict:
-        results = ResultCache()
-        prepared: ClassVar[set[StreamCase]] = set()
-
-        def done(self, case: StreamCase) -> bool:
-            return True
-
-        def run(self, case: StreamCase) -> dict:
-            if case not in self.prepared:
-                raise AskedError(case)
-            summary = dict.fromkeys(("psnr_restored_db", "psnr_distorted_db", "ssim_restored", "goodput_mbps"), 1.0)
-            frame = {"frame": 0, "psnr_restored_db": 1.0}
-            more = {"top_lod": 2, "lod_mean": 1.0, "frames": 1, "frames_missed": 0}
-            return {"summary": summary | more, "frames": [frame], "pictures": {}}
-
     plan = replace(PLAN, scenes=("procedural:size=500,frames=2",))
-    for name in ("fixed", "fluctuating", "rivals", "ablations", "generality", "precision"):
-        runner = Strict()
-        context = Context(plan, runner, print)
-        runner.prepared = set(EXPERIMENTS[name].cases(context))
-        assert EXPERIMENTS[name].run(context).rows
+    for name in ("fixed", "fluctuating", "rivals", "sessions", "ablations", "generality", "precision"):
+        assert EXPERIMENTS[name].run(strict(name, plan)).rows
+
+
+def test_what_takes_longest_comes_first():
+    case = StreamCase("procedural:size=500,frames=2", "cags", "synthetic:still", 2, 64, 48, "generated:steady-5")
+    cases = [replace(case, method=method) for method in ("cags", "lts-f", "cags-paper", "v3-a")]
+    assert [one.method for one in sorted(cases, key=_quick)] == ["v3-a", "cags-paper", "cags", "lts-f"]
+
+
+def test_methods_and_links_are_chosen_and_ours_is_always_there():
+    plan = replace(PLAN, chosen=("lts-f",), over=(30.0, None))
+    assert (plan.methods, plan.rates_mbps, plan.links) == (("cags", "lts-f"), (30.0,), (30.0, None))
+    context = strict("rivals", plan)
+    assert {(c.method, c.mbps) for c in EXPERIMENTS["rivals"].cases(context)} == {
+        (method, mbps) for method in ("cags", "lts-f") for mbps in (30.0, None)
+    }
+    rows = EXPERIMENTS["rivals"].run(context).rows
+    assert [(row[1], row[3]) for row in rows] == [("30 Mbps", "LTS-F"), ("fluctuating", "LTS-F")]
+
+
+def test_a_part_of_a_run_is_shown_as_far_as_it_goes():
+    plan = replace(PLAN, chosen=("lts-f", "v3-a"), over=(30.0,), kept=True)
+    section = EXPERIMENTS["rivals"].run(strict("rivals", plan, left_out=("v3-a",)))
+    assert [row[3] for row in section.rows] == ["LTS-F"]
+    assert "2 of 3 sessions of 8 frames at 64x48 were played; they took 1.00 processor hours" in section.notes[1]
+    assert EXPERIMENTS["rivals"].run(strict("rivals", plan, left_out=plan.methods)).rows == []
+    alone = EXPERIMENTS["sessions"].run(strict("sessions", plan, left_out=("v3-a", "lts-f")))
+    assert [(row[2], row[4], row[-1]) for row in alone.rows] == [("CAGS (ours)", "64x48", 1800.0)]
+    assert "1 of 3 sessions" in alone.notes[0]
+
+
+def test_a_part_stands_with_its_sign_and_interval_by_scene_and_over_all():
+    section = EXPERIMENTS["ablations"].run(strict("ablations", replace(PLAN, scenes=("a", "b"))))
+    at = {(row[0], row[2], row[3]): row[4:] for row in section.rows}
+    assert {scene for _, _, scene in at} == {"a", "b", "all scenes"}
+    assert {link for _, link, _ in at} == {"30 Mbps", "60 Mbps"}
+    assert all(mean == 0.0 for mean, _, _ in at.values()), "two equal methods"
+    assert not any(one["ok"] for one in section.checks), "nothing is brought by a part that changes nothing"
+    assert {one["name"].partition(":")[0] for one in section.checks} == {part for part, _, _ in at}
 
 
 def test_components_are_timed_on_one_view(monkeypatch, tmp_path):

@@ -37,7 +37,7 @@ BEHIND = Duel(
 def test_a_claim_is_five_decibels_over_two_baselines_at_two_rates() -> None:
     close = replace(BEHIND, theirs_db=[26.0] * FRAMES)
     assert (close.lead_db, close.target_db, close.met) == (4.0, 5.0, False)
-    for change in ({"mbps": 150.0}, {"mbps": None}, {"rival": "cr-no-ref"}):
+    for change in ({"mbps": 150.0}, {"mbps": None}, {"rival": "cr-no-ref"}, {"method": "cags-paper"}):
         assert replace(close, **change).met  # type: ignore[arg-type]
 
 

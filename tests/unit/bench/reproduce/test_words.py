@@ -1,0 +1,84 @@
+"""The page of words: its figures are made from the data beside it, and by nobody's hand."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cags_bench.jsonl import check
+from cags_bench.reproduce.page import write_claims
+from cags_bench.reproduce.section import Section
+from cags_bench.reproduce.words import TABLES, renew, renewed
+from cags_common.errors import ConfigError
+
+DOCS = Path(__file__).parents[4] / "docs"
+WHERE = {"machine": "a machine", "commit": "abcdef1"}
+
+
+def lines(path: Path, *found: dict) -> None:
+    path.write_text("".join(json.dumps({**line, **WHERE}) + "\n" for line in found))
+
+
+def test_the_committed_page_says_what_the_committed_figures_say() -> None:
+    text = (DOCS / "evaluation.md").read_text(encoding="utf-8")
+    assert [name for name in TABLES if f"<!-- made: {name} -->" not in text] == []
+    assert renewed(text, DOCS / "evaluation") == text, "run cags-bench reproduce --page docs/evaluation.md"
+
+
+def test_the_best_of_a_rate_is_set_off(tmp_path) -> None:
+    rows = [("ours", 30.0, 41.0), ("theirs", 30.0, 40.0), ("ours", 60.0, 43.0), ("theirs", 60.0, 44.0)]
+    lines(tmp_path / "fixed.jsonl", *({"method": m, "paper's Mbps": r, "PSNR [dB]": v} for m, r, v in rows))
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- made: means -->\nold\n<!-- end -->\nafter\n")
+    renew(page, tmp_path)
+    text = page.read_text()
+    assert "old" not in text
+    assert text.startswith("before\n") and text.endswith("after\n")
+    assert "a machine, commit abcdef1" in text
+    assert "| 30 | **41.0** | 40.0 |" in text
+    assert "| 60 | 43.0 | **44.0** |" in text
+    renew(page, tmp_path)
+    assert page.read_text() == text
+
+
+def test_a_lead_stands_with_its_interval_beside_its_scene_and_link(tmp_path) -> None:
+    lead = {"scene": "room", "link": "30 Mbps", "lead": 6.04, "95 % from": 5.0, "to": 7.06}
+    ours, published = "CAGS (ours)", "CAGS (as published)"
+    lines(
+        tmp_path / "rivals.jsonl",
+        {**lead, "method": ours, "baseline": "LTS-F"},
+        {**lead, "method": ours, "baseline": "CR w/o ref."},
+        {**lead, "method": published, "baseline": "LTS-F", "lead": 1.0},
+    )
+    text = renewed("<!-- made: leads -->\n<!-- end -->", tmp_path)
+    assert "| room | 30 Mbps | +6.0 (5.0 to 7.1) |" in text
+
+
+def test_sessions_of_the_full_size_stand_with_what_they_took(tmp_path) -> None:
+    (tmp_path / "full").mkdir()
+    figures = {"PSNR [dB]": 54.98, "95 % from": 54.7, "to": 55.2, "PSNR, 5th percentile": 54.0, "SSIM": 0.99919}
+    words = {"scene": "head", "link": "30 Mbps", "method": "LTS-F", "frames": 300, "processor [s]": 137.3}
+    lines(tmp_path / "full" / "sessions.jsonl", {**words, **figures})
+    text = renewed("<!-- made: full -->\n<!-- end -->", tmp_path)
+    assert "| head | 30 Mbps | LTS-F | 300 | 55.0 (54.7 to 55.2) | 54.0 | 0.9992 | 137 |" in text
+
+
+@pytest.mark.parametrize(("table", "message"), [("nothing", "is no table"), ("means", "run cags-bench")])
+def test_what_cannot_be_made_is_refused(tmp_path, table, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        renewed(f"<!-- made: {table} -->\n<!-- end -->", tmp_path)
+
+
+def test_claims_of_one_table_replace_their_own_and_leave_the_others(tmp_path) -> None:
+    def section(name: str, value: str, *, ok: bool) -> Section:
+        return Section(name, name, "", checks=[check(f"{name} is ahead", "> 0 dB", value, ok)])
+
+    write_claims(tmp_path, [section("rivals", "+1", ok=True), section("ablations", "-1", ok=False)])
+    write_claims(tmp_path, [section("rivals", "-2", ok=False)])
+    found = [json.loads(line) for line in (tmp_path / "claims.jsonl").read_text().splitlines()]
+    assert {one["experiment"]: (one["value"], one["ok"]) for one in found} == {
+        "rivals": ("-2", False),
+        "ablations": ("-1", False),
+    }
+    text = renewed("<!-- made: claims -->\n<!-- end -->", tmp_path)
+    assert "| red | rivals is ahead | > 0 dB | -2 |" in text
