@@ -2,23 +2,37 @@
 
 ``SCENES`` is a folder of bundles, of which the first by name is played; names of pictures after ``OUT`` leave out the
 others. Pages are shown as they are at full detail, by a headless Chromium on a software adapter; there a screenshot
-lacks the canvas, which is therefore read out and put in its place.
+lacks the canvas, which is therefore read out and put in its place. The last pictures are of ``cags-client --view``.
+Pictures are WebP of at most 100 kB.
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+
+from cags_bench.demo.processes import ProcessGroup
 from cags_bench.web.browser import chromium
 from cags_common.bundle.reader import MANIFEST_NAME
 from support.web_page import Page, Server, served
 
 PHONE, WIDE, LANDSCAPE = (390, 780), (1120, 630), (780, 360)
+MOST_BYTES = 100_000
+QUALITIES = (90, 80, 70, 60, 50)
 OPENED = "document.getElementById('inspect').click()"
+HEADSET = """
+const xr = Object.assign(new EventTarget(), { isSessionSupported: async () => true });
+Object.defineProperty(navigator, "xr", { value: xr });
+"""
+"""A headset that is there, for the button; nobody puts it on."""
 
 READ_OUT = """
 const done = arguments[0], canvas = document.getElementById("picture");
@@ -41,13 +55,19 @@ ASKS = "!document.getElementById('token').hidden"
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture of the played scene; ``before`` is a script of the page."""
+    """One picture of the played scene; ``before`` is a script of the page, ``early`` one that runs before the page's own."""
 
     name: str
     size: tuple[int, int]
     theme: str
     before: str = ""
     phone: bool = False
+    early: str = ""
+
+
+@dataclass(frozen=True)
+class Client(Shot):
+    """One picture of the page that a Python client serves, in a window that the client draws for."""
 
 
 @dataclass(frozen=True)
@@ -68,21 +88,61 @@ OPEN = (
     Words("error-dark", WIDE, "dark", "?scene=nowhere", FAILED),
     Words("unsupported-dark", WIDE, "dark", "?scene={scene}", FAILED, webgpu=False),
     Shot("wide-dark", WIDE, "dark"),
-    Shot("inspector-dark", WIDE, "dark", OPENED),
     Shot("inspector-light", WIDE, "light", OPENED),
     Shot("narrow-dark", PHONE, "dark", phone=True),
     Shot("narrow-light", PHONE, "light", phone=True),
     Shot("narrow-inspector-dark", PHONE, "dark", OPENED, phone=True),
     Shot("landscape-dark", LANDSCAPE, "dark", phone=True),
+    Shot("headset-dark", LANDSCAPE, "dark", early=HEADSET),
 )
 GUARDED = (Words("token-narrow-light", PHONE, "light", "?scene={scene}", ASKS),)
+BESIDE = """
+document.getElementById('inspect').click();
+const list = document.getElementById('picture-b');
+list.value = 'distorted';
+list.dispatchEvent(new Event('change', { bubbles: true }));
+"""
+CLIENTS = (Client("client-dark", WIDE, "dark", BESIDE), Client("client-narrow-light", PHONE, "light", phone=True))
+FITTED = """player?.shown && (() => {
+  const [{ width, height }] = player.shown.pictures;
+  return Math.abs(width - innerWidth * devicePixelRatio) < 3 && Math.abs(height - innerHeight * devicePixelRatio) < 3;
+})() && player.shown.stats.lod_mean > 0.97 * (player.info.lods - 1) && performance.now() > 15_000"""
+"""The client draws for the window, at full detail, and its first figures have come."""
+
 SERVERS = ((("--accept-uploads", "--visible-px", "0"), OPEN), (("--token", "sesame"), GUARDED))
+
+
+@dataclass(frozen=True)
+class Served:
+    """Whoever hands out a page."""
+
+    url: str
+
+
+def _kept(png: bytes, path: Path) -> str:
+    """Write the best WebP that is small enough; says what was written."""
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    for quality in QUALITIES:
+        cv2.imwrite(str(path), picture, [cv2.IMWRITE_WEBP_QUALITY, quality])
+        if path.stat().st_size <= MOST_BYTES:
+            break
+    return f"{path}: {path.stat().st_size} bytes at quality {quality}"
+
+
+@contextmanager
+def viewed(server: Server, scene: str, work: Path) -> Iterator[Served]:
+    """A client of ``server`` with a page."""
+    with ProcessGroup(work) as group:
+        url = server.url.replace("http", "ws") + "stream"
+        view = ["--view", "--view-port", "0", "--json", "-"]
+        client = group.start("cags_client", ["--url", url, "--scene", scene, *view])
+        yield Served(str(client.ready()["url"]))
 
 
 class Pictures:
     """Takes them, of one server."""
 
-    def __init__(self, server: Server, scene: str, out: Path) -> None:
+    def __init__(self, server: Server | Served, scene: str, out: Path) -> None:
         self._server, self._scene, self._out = server, scene, out
         out.mkdir(parents=True, exist_ok=True)
 
@@ -100,19 +160,25 @@ class Pictures:
             if not phone:  # else the window's own frame is counted in
                 metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
                 browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-            if isinstance(wanted, Shot):
+            if isinstance(wanted, Client):
+                browser.get(self._server.url)
+                page = Page(browser)
+                page.until("player?.pictures > 3")
+                page.do(wanted.before)
+                page.until(FITTED)
+            elif isinstance(wanted, Shot):
                 self._scene_in(browser, wanted)
             else:
                 browser.get(self._server.url + wanted.place.format(scene=self._scene))
                 Page(browser).until(wanted.ready)
-            path = self._out / f"{wanted.name}.png"
-            browser.save_screenshot(str(path))
-            print(path, flush=True)
+            print(_kept(browser.get_screenshot_as_png(), self._out / f"{wanted.name}.webp"), flush=True)
 
     def _scene_in(self, browser: Any, shot: Shot) -> None:
         """The played scene, paused at full detail."""
         page = Page(browser)
         pixels = "x".join(str(side) for side in shot.size)
+        if shot.early:
+            browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": shot.early})
         browser.get(f"{self._server.url}?scene={self._scene}#paused&size={pixels}")
         page.until(DETAILED)
         page.do(shot.before)
@@ -130,6 +196,11 @@ def main(scenes: Path, out: Path, *only: str) -> None:
         with tempfile.TemporaryDirectory() as work, served(scenes, Path(work), *arguments) as server:
             for page in wanted:
                 Pictures(server, played, out).take(page)
+    shots = [shot for shot in CLIENTS if not only or shot.name in only]
+    with tempfile.TemporaryDirectory() as work, served(scenes, Path(work), "--visible-px", "0") as server:
+        for shot in shots:
+            with viewed(server, played, Path(work)) as client:
+                Pictures(client, played, out).take(shot)
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ export interface Packed extends Pixels {
 }
 
 export function isPacked(format: string | null): format is Packed["format"] {
-  return format !== null && format in PACKED;
+  return format !== null && Object.hasOwn(PACKED, format);
 }
 
 /** RGB [h, w, 3] in [0, 1]. */
