@@ -55,7 +55,7 @@ ASKS = "!document.getElementById('token').hidden"
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture of the played scene; ``before`` is a script of the page, ``early`` one that runs before the page's own."""
+    """One picture of the played scene; ``before`` is a script of the page, ``early`` runs before the page's own."""
 
     name: str
     size: tuple[int, int]

@@ -64,8 +64,8 @@ if (typeof VideoDecoder !== "undefined") {
 }
 """
 OTHER_CHROMA = 0.01
-"""Mean difference that is allowed, of 1: Firefox makes RGB of 4:2:0 itself, doubles chroma in its own way, and rounds to
-bytes. Another matrix, or another range of luma, would be several times as far off."""
+"""Mean difference that is allowed, of 1: Firefox makes RGB of 4:2:0 itself, doubles chroma in its own way, and rounds
+to bytes. Another matrix, or another range of luma, would be several times as far off."""
 
 
 def test_references_are_decoded_by_its_webcodecs(tmp_path: Path) -> None:
