@@ -112,9 +112,9 @@ CLIENTS = (
 )
 FITTED = """player?.shown && (() => {
   const [{ width, height }] = player.shown.pictures;
-  return Math.abs(width - innerWidth * devicePixelRatio) < 3 && Math.abs(height - innerHeight * devicePixelRatio) < 3;
-})() && player.shown.stats.lod_mean > 0.97 * (player.info.lods - 1) && performance.now() > 15_000"""
-"""The client draws for the window, at full detail, and its first figures have come."""
+  return Math.abs((width * innerHeight) / (height * innerWidth) - 1) < 0.02;
+})() && performance.now() > 15_000"""
+"""The client draws for the window's shape, and its first figures have come."""
 
 SERVERS = ((("--accept-uploads", "--visible-px", "0"), OPEN), (("--token", "sesame"), GUARDED))
 
@@ -129,6 +129,7 @@ class Served:
 def _kept(png: bytes, path: Path) -> str:
     """Write the best WebP that is small enough; says what was written."""
     picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
     for quality in QUALITIES:
         cv2.imwrite(str(path), picture, [cv2.IMWRITE_WEBP_QUALITY, quality])
         if path.stat().st_size <= MOST_BYTES:
@@ -141,7 +142,7 @@ def viewed(server: Server, scene: str, work: Path) -> Iterator[Served]:
     """A client of ``server`` with a page."""
     with ProcessGroup(work) as group:
         url = server.url.replace("http", "ws") + "stream"
-        view = ["--view", "--view-port", "0", "--json", "-"]
+        view = ["--view", "--view-port", "0", "--width", "1600", "--height", "1200", "--json", "-"]
         client = group.start("cags_client", ["--url", url, "--scene", scene, *view])
         yield Served(str(client.ready()["url"]))
 
@@ -172,7 +173,7 @@ class Pictures:
                 browser.get(self._server.url + first.place.format(scene=self._scene))
                 Page(browser).until(first.ready)
             elif isinstance(first, Client):
-                browser.get(self._server.url)
+                browser.get(f"{self._server.url}#paused")
                 Page(browser).until("player?.pictures > 3")
             else:
                 self._scene_in(browser, first)
