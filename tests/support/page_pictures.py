@@ -30,7 +30,7 @@ PHONE, WIDE, LANDSCAPE = (390, 780), (1120, 630), (780, 360)
 PATIENCE_S = 1500.0
 """On a busy machine."""
 
-SETTLED_S = 1.0
+SETTLED_S = 3.0
 MOST_BYTES = 100_000
 QUALITIES = (90, 80, 70, 60, 50)
 INSPECT = """
@@ -101,19 +101,15 @@ OPEN = (
     Shot("headset-dark", LANDSCAPE, "dark", before=HEADSET, phone=True),
 )
 GUARDED = (Words("token-narrow-light", PHONE, "light", "?scene={scene}", ASKS),)
-BESIDE = """
-const list = document.getElementById('picture-b');
-list.value = 'distorted';
-list.dispatchEvent(new Event('change', { bubbles: true }));
-"""
+FIRST_VIEW = "document.getElementById('home').click()"
 CLIENTS = (
-    Client("client-dark", WIDE, "dark", inspect=True, before=BESIDE),
-    Client("client-narrow-light", PHONE, "light", phone=True),
+    Client("client-dark", WIDE, "dark", inspect=True, before=FIRST_VIEW),
+    Client("client-narrow-light", PHONE, "light", before=FIRST_VIEW, phone=True),
 )
 FITTED = """player?.shown && (() => {
   const [{ width, height }] = player.shown.pictures;
   return Math.abs((width * innerHeight) / (height * innerWidth) - 1) < 0.02;
-})() && performance.now() > 15_000"""
+})() && player.steers && performance.now() > 20_000"""
 """The client draws for the window's shape, and its first figures have come."""
 
 SERVERS = ((("--accept-uploads", "--visible-px", "0"), OPEN), (("--token", "sesame"), GUARDED))
